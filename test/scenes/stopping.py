@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -38,6 +39,8 @@ TERMINAL = (
 """Begins a command line whose program reads from a terminal."""
 CONTAINER = ("unshare", "--pid", "--fork", str(ROOT / "config" / "container" / "entrypoint.sh"))
 """Begins a command line whose program is process 1 of a container, with whose end all others in it are killed."""
+ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]|Traceback")
+"""In a line that nobody shall see when all is well."""
 needs_containers = pytest.mark.skipif(
     subprocess.run(["unshare", "--pid", "--fork", "true"], capture_output=True, check=False).returncode != 0,
     reason="needs the right to make a namespace of processes, as root has",

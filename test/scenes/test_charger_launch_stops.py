@@ -20,6 +20,7 @@ import pytest
 from ..chargers import Process, wait_until
 from .launched import need_the_package
 from .stopping import (
+    ALARM,
     CONTAINER,
     LEADER,
     OPEN,
@@ -79,6 +80,7 @@ def test_a_signal_to_launch_makes_a_charging_charger_safe(
     pid = process.process.pid
     try:
         stopped.charge(process)
+        before = len(process.out)
         kill = os.killpg if group else os.kill
         assert stopped.stop(lambda: [kill(pid, number) for number in signals]) < OPEN
         assert process.end() == code, told(process)
@@ -88,6 +90,7 @@ def test_a_signal_to_launch_makes_a_charging_charger_safe(
         kill_what_is_left(pid)
     if code == 0:
         assert finished_cleanly(process) == NODES, told(process)
+        assert not [line for line in process.out[before:] if "_node-" in line and ALARM.search(line)], told(process)
 
 
 @needs_containers

@@ -21,13 +21,12 @@ import pytest
 from deltacharger_scenes.scene import load_scene
 
 from ..chargers import Process, wait_until
-from .stopping import CONTAINER, OPEN, Stopped, first, lives, needs_containers
+from .stopping import ALARM, CONTAINER, OPEN, Stopped, first, lives, needs_containers
 from .test_processes import arguments
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]|Traceback")
 Start = Callable[..., Process]
 
 
@@ -108,8 +107,14 @@ def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) ->
     assert (process.out, process.err) == ([], [])
 
 
-def test_a_node_ends_with_who_started_it(start: Start, namespace: str) -> None:
-    words = arguments(load_scene("mocks"), "kinematics_node", namespace)
+@pytest.mark.parametrize("what", ["kinematics_node", "simulate"])
+def test_a_process_ends_with_who_started_it(
+    what: str, start: Start, deltacharger: tuple[str, ...], namespace: str, tmp_path: Path
+) -> None:
+    if what == "simulate":
+        words = [*deltacharger, "simulate", "--directory", str(tmp_path), "--namespace", namespace]
+    else:
+        words = arguments(load_scene("mocks"), what, namespace)
     code = (
         "import os, subprocess, sys, time\n"
         "from deltacharger_core import signals\n"
@@ -118,7 +123,7 @@ def test_a_node_ends_with_who_started_it(start: Start, namespace: str) -> None:
         "child.wait()\n"
     )
     starter = start(words[0], "-c", code, *words)
-    wait_until(lambda: starter.out, "the node's process")
+    wait_until(lambda: starter.out, "its process")
     node = int(starter.out[0])
     starter.process.kill()
-    wait_until(lambda: not lives(node), "the end of the node")
+    wait_until(lambda: not lives(node), f"the end of {what}")
