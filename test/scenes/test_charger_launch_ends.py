@@ -20,8 +20,9 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Pose
 
-from ..chargers import DEADLINE, Process
+from ..chargers import DEADLINE, Process, dock_at_last, wait_until
 from .launched import FILE, PATIENCE, QUICK, QUICK_NODES, domain, need_the_package
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -75,6 +76,28 @@ def test_a_docking_node_that_is_killed_ends_the_charger_with_1(launched: Launch,
         assert process.end() == 1, told(process)
     assert "docking_node has ended with -9; ending the charger" in told(process)
     assert finished_cleanly(process) == QUICK_NODES - 1, told(process)
+
+
+def test_a_camera_that_is_missing_does_not_end_it(
+    launched: Launch, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shadow = tmp_path / "shadow"
+    shadow.mkdir()
+    for name in ("depthai", "cv2"):
+        text = f"raise ModuleNotFoundError('No module named {name}', name='{name}')\n"
+        (shadow / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(shadow), prepend=":")
+    scene = tmp_path / "blind.yaml"
+    nodes = "camera_node, electrode_detector_node"
+    scene.write_text(QUICK.read_text(encoding="utf-8").replace("mock_detector_node", nodes), encoding="utf-8")
+    process = launched(scene=scene, namespace=namespace)
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(DEADLINE), told(process)
+        wait_until(lambda: "depthai is not installed" in told(process), "what camera_node lacks")
+        wait_until(lambda: "OpenCV is not installed" in told(process), "what the detector lacks")
+        dock_at_last(client, DockRequest(Pose(0.0, 0.0, 0.080)))
+    assert process.end(signal.SIGINT) == 0, told(process)
+    assert finished_cleanly(process) == QUICK_NODES + 1, told(process)
 
 
 def test_hardware_without_its_ports_ends_with_1_and_names_the_port(
