@@ -15,19 +15,24 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import rclpy
 from deltacharger.action import Dock, Undock
+from deltacharger.msg import DockingState
 from rclpy.action.client import ActionClient
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
+from deltacharger_core.frames import CHARGER_BASE
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
-from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
-from deltacharger_ros.qos import ACTION
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_ros.qos import ACTION, STATE
 
+_STATE = "docking_state"
+_LATCHED = 1.0  # s for the present docking_state to be heard
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
@@ -58,6 +63,8 @@ class ChargerClient(Guest):
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
         self._waitables = [self._dock, self._undock]
+        self._charger_base = ""  # its full name, as docking_state has it
+        self.node.create_subscription(DockingState, _STATE, self._on_state, STATE)
         self.serve()
 
     def close(self) -> None:
@@ -117,7 +124,7 @@ class ChargerClient(Guest):
         """
         goal = Dock.Goal()
         if request.electrodes is not None:
-            fill_pose(goal.electrodes, request.electrodes)
+            fill_pose(goal.electrodes, self._named(request.electrodes))
         goal.critical_angle = float(request.critical_angle)
         goal.start_charging = request.start_charging
         goal.hold = request.hold
@@ -125,6 +132,17 @@ class ChargerClient(Guest):
         goal.stop_after = duration(request.stop_after)
         goal.request_id = request.request_id
         return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
+
+    def _named(self, pose: Pose) -> Pose:
+        """Return a pose in charger_base with the full name that the charger has for it: it may have a prefix."""
+        if pose.frame_id != CHARGER_BASE:
+            return pose
+        if self.node.count_publishers(_STATE):
+            self.wait(lambda: bool(self._charger_base), _LATCHED)
+        return replace(pose, frame_id=self._charger_base or CHARGER_BASE)
+
+    def _on_state(self, message: DockingState) -> None:
+        self._charger_base = message.header.frame_id
 
     def undock(
         self,

@@ -7,6 +7,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from deltacharger_core.frames import CHARGER_BASE
 from deltacharger_core.quantity import figure
 
 
@@ -17,13 +18,16 @@ def place(x: float, y: float, z: float, roll: float) -> str:
 
 @dataclass(frozen=True)
 class Pose:
-    """Midpoint of the target's electrodes: position (m) and roll about z (rad) in the frame `frame_id`."""
+    """Midpoint of the target's electrodes: position (m) and roll about z (rad) in the frame `frame_id`.
+
+    charger_base means that of the charger that is asked, whatever its prefix.
+    """
 
     x: float
     y: float
     z: float
     roll: float = 0.0
-    frame_id: str = "charger_base"
+    frame_id: str = CHARGER_BASE
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The signs of lean: yaw about +y, pitch about +x, and no part of either in a roll about z."""
+"""The signs of lean: yaw about +y, pitch about +x, and no part of either in a roll about z; poses."""
 
 from __future__ import annotations
 
 import math
+import random
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltacharger_core.rotation import lean, rotation
+from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted, lean, rotation
 
 angles = st.floats(-1.4, 1.4)
 
@@ -34,3 +37,27 @@ def test_a_roll_about_the_leaning_axis_changes_no_lean(yaw: float, pitch: float,
         ax, ay, az, aw = aw * px, ay * pw, -ay * px, aw * pw  # the pitch first
     rolled = (ax * bw + ay * bz, ay * bw - ax * bz, aw * bz + az * bw, aw * bw - az * bz)
     assert lean(rotation(*rolled)) == pytest.approx(lean(rotation(ax, ay, az, aw)), abs=1e-12)
+
+
+def drawn(source: random.Random) -> Pose:
+    turn = [source.gauss(0.0, 1.0) for _ in range(4)]
+    x, y, z, w = (number / math.hypot(*turn) for number in turn)
+    return source.uniform(-2.0, 2.0), source.uniform(-2.0, 2.0), source.uniform(-2.0, 2.0), x, y, z, w
+
+
+def matrix(pose: Pose) -> np.ndarray[Any, Any]:
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = rotation(*pose[3:]), pose[:3]
+    return found
+
+
+def test_poses_compose_and_invert_as_their_matrices_do() -> None:
+    source = random.Random(5)
+    for _ in range(100):
+        a, b = drawn(source), drawn(source)
+        np.testing.assert_allclose(matrix(composed(a, b)), matrix(a) @ matrix(b), atol=1e-12)
+        np.testing.assert_allclose(matrix(inverted(a)), np.linalg.inv(matrix(a)), atol=1e-12)
+        assert apart(composed(a, inverted(a)), IDENTITY) == pytest.approx((0.0, 0.0), abs=1e-7)
+        turn = source.uniform(0.0, math.pi)
+        other = composed(a, (0.3, 0.4, 0.0, 0.0, math.sin(0.5 * turn), 0.0, math.cos(0.5 * turn)))
+        assert apart(a, other) == pytest.approx((0.5, turn), abs=1e-7)

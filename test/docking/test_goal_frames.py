@@ -13,22 +13,26 @@ from deltacharger.action import Dock
 from deltacharger.msg import DockingDecision
 from rclpy.action.client import ActionClient
 
-from deltacharger_core.rotation import Pose, composed
+from deltacharger_core.rotation import Pose as Numbers
+from deltacharger_core.rotation import composed
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import CODES
+from deltacharger_ros.outcomes import DockRequest, Pose
+from deltacharger_ros.tf_tree import installed
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.overrides import Overrides, override
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Spin, new_namespace, wait_until
 from ..nodes import answer
-from ..transforms import Robot, transforms
+from ..transforms import WITHOUT_TF, Robot
 
 pytestmark = pytest.mark.ros
 
-MOUNT: Pose = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
-TARGET: Pose = (0.004, -0.003, 0.080, 0.0, 0.0, 0.0, 1.0)
+with_tf = pytest.mark.skipif(not installed(), reason=WITHOUT_TF)
+MOUNT: Numbers = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
+TARGET: Numbers = (0.004, -0.003, 0.080, 0.0, 0.0, 0.0, 1.0)
 
 
 class Charger:
@@ -45,7 +49,7 @@ class Charger:
         self._docks: Any = ActionClient(node, Dock, "dock")
         wait_until(self._docks.server_is_ready, "the action")
 
-    def dock(self, frame: str, pose: Pose) -> Dock.Result:
+    def dock(self, frame: str, pose: Numbers) -> Dock.Result:
         goal = Dock.Goal()
         goal.electrodes.header.frame_id = frame
         place, turn = goal.electrodes.pose.position, goal.electrodes.pose.orientation
@@ -66,17 +70,17 @@ class Charger:
 
 @pytest.fixture
 def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
-    transforms()
     charger = Charger(quick_scene, context, "left/")
     yield charger
     charger.close()
 
 
+@with_tf
 def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
     robot.fix("base_link", "left/charger_base", MOUNT)
-    base: Pose = (4.0, -2.0, 0.0, 0.0, 0.0, math.sin(0.7), math.cos(0.7))
+    base: Numbers = (4.0, -2.0, 0.0, 0.0, 0.0, math.sin(0.7), math.cos(0.7))
     localization = robot.create_timer(0.02, lambda: robot.move(("map", "base_link", base)))
     result = charger.dock("map", composed(composed(base, MOUNT), TARGET))
     assert result.success, result.error_message
@@ -88,6 +92,7 @@ def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, 
     localization.cancel()
 
 
+@with_tf
 def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
@@ -101,6 +106,11 @@ def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: An
     assert (CODES[stale.error_code], stale.retriable) == ("REJECTED", True), "it may come back"
     assert "s old" in stale.error_message
     assert not charger.composition.node("mock_servo_node").torque_enabled
+
+
+def test_the_client_asks_in_charger_base_whatever_its_prefix(charger: Charger) -> None:
+    outcome = charger.client.dock(DockRequest(Pose(*TARGET[:3])), deadline=DEADLINE)
+    assert outcome.success, outcome.error_message
 
 
 def test_whatever_two_chargers_write_names_a_frame_of_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:

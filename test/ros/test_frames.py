@@ -19,14 +19,14 @@ from deltacharger_core.frames import TransformParameters
 from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
+from deltacharger_ros import frames as frames_module
 from deltacharger_ros.frames import Contradiction, Frames
 from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
-from ..transforms import Robot, stamp, transforms
+from ..transforms import Robot, stamp
 
-transforms()
 pytestmark = pytest.mark.ros
 
 USUAL = DockingNodeParameters().base_pose
@@ -72,6 +72,22 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
     yield frames
     for node in nodes:
         node.destroy_node()
+
+
+def test_without_tf2_ros_the_parameters_tell_and_other_frames_are_refused_by_name(
+    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frames_module, "installed", lambda: False)
+    node = Node("asker", **options(context, namespace))
+    frames = Frames(node, TransformParameters("left/"), "base_link", MOUNT)
+    assert frames.charger_base_in("base_link") == MOUNT
+    assert frames.charger_base_in("left/charger_base") == IDENTITY
+    with pytest.raises(UnknownFrame) as refusal:
+        frames.charger_base_in("map")
+    for word in ("unknown frame 'map'", "left/charger_base", "base_link", "tf2_ros, which is not installed"):
+        assert word in str(refusal.value)
+    assert "/tf" not in {each.topic_name for each in node.subscriptions}
+    node.destroy_node()
 
 
 def close(a: Pose, b: Pose) -> bool:
