@@ -121,7 +121,9 @@ class ElectrodeDetectorNode(Node):
         deadline = time.monotonic() + (limit or usual)
         refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
         with self._camera.watching():
-            while (shot := self._camera.after(number, deadline)) is not None:
+            while not images or time.monotonic() < deadline:  # looks may be slower than images come
+                if (shot := self._camera.after(number, deadline)) is None:
+                    break
                 number, images = shot.number, images + 1
                 if problem := self._age_problem(shot):
                     late, old = problem, old + 1

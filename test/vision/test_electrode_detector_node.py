@@ -29,7 +29,7 @@ from deltacharger_vision.mount import Mount, quaternion
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
 from ..scenes.camera_driver import TARGET, Driver, picture
-from ..transforms import Robot
+from ..transforms import Robot, transforms
 from .detector_scenes import without_depth
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -89,6 +89,16 @@ def test_the_camera_is_where_tf_says_if_that_is_asked_for(
     robot.fix("left/charger_base", "camera", moved)
     image = Header(frame_id="camera", stamp=node.get_clock().now().to_msg())
     np.testing.assert_allclose(node._mounted(image).pose[:3], np.c_[usual[:3, :3], moved[:3]], atol=1e-9)
+
+
+def test_a_request_ends_with_its_time_where_each_look_is_slower_than_images_come(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    transforms()
+    detector(mount_from_tf=True, transform_timeout=0.2)
+    answer = driver.ask(1.0)
+    assert not answer.success
+    assert "not where the camera is: tf does not know the frame" in answer.message
 
 
 def test_two_words_on_where_the_camera_is_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
