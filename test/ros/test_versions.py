@@ -44,8 +44,8 @@ def refused(process: subprocess.CompletedProcess[str]) -> str:
 @pytest.mark.parametrize("name", NODES)
 def test_a_node_refuses_an_older_ros(tmp_path: Path, name: str) -> None:
     """The call is that of the script which pip and colcon write for it."""
-    (entry,) = re.findall(rf"^ +{name} = (\S+):main$", (ROOT / "setup.cfg").read_text(), re.MULTILINE)
-    process = on_older_ros(tmp_path, "-c", f"import sys; from {entry} import main; sys.exit(main())")
+    ((module, function),) = re.findall(rf"^ +{name} = (\S+):(\w+)$", (ROOT / "setup.cfg").read_text(), re.MULTILINE)
+    process = on_older_ros(tmp_path, "-c", f"import sys; from {module} import {function}; sys.exit({function}())")
     refused(process)
     assert not process.stdout
 
