@@ -135,7 +135,7 @@ NODES: dict[str, NodeSpec] = {
         ),
         may_restart=True,
         lacks="docking needs coordinates",
-        needs_when_used=("cv2",),
+        needs_when_used=("cv2", "tf2_ros"),
     ),
     "mock_detector_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_detector_node.MockDetectorNode",
@@ -160,7 +160,7 @@ NODES: dict[str, NodeSpec] = {
     "mock_navigator_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockNavigatorNodeParameters",),
-        needs_when_used=("nav2_msgs",),
+        needs_when_used=("nav2_msgs", "tf2_ros"),
     ),
     "docking_node": NodeSpec(
         "deltacharger_docking.ros.docking_node.DockingNode",
@@ -181,7 +181,7 @@ NODES: dict[str, NodeSpec] = {
             _TRANSFORMS,
         ),
         lacks="no action charge_robot",
-        needs_when_used=("nav2_msgs",),
+        needs_when_used=("nav2_msgs", "tf2_ros"),
     ),
 }
 """In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""
