@@ -23,8 +23,9 @@ INSTALLED := $(VENV)/.installed
 SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt \
   $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := $(BUILD)/colcon
-NAVIGATION := $(BUILD)/nav2_msgs
-TRANSFORMS := $(BUILD)/tf2
+# Whether modules are there, and not from this venv.
+ELSEWHERE := import importlib, sys; \
+  sys.exit(any(importlib.import_module(name).__file__.startswith(sys.prefix) for name in sys.argv[1:]))
 WHEEL := $(BUILD)/wheel
 
 # Traffic stays on this machine, in a domain of its own.
@@ -51,8 +52,8 @@ test: $(INSTALLED)  ## what a change needs
 	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not slow and realtime'
 
 test-rest: $(INSTALLED)  ## what `make test` leaves out
-	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) slow and not realtime'
-	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) slow and realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and not realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and realtime'
 
 test-all: test test-rest  ## every test
 
@@ -90,23 +91,22 @@ wheel: $(INSTALLED)  ## build a wheel, and dock with what it installs into a bar
 trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
-# Nav2's messages are not on PyPI. Nothing is built where they are installed.
-navigation: $(INSTALLED)  ## a stand-in for nav2_msgs with NavigateToPose alone, else tests of driving are skipped
-	@$(BIN)/python -c 'import nav2_msgs.action' 2>/dev/null || { \
-	  export $(IN_VENV); \
-	  cmake -S test/nav2_msgs -B $(NAVIGATION) -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
-	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" && \
-	  cmake --build $(NAVIGATION) --target install; } > $(VENV)/navigation.log 2>&1 || { cat $(VENV)/navigation.log; exit 1; }
-	$(BIN)/python -c 'from nav2_msgs.action import NavigateToPose'
+# Neither Nav2's messages nor tf2, whose core is C++, are on PyPI. Nothing is built where a ROS installation has them.
+navigation: $(VENV)/.nav2_msgs  ## a stand-in for nav2_msgs with NavigateToPose alone, else tests of driving are skipped
+transforms: $(VENV)/.tf2  ## a stand-in for tf2_ros and tf2_msgs, else tests of goals in frames of tf are skipped
 
-# Neither is tf2, whose core is C++.
-transforms: $(INSTALLED)  ## a stand-in for tf2_ros and tf2_msgs, else tests of goals in frames of tf are skipped
-	@$(BIN)/python -c 'import tf2_ros, tf2_msgs.msg' 2>/dev/null || { \
-	  export PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"; \
-	  cmake -S test/tf2 -B $(TRANSFORMS) -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
+$(VENV)/.nav2_msgs: MODULES := nav2_msgs.action
+$(VENV)/.tf2: MODULES := tf2_ros tf2_msgs.msg
+$(VENV)/.nav2_msgs: $(shell find test/nav2_msgs -type f)
+$(VENV)/.tf2: $(shell find test/tf2 -type f -not -path '*__pycache__*')
+$(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
+	@$(BIN)/python -c '$(ELSEWHERE)' $(MODULES) 2>/dev/null || { \
+	  export $(IN_VENV); \
+	  cmake -S test/$* -B $(BUILD)/$* -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
 	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" && \
-	  cmake --build $(TRANSFORMS) --target install; } > $(VENV)/transforms.log 2>&1 || { cat $(VENV)/transforms.log; exit 1; }
-	$(BIN)/python -c 'import tf2_ros, tf2_msgs.msg'
+	  cmake --build $(BUILD)/$* --target install; } > $(VENV)/$*.log 2>&1 || { cat $(VENV)/$*.log; exit 1; }
+	$(BIN)/python -c 'import importlib, sys; list(map(importlib.import_module, sys.argv[1:]))' $(MODULES)
+	touch $@
 
 optional: trainers navigation transforms  ## every optional library, else the tests that need it are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro

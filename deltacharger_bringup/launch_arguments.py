@@ -5,16 +5,23 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Iterable
+from itertools import pairwise
 from pathlib import Path
 
 from deltacharger_core.parameters import did_you_mean
 
+_PACKAGE = "deltacharger"
 _OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
 
 
 def is_launched_itself(file: str) -> bool:
-    """Return whether `ros2 launch` was asked for this launch file, and not for one that includes it."""
-    return Path(file).name in (Path(word).name for word in sys.argv)
+    """Return whether `ros2 launch` was asked for this launch file, and not for one that includes it.
+
+    It is by its path, or by its package and name: a robot's own launch file may have the same name.
+    """
+    own = Path(file)
+    by_path = any(Path(word).name == own.name and Path(word).resolve() == own.resolve() for word in sys.argv)
+    return by_path or any(pair == (_PACKAGE, own.name) for pair in pairwise(sys.argv))
 
 
 def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> None:

@@ -34,6 +34,7 @@ from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
+from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
@@ -49,6 +50,7 @@ class KinematicsNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
+        self._log = Log(self)
         geometry = declare_geometry(self)
         given = declare_with_servos(self, KinematicsNodeParameters, SERVOS_FOLLOW)
         frames = declare_all(self, FrameParameters)
@@ -146,9 +148,9 @@ class KinematicsNode(Node):
         """Return, and tell, whether more points are asked for than are answered at once."""
         if len(values) <= 3 * POINTS_MAX:
             return False
-        self.get_logger().warning(
+        self._log.warning(
             f"{len(values) // 3} points were asked for at once: ask for {POINTS_MAX} at most",
-            throttle_duration_sec=5.0,
+            pause=5.0,
         )
         return True
 

@@ -150,7 +150,7 @@ class WorkServer:
                 self._log.error(f"a goal met a defect: {type(error).__name__}: {error}")
             handle.abort()
             result = self._result(self._outcome(error), None)
-            self._log.info(f"{self._title(handle)}: {to_outcome(self._name, result).ending('refused')}")
+            self._tell_end(handle, result, "refused")
             return result
         heard = False
         while not work.done.wait(_LOOK):
@@ -169,12 +169,20 @@ class WorkServer:
             handle.abort()
         work.answered.set()
         result = self._result(work.outcome, work)
-        outcome = to_outcome(self._name, result)
-        lasted = "" if outcome.success else f" (after {outcome.elapsed:.1f} s)"
-        self._log.info(
-            "; ".join(filter(None, (f"{self._title(handle)}: {outcome.ending()}{lasted}", outcome.figures())))
-        )
+        self._tell_end(handle, result)
         return result
+
+    def _tell_end(self, handle: GoalHandle, result: Any, failed: str = "failed") -> None:
+        """Log how a goal ended; an error in that must not cost its client the result."""
+        try:
+            outcome = to_outcome(self._name, result)
+            line = f"{self._title(handle)}: {outcome.ending(failed)}"
+            if failed == "failed":
+                lasted = "" if outcome.success else f" (after {outcome.elapsed:.1f} s)"
+                line = "; ".join(filter(None, (f"{line}{lasted}", outcome.figures())))
+            self._log.info(line)
+        except Exception as error:
+            self._log.error(f"the end of a goal cannot be told: {type(error).__name__}: {error}")
 
     def _is_heard(self) -> bool:
         """Return whether any client follows goals of this action."""

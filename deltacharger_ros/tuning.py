@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import ParameterError, declared
+from deltacharger_ros.log import Log
 
 T = TypeVar("T")
 
@@ -31,7 +32,7 @@ class Tuning(Generic[T]):
     """
 
     def __init__(self, node: Node, given: T, take: Callable[[T], str]) -> None:
-        self._node = node
+        self._log = Log(node)
         self._given = given
         self._take = take
         self._lock = threading.Lock()
@@ -52,5 +53,5 @@ class Tuning(Generic[T]):
                 return SetParametersResult(successful=False, reason=f"{', '.join(changes)} not set: {reason}")
             self._given = given
         for name, value in changes.items():
-            self._node.get_logger().info(f"{name} is {value!r} from now on")
+            self._log.info(f"{name} is {value!r} from now on")
         return SetParametersResult(successful=True)

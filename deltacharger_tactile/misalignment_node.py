@@ -25,6 +25,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
+from deltacharger_ros.log import Log
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
@@ -79,6 +80,7 @@ class MisalignmentNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
+        self._log = Log(self)
         given = declare_all(self, MisalignmentNodeParameters, form="{text}, {unit}.")
         self._frame_id = declare_all(self, FrameParameters).named(END_EFFECTOR)
         reject_unknown(self)
@@ -118,7 +120,7 @@ class MisalignmentNode(Node):
                 self._perception = Perception.load(*files)
             except PerceptionError as error:
                 return f"{error}; {self._perception.name} stays in use"
-            self.get_logger().info(f"estimates with {self._perception.name} from now on")
+            self._log.info(f"estimates with {self._perception.name} from now on")
             self._tell_doubt()
         self._given = given
         if given.rate != before.rate:
@@ -127,16 +129,16 @@ class MisalignmentNode(Node):
 
     def _tell_doubt(self) -> None:
         if self._perception.doubt:
-            self.get_logger().warning(self._perception.doubt)
+            self._log.warning(self._perception.doubt)
 
     def _receive(self, message: TactileFrame) -> None:
         try:
             self._window.add(to_frame(message))
         except FrameError:
-            self.get_logger().error(
+            self._log.error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "
                 f"{len(message.right)} values, the model needs 10 × 10; ignored",
-                throttle_duration_sec=5.0,
+                pause=5.0,
             )
 
     def _predict(

@@ -63,8 +63,8 @@ OWN = {
 ARGUMENTS = OWN | {item.name: ("", item.text) for item in declared(Overrides)}
 REFUSED = 2  # exit code of a node that cannot start as configured; starting it again would not help
 RESPAWN_DELAY = 1.0  # s
-# A node that makes its hardware safe on a busy computer needs longer than launch's usual 5 s to end.
-PATIENCE = {name: LaunchConfiguration(name, default="15") for name in ("sigterm_timeout", "sigkill_timeout")}
+PATIENCE = ("sigterm_timeout", "sigkill_timeout")  # s that launch waits before it sends these signals
+USUAL_PATIENCE = "15"  # launch's own 5 s are too short for a node that makes its hardware safe on a busy computer
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -81,6 +81,7 @@ def _wire(context: LaunchContext) -> list[Any]:
     if told["log_level"] not in LEVELS:
         raise ValueError(f"log_level is '{told['log_level']}'; give one of {', '.join(LEVELS)}")
     told["namespace"] = _namespace(told["namespace"])
+    told |= {name: LaunchConfiguration(name, default=USUAL_PATIENCE).perform(context) for name in PATIENCE}
     scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
     variables = dict(context.environment)
     _choose_network(scene, variables)
@@ -158,7 +159,7 @@ def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = No
             respawn=NODES[name].may_restart,
             respawn_delay=RESPAWN_DELAY,
             on_exit=_judge,
-            **PATIENCE,
+            **{name: told[name] for name in PATIENCE},
         )
         for name in scene.start_order()
     ]
@@ -214,7 +215,7 @@ def _simulated(
         name="simulated_charger",
         output="screen",
         on_exit=_judge,
-        **PATIENCE,
+        **{name: told[name] for name in PATIENCE},
     )
     nodes = _nodes(scene, told, {port: str(Path(folder.name) / port) for port in ("servo", "board")})
     waiting = list(nodes)

@@ -31,6 +31,7 @@ ARGUMENTS = {
     "namespace": ("", "of the charger"),
     **MODEL,
     "frame_prefix": ("", "of the charger's frames, as its nodes' parameter; base_link has none"),
+    "joint_prefix": ("", "of joint_states, as servo_node's parameter"),
     "rviz": ("true", "false: only the robot model and tf"),
 }
 
@@ -55,10 +56,10 @@ def _wire(context: LaunchContext) -> list[Any]:
     told |= {name: _read(name, told[name]) for name in FILES if told[name]}
     description = xacro.process_file(
         str(SHARE / "urdf" / "deltacharger.urdf.xacro"),
-        mappings={"prefix": told["frame_prefix"], **{name: told[name] for name in MODEL}},
+        mappings={"prefix": told["frame_prefix"], **{name: told[name] for name in ("joint_prefix", *MODEL)}},
     ).toxml()
     namespace = told["namespace"]
-    given = {name: told[name] for name in ("geometry_file", "frame_prefix") if told[name]}
+    given = {name: told[name] for name in ("geometry_file", "frame_prefix", "joint_prefix") if told[name]}
     nodes = [
         Node(
             package="robot_state_publisher",

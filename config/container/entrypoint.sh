@@ -5,6 +5,7 @@
 #   ENTRYPOINT ["/entrypoint.sh"]
 #   CMD ["deltacharger", "up", "--scene", "/charger.yaml"]
 #   STOPSIGNAL SIGINT
+# With `docker run --cap-add SYS_NICE` the heartbeat of the board has real-time priority.
 set -e
 for setup in "/opt/ros/$ROS_DISTRO/setup.bash" "${WORKSPACE:-/ws}/install/setup.bash"; do
     if [ -f "$setup" ]; then

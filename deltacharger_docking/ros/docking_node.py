@@ -74,7 +74,7 @@ class DockingNode(Node):
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
-        self._inputs = Inputs(self)
+        self._inputs = Inputs(self, self._log)
         self._calls = Services(
             self, lambda detection: io.in_charger_base(detection, frames), transforms.named(END_EFFECTOR)
         )
@@ -284,7 +284,7 @@ def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:
             "choose another ROS_DOMAIN_ID or namespace"
         ) from taken
     except OSError as error:  # a robot works without it: docking looks for second sources over ROS
-        node.get_logger().warning(f"no lock can be taken that keeps a second charger away: {error}")
+        Log(node).warning(f"no lock can be taken that keeps a second charger away: {error}")
     node.release()
     return node
 

@@ -19,6 +19,7 @@ from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.witness import Witness
 from deltacharger_ros.clock import ClockWatch
 from deltacharger_ros.duplicates import Duplicates
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
@@ -40,16 +41,20 @@ class Inputs:
     Topics are read when an observation is asked for: only the newest counts, and at rest that is seldom asked for. Of
     the tactile frames all are heard, as bytes: an estimate that lets current flow must come from them.
 
+    Args:
+        node: subscribes.
+        log: of the node.
+
     Attributes:
         refused: messages that were not taken.
         simulated: whether servos and board are known to be a simulated charger's; what it tells as its observation's.
         clock: by which ages are judged. While /clock stands still nothing counts as measured anew.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, log: Log) -> None:
         self.refused = Refusals()
         self.simulated = False
-        self._clock, self._logger = node.get_clock(), node.get_logger()
+        self._clock, self._log = node.get_clock(), log
         self.clock = ClockWatch(self._clock)
         self._lock = threading.Lock()
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
@@ -79,7 +84,7 @@ class Inputs:
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
-            self._logger.warning(f"second source, so no contactor closes: {self._double}")
+            self._log.warning(f"second source, so no contactor closes: {self._double}")
         return True
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:

@@ -144,8 +144,8 @@ class ServoNode(Node):
         try:
             self._cycle_until_safe()
         except BaseException as error:
-            # An error of ours must still leave the arm without torque; close() below sees to it.
-            self.get_logger().fatal(f"servo bus thread ended: {error!r}; torque goes off")
+            controller.close()  # first of all: an error of ours must leave the arm without torque
+            self._lines.error(f"servo bus thread ended: {error!r}; torque is off")
             raise
         finally:
             controller.close()

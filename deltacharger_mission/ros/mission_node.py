@@ -8,6 +8,7 @@ navigator goes on to the goal that it has, and docking_node watches over chargin
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -168,10 +169,11 @@ class MissionNode(Node):
                     self._others.carry_out(self._machine.step(self._others.observe()))
                     self._report()
             except Exception as error:  # a defect must call everything off and end the goal, not the thread
-                self._log.error(f"the mission met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"the mission met a defect: {type(error).__name__}: {error}", pause=1.0)
                 outcome = MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
                 with self._lock:
-                    self._others.carry_out(self._machine.emergency())
+                    with contextlib.suppress(Exception):  # it may be what has failed; the goal ends all the same
+                        self._others.carry_out(self._machine.emergency())
                     self._end(outcome)
 
     def _report(self) -> None:

@@ -29,6 +29,7 @@ from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.session import TouchSession
 from deltacharger_records.node_parameters import docking_settings
 from deltacharger_ros.clock import before_now
+from deltacharger_ros.log import Log
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import listen
 
@@ -60,7 +61,7 @@ class RecordingCharger(ArmGuest):
         self.is_driving = False
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
-        self._inputs = Inputs(self.node)
+        self._inputs = Inputs(self.node, Log(self.node))
         self._calls = Services(self.node)
         listen(self.node, TOPICS, self.tape.take)
         self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=SERVICE)

@@ -30,6 +30,7 @@ from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.mcap_recording import schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
@@ -48,6 +49,7 @@ class DockingRecorderNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("docking_recorder_node", **kwargs)
+        self._log = Log(self)
         given = declare_all(self, DockingRecorderNodeParameters)
         reject_unknown(self)
         self._folder_path = given_path(given.folder)
@@ -137,7 +139,7 @@ class DockingRecorderNode(Node):
                 if last:
                     return
                 self._recorder.fail(error)
-                self.get_logger().error(f"recording met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"recording met a defect: {type(error).__name__}: {error}")
             self._stopping.wait(_POLL)
 
     def _work(self) -> None:
@@ -157,7 +159,7 @@ class DockingRecorderNode(Node):
         for each in left_alone[:_NAMED_MAX]:
             if each not in self._named and len(self._named) < _NAMED_MAX:
                 self._named.add(each)
-                self.get_logger().warning(f"left alone in {self._folder_path}: {each}")
+                self._log.warning(f"left alone in {self._folder_path}: {each}")
         self._diagnostics.tell(
             level,
             text,

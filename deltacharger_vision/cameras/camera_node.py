@@ -30,6 +30,7 @@ from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.cameras.keeper import CameraKeeper, ImageSource, OpenCamera
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
@@ -125,6 +126,7 @@ class CameraNode(Node):
 
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
+        self._log = Log(self)
         self._settings = declare_all(self, OakSettings)
         self._given = declare_all(self, ReplayParameters)
         frames = declare_all(self, FrameParameters)
@@ -163,9 +165,9 @@ class CameraNode(Node):
         """Say what has changed, from the thread of the source."""
         problem = self._source.problem
         if problem:
-            self.get_logger().error(problem)
+            self._log.error(problem)
         else:
-            self.get_logger().info(f"camera {self._hardware()} connected")
+            self._log.info(f"camera {self._hardware()} connected")
         self._diagnose()
 
     def _hardware(self) -> str:

@@ -31,6 +31,7 @@ from deltacharger_core.quantity import quantity
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
@@ -67,6 +68,7 @@ class ElectrodeDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
+        self._log = Log(self)
         given, transforms = declare_all(self, DetectorNodeParameters), declare_all(self, TransformParameters)
         terminal = declare_all(self, Terminal)
         reject_unknown(self)
@@ -85,7 +87,7 @@ class ElectrodeDetectorNode(Node):
         self._diagnostics = Diagnostics(self)
         self._missing = _missing_library()
         if self._missing:
-            self.get_logger().error(self._missing)
+            self._log.error(self._missing)
         group = ReentrantCallbackGroup()
         self.create_service(
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
@@ -200,7 +202,7 @@ class ElectrodeDetectorNode(Node):
                     if shot is not None:
                         number = shot.number
                         if refusal := self._age_problem(shot) or self._look(shot)[1]:
-                            self.get_logger().warning(refusal, throttle_duration_sec=5.0)
+                            self._log.warning(refusal, pause=5.0)
                     stopping.wait(max(0.0, started + period - time.monotonic()))
 
     def _wanted(self) -> bool:

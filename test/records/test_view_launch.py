@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,13 @@ pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation"
 FILE = Path(__file__).resolve().parents[2] / "launch" / "view.launch.py"
 
 
-def wired(**told: str) -> list[Any]:
+def wired(argv: list[str] | None = None, **told: str) -> list[Any]:
     spec = importlib.util.spec_from_file_location("view_launch", FILE)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    context = launch.LaunchContext()
+    context = launch.LaunchContext(argv=argv)
     for argument in module.generate_launch_description().get_launch_arguments():
         default = "".join(part.perform(context) for part in argument.default_value)
         context.launch_configurations[argument.name] = told.get(argument.name, default)
@@ -48,6 +49,20 @@ def test_a_file_that_cannot_be_read_is_named_in_one_line(argument: str, tmp_path
     wrong.write_text("armm: 0.1\n", encoding="utf-8")
     with pytest.raises(ValueError, match=rf"^{argument}: {wrong}: .*armm[^\n]*$"):
         wired(**{argument: str(wrong)})
+
+
+def test_a_slip_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(FILE), "geometri_file:=arm.yaml"])
+    with pytest.raises(ValueError, match="'geometri_file'; did you mean 'geometry_file'"):
+        wired(argv=["geometri_file:=arm.yaml"])
+
+
+def test_a_prefix_of_joints_reaches_the_model_and_what_moves_it() -> None:
+    publisher, joints, _ = wired(joint_prefix="left_")
+    text = str([getattr(value, "value", value) for value in publisher._Node__parameters[0].values()])
+    assert 'joint name="left_limb_0_arm_joint"' in text
+    told = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
+    assert yaml.safe_load("".join(part.text for part in told["joint_prefix"])) == "left_"
 
 
 def test_a_prefix_reaches_frames_and_leaves_joints_to_the_servos() -> None:

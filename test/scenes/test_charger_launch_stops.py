@@ -61,7 +61,9 @@ def stopped(tmp_path: Path, namespace: str, context: Any, monkeypatch: pytest.Mo
         pytest.param(TERMINAL, (INT,), False, 0, id="SIGINT_to_launch_alone_in_a_terminal"),
         pytest.param(TERMINAL, (INT, INT), True, 0, id="Ctrl-C_twice_in_a_terminal"),
         pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_without_terminal"),
-        pytest.param((), (signal.Signals[UNIT["KillSignal"]],), True, 0, id="systemctl_stop"),
+        pytest.param(
+            (), (signal.Signals[UNIT["KillSignal"]],), UNIT["KillMode"] == "control-group", 0, id="systemctl_stop"
+        ),
         pytest.param((), (TERM,), False, -TERM, id="SIGTERM"),
         pytest.param((), (HUP,), True, -HUP, id="closed_terminal"),
         pytest.param((), (KILL,), False, -KILL, id="SIGKILL"),
