@@ -172,6 +172,7 @@ NODES: dict[str, NodeSpec] = {
             _SERVOS,
         ),
         lacks="no actions dock and undock",
+        needs_when_used=("tf2_ros",),
     ),
     "mission_node": NodeSpec(
         "deltacharger_mission.ros.mission_node.MissionNode",

@@ -121,7 +121,7 @@ def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturb
     assert second.end() == 1
     assert any("already answers in ROS domain" in line for line in second.err)
     undock = run("undock", "--json")
-    assert undock.end() == 0, undock.err
+    assert undock.end() == 0, (undock.out, undock.err)
     assert first.end(signal.SIGTERM) == 0
 
 
