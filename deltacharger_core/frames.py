@@ -28,10 +28,7 @@ class FrameParameters(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        prefix = self.frame_prefix
-        if prefix.startswith("/") or len(prefix.split()) > 1 or prefix != prefix.strip() or len(prefix) > _PREFIX_MAX:
-            problem = f"{prefix[:_PREFIX_MAX]!a}: give at most {_PREFIX_MAX} characters, no white space, no leading '/'"
-            raise ParameterError("frame_prefix", prefix, problem)
+        _check("frame_prefix", self.frame_prefix)
 
     def named(self, frame: str) -> str:
         """Return the full name of a frame of the charger."""
@@ -40,9 +37,17 @@ class FrameParameters(Bounded):
 
 @dataclass(frozen=True)
 class JointFrameParameters(FrameParameters):
-    """The same for the joints of two chargers in one URDF. robot_state_publisher puts no prefix before joints."""
+    """The same for the joints of two chargers in one URDF. robot_state_publisher puts no prefix before joints.
+
+    Raises:
+        ParameterError: as of `FrameParameters`, of either prefix.
+    """
 
     joint_prefix: str = words("", "put before the names of joint_states: the prefix of the URDF's macro, e.g. left_")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check("joint_prefix", self.joint_prefix)
 
 
 @dataclass(frozen=True)
@@ -55,3 +60,10 @@ class TransformParameters(FrameParameters):
     transform_age_max: float = number(
         1.0, 0.05, 60.0, "s", "age of a moving transform, and of a stamped pose that needs one, that still counts"
     )
+
+
+def _check(name: str, prefix: str) -> None:
+    """Refuse a prefix that no name can have; `name` is that of its parameter."""
+    if prefix.startswith("/") or len(prefix.split()) > 1 or prefix != prefix.strip() or len(prefix) > _PREFIX_MAX:
+        problem = f"{prefix[:_PREFIX_MAX]!a}: give at most {_PREFIX_MAX} characters, no white space, no leading '/'"
+        raise ParameterError(name, prefix, problem)

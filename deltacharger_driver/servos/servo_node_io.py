@@ -16,7 +16,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from deltacharger_core.machine import JOINTS
+from deltacharger_core.machine import JOINTS, ZERO_CURRENT
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.servos.motion_guard import AHEAD, ContactorState, MotionGuard, stamp_age
 from deltacharger_driver.servos.report import ServoReport
@@ -41,7 +41,6 @@ _STATE_FIELDS = (
 _LISTENERS_EVERY = 10  # cycles between two looks whether anybody listens to joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only says who did
 _LARGEST_POWER = 1024  # bytes of a charger_power; ours has 80
-_OPEN_CURRENT = 0.5  # A, below it a charge current counts as none (docs/docking.md)
 
 
 class ContactorClient:
@@ -110,7 +109,7 @@ class ContactorClient:
             age = stamp_age(stamp.sec, stamp.nanosec, clock)
             later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked and age >= -AHEAD
             opened |= later and not power.contactor_closed
-            flows |= abs(power.charge_current) >= _OPEN_CURRENT  # NaN = not measured: the contactor alone decides
+            flows |= abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
             armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
             publisher = each.publisher or self._nameless(power.contactor_closed)
             self.guard.observe(publisher, power.contactor_closed, armed, age, now)

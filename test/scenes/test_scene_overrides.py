@@ -54,6 +54,8 @@ def test_one_word_gives_every_node_its_prefix(tmp_path: Path) -> None:
 def test_a_prefix_that_tf_takes_for_no_frame_is_refused(prefix: str) -> None:
     with pytest.raises(SceneError, match="frame_prefix"):
         override(load_scene("mocks"), Overrides(frame_prefix=prefix))
+    with pytest.raises(SceneError, match="joint_prefix"):
+        override(load_scene("mocks"), Overrides(joint_prefix=prefix))
 
 
 @pytest.mark.parametrize(
