@@ -276,7 +276,11 @@ class DockingParameters(Bounded):
 
 @dataclass(frozen=True)
 class DockingNodeParameters(Bounded):
-    """Where the charger is on its robot."""
+    """Where the charger is on its robot.
+
+    Raises:
+        ParameterError: a value lies outside its bounds, or base_pose has a quaternion of length zero.
+    """
 
     base_frame: str = words("base_link", "the robot's frame in which goals may be given besides charger_base")
     base_pose: tuple[float, ...] = numbers(
@@ -292,3 +296,9 @@ class DockingNodeParameters(Bounded):
     goal_lean_stddev: float = number(
         math.radians(1.0), 0.0, math.radians(10.0), "rad", "standard deviation of a goal's lean, which tells none"
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not any(self.base_pose[3:]):
+            problem = "its quaternion is zero: give x y z, then a quaternion x y z w of any length but zero"
+            raise ParameterError("base_pose", self.base_pose, problem)

@@ -10,6 +10,7 @@ from builtin_interfaces.msg import Time
 from deltacharger.msg import ElectrodeDetection
 from geometry_msgs.msg import PoseStamped, Quaternion
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_core.rotation import IDENTITY, product, rotation
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.motion import Planner
@@ -57,6 +58,11 @@ def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[flo
 
 def quaternion(numbers: tuple[float, ...]) -> Quaternion:
     return Quaternion(**dict(zip("xyzw", numbers, strict=True)))
+
+
+def test_a_base_pose_that_turns_nothing_is_refused_by_name() -> None:
+    with pytest.raises(ParameterError, match=r"base_pose.*quaternion"):
+        DockingNodeParameters(base_pose=(0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0))
 
 
 def roll_of(numbers: tuple[float, ...]) -> float:
