@@ -15,12 +15,12 @@ from rclpy.node import Node
 
 from deltacharger_core.frames import CHARGER_BASE, LONGEST, TransformParameters
 from deltacharger_core.rotation import IDENTITY, Pose, apart, composed
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.parameters import was_given
-from deltacharger_ros.tf_tree import TfTree, TransformError, UnknownFrame, installed
+from deltacharger_ros.tf_tree import TfTree, TransformError, UnknownFrame, installed, quoted
 
 SAME = (0.002, math.radians(0.5))  # m and rad between two poses of one mount: rounding of a URDF, and a ruler's error
 _LOOK, _LOOKS = 1.0, 30  # s between two looks whether tf agrees with base_pose after the start, and how many
-_QUOTED = 60  # characters of a frame's name that a message repeats
 
 
 class Contradiction(TransformError):
@@ -48,9 +48,15 @@ class Frames:
         self._base_pose: Pose = x, y, z, turn[0], turn[1], turn[2], turn[3]
         self._is_given = was_given(node, "base_pose")
         self._tf = TfTree(node, given) if installed() else None
+        self._told = False  # that base_pose is used although there is tf
         if self._tf is not None and self._is_given:
             self._looks = 0
-            self._timer = node.create_timer(_LOOK, self._compare)
+            self._timer = steady_timer(node, _LOOK, self._compare)
+
+    def close(self) -> None:
+        """End the waiting of whoever waits for a transform."""
+        if self._tf is not None:
+            self._tf.close()
 
     @property
     def follows_tf(self) -> bool:
@@ -75,18 +81,18 @@ class Frames:
         if frame == self._base_frame:
             return base
         if self._tf is None or len(frame) > LONGEST:
-            raise UnknownFrame(f"unknown frame {frame[:_QUOTED]!a}: {self._remedy()}")
+            raise UnknownFrame(f"unknown frame {quoted(frame)}: {self._remedy()}")
         try:
             if self._tf.knows(self.charger_base):
                 return self._tf.lookup(frame, self.charger_base, stamp, timeout)
             return composed(self._tf.lookup(frame, self._base_frame, stamp, timeout), base)
         except UnknownFrame as error:
-            raise UnknownFrame(f"unknown frame {frame[:_QUOTED]!a}: {error}; or {self._remedy()}") from error
+            raise UnknownFrame(f"unknown frame {quoted(frame)}: {error}; or {self._remedy()}") from error
 
     def pose_in(self, parent: str, child: str, stamp: Stamp | None = None, timeout: float | None = None) -> Pose:
         """Return the pose of the frame `child` in the frame `parent`, by tf alone; see `TfTree.lookup`."""
         if self._tf is None:
-            raise UnknownFrame(f"'{child[:_QUOTED]}' in '{parent[:_QUOTED]}': tf2_ros is not installed")
+            raise UnknownFrame(f"{quoted(child)} in {quoted(parent)}: tf2_ros is not installed")
         return self._tf.lookup(parent, child, stamp, timeout)
 
     def base_pose(self, timeout: float | None = None) -> Pose:
@@ -94,14 +100,23 @@ class Frames:
 
         Raises:
             Contradiction: tf says otherwise than the parameter that was given.
-            TransformError: by tf the charger moves on its robot, and where it is now is not known.
+            TransformError: by tf the charger moves on its robot, and where it is now is not known; or base_pose was not
+                given, and tf, which may tell it, may not have been heard yet.
         """
         tf = self._tf
         if tf is None:
             return self._base_pose
         try:
             return self._agreed(tf, 0.0 if self._is_given or timeout == 0.0 else tf.settling)
-        except UnknownFrame:
+        except UnknownFrame as error:
+            if not self._is_given and tf.settling > 0.0:
+                raise TransformError(
+                    f"this node has just started, and may not have heard yet where {self.charger_base} is in "
+                    f"{self._base_frame} by tf; send the goal again, or set base_pose"
+                ) from error
+            if not self._told:
+                self._told = True
+                self._node.get_logger().info(f"base_pose tells where the charger is on its robot: {error}")
             return self._base_pose
 
     def _agreed(self, tf: TfTree, timeout: float | None) -> Pose:

@@ -26,6 +26,7 @@ from deltacharger_ros.on_demand import PolledTopic
 TF, TF_STATIC = "/tf", "/tf_static"
 _DEPTH = 100  # messages, as of TransformListener
 _POLL = 0.02  # s between two looks while a transform is waited for
+_DISCOVERY = 2.0  # s after the start in which a publisher may not be known yet
 _NAMED = 5  # frames that a message lists
 _QUOTED = 60  # characters of a frame's name that a message repeats
 _SET_BACK = 1_000_000_000  # ns by which a clock goes back that begins anew, such as that of a simulation
@@ -68,14 +69,22 @@ class TfTree:
         self._buffer: Any = None  # made when it is first needed: its import takes more memory than the readers
         self._parents: dict[str, str] = {}
         self._static: dict[str, Any] = {}
+        self._left_out: dict[str, float] = {}  # of frames whose newest transform has a wrong stamp: s before now
         self._last = 0  # ns, the node's clock
-        self._settled = time.monotonic() + given.transform_timeout
+        self._started = time.monotonic()
+        self._closing = threading.Event()
+
+    def close(self) -> None:
+        """End the waiting of whoever waits."""
+        self._closing.set()
 
     @property
     def settling(self) -> float:
-        """How long fixed transforms that are published may still take to be heard after the start, s."""
-        left = self._settled - time.monotonic()
-        return left if left > 0.0 and self._node.count_publishers(TF_STATIC) else 0.0
+        """How long transforms that are published may still take to be heard after the start, s."""
+        patience = self._given.transform_timeout
+        if not any(self._node.count_publishers(topic.name) for topic in (self._fixed, self._moving)):
+            patience = min(patience, _DISCOVERY)
+        return max(0.0, self._started + patience - time.monotonic())
 
     def knows(self, *frames: str) -> bool:
         """Return whether tf knows all these frames now."""
@@ -114,7 +123,8 @@ class TfTree:
                 except TransformError:
                     if time.monotonic() >= end:
                         raise
-            time.sleep(_POLL)
+            if self._closing.wait(_POLL):
+                raise TransformError("the node is shutting down; send the goal again when it is back")
 
     def _read(self) -> None:
         """Give the buffer what has come since the last look."""
@@ -124,18 +134,36 @@ class TfTree:
         self._last = now
         for message, _ in self._fixed.take():
             for each in message.transforms:
-                self._static[each.child_frame_id] = each
-                self._take(each, fixed=True)
+                if each.header.stamp.sec >= 0:
+                    self._static[each.child_frame_id] = each
+                    self._take(each, fixed=True)
         for message, _ in self._moving.take():
             for each in message.transforms:
-                self._take(each, fixed=False)
+                self._take_moving(each)
+
+    def _take_moving(self, transform: Any) -> None:
+        """Take a transform, but from the future: the buffer would have it for the newest until that has come."""
+        stamp, child = transform.header.stamp, transform.child_frame_id
+        age = 1e-9 * (self._last - stamp.sec * 1_000_000_000 - stamp.nanosec)
+        if stamp.sec < 0 or age < -self._given.transform_age_max:
+            self._left_out[child] = age
+            self._parents.setdefault(child, transform.header.frame_id)
+            return
+        self._left_out.pop(child, None)
+        self._take(transform, fixed=False)
 
     def _begin(self) -> None:
         """Begin with an empty buffer, but for what is fixed and was told once."""
-        from tf2_ros import Buffer
-
+        try:
+            from tf2_ros import Buffer
+        except ImportError as error:
+            raise TransformError(
+                f"tf2_ros is installed and cannot be loaded ({error}): install it and tf2_py anew; poses in "
+                "charger_base need no tf"
+            ) from error
         self._buffer = Buffer()
         self._parents.clear()
+        self._left_out.clear()
         for each in self._static.values():
             self._take(each, fixed=True)
 
@@ -152,11 +180,14 @@ class TfTree:
         self._check_connected(parent, child)
         newest = self._ask(parent, child, Time())
         moves = Time.from_msg(newest.header.stamp).nanoseconds
+        if stamp is not None and stamp.sec < 0:
+            raise TransformError(f"the stamp is negative (sec {stamp.sec}): send 0, the newest, or the pose's time")
         at = Time() if stamp is None else Time.from_msg(stamp)
         if not moves or not at.nanoseconds:
-            self._check_age(moves, f"the transform from '{child}' to '{parent}'", "check what publishes it, and clocks")
+            what = f"the transform from {quoted(child)} to {quoted(parent)}"
+            self._check_age(moves, what, "check what publishes it, and clocks")
             return _numbers(newest)
-        what = f"the pose in '{_quoted(parent)}', which moves against '{_quoted(child)}',"
+        what = f"the pose in {quoted(parent)}, which moves against {quoted(child)},"
         self._check_age(at.nanoseconds, what, "send it with stamp 0, the newest, or stamp it when you send it")
         return _numbers(self._ask(parent, child, at))
 
@@ -167,10 +198,21 @@ class TfTree:
             return self._buffer.lookup_transform(parent, child, at)
         except TransformException as error:
             when = "at the time of its stamp" if at.nanoseconds else "now"
+            why = f"{error}{self._wrong_stamp(parent, child)}"
             raise TransformError(
-                f"tf cannot tell '{_quoted(child)}' in '{_quoted(parent)}' {when}: {error}; send the pose with stamp "
-                "0, the newest, and check what publishes the transforms between them, and clocks"
+                f"tf cannot tell {quoted(child)} in {quoted(parent)} {when}: {why}; send the pose with stamp 0, the "
+                "newest, and check what publishes the transforms between them, and clocks"
             ) from error
+
+    def _wrong_stamp(self, *frames: str) -> str:
+        """Return in words which transform above these frames was left out; '' = none."""
+        child = next((each for frame in frames for each in self._above(frame) if each in self._left_out), None)
+        if child is None:
+            return ""
+        age = self._left_out[child]
+        when = f"{-age:.1f} s in the future" if age < 0.0 else "before 1970"
+        limit = self._given.transform_age_max
+        return f"; the newest transform of {quoted(child)} is stamped {when}, beyond transform_age_max ({limit:g} s)"
 
     def _check_age(self, stamp: int, what: str, remedy: str) -> None:
         """Refuse what was stamped (ns) too long ago or ahead; 0 = it does not move."""
@@ -182,20 +224,20 @@ class TfTree:
     def _check_connected(self, parent: str, child: str) -> None:
         for frame in (parent, child):
             if not self._knows(frame):
-                raise UnknownFrame(f"tf does not know the frame '{_quoted(frame)}'; {self._known(frame)}")
-        roots = [self._root(frame) for frame in (parent, child)]
+                raise UnknownFrame(f"tf does not know the frame {quoted(frame)}; {self._known(frame)}")
+        roots = [self._above(frame)[-1] for frame in (parent, child)]
         if roots[0] != roots[1]:
             raise UnknownFrame(
-                f"tf does not connect '{_quoted(parent)}' with '{_quoted(child)}': they hang on '{roots[0]}' and on "
+                f"tf does not connect {quoted(parent)} with {quoted(child)}: they hang on '{roots[0]}' and on "
                 f"'{roots[1]}'; start what publishes the transform between these, such as localization"
             )
 
-    def _root(self, frame: str) -> str:
-        seen = {frame}
-        while (above := self._parents.get(frame)) is not None and above not in seen:
-            frame = above
-            seen.add(frame)
-        return frame
+    def _above(self, frame: str) -> list[str]:
+        """Return a frame and all that it hangs on, its root last."""
+        found = {frame: None}
+        while (above := self._parents.get(frame)) is not None and above not in found:
+            found[frame := above] = None
+        return list(found)
 
     def _known(self, frame: str) -> str:
         """Return in words which frames there are, the nearest names first."""
@@ -211,5 +253,6 @@ def _numbers(found: Any) -> Pose:
     return place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
 
 
-def _quoted(frame: str) -> str:
-    return ascii(frame[:_QUOTED])[1:-1]
+def quoted(frame: str) -> str:
+    """Return a frame's name in quotes, as messages repeat it."""
+    return ascii(frame[:_QUOTED])

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time as Stamp
 from deltacharger.msg import ElectrodeDetection
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
@@ -20,12 +22,13 @@ from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
 from deltacharger_ros import frames as frames_module
+from deltacharger_ros import tf_tree
 from deltacharger_ros.frames import Contradiction, Frames
 from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
-from ..transforms import Robot, stamp
+from ..transforms import Robot, stamp, transforms
 
 pytestmark = pytest.mark.ros
 
@@ -60,8 +63,16 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
     """Make the frames of a node that hears the robot."""
     nodes: list[Node] = []
 
-    def frames(prefix: str = "", timeout: float = 2.0, base_pose: Pose | None = None, **given: Any) -> Frames:
-        told = {} if base_pose is None else {"base_pose": list(base_pose)}
+    def frames(
+        prefix: str = "",
+        timeout: float = 2.0,
+        base_pose: Pose | None = None,
+        use_sim_time: bool = False,
+        **given: Any,
+    ) -> Frames:
+        told: dict[str, Any] = {"use_sim_time": use_sim_time}
+        if base_pose is not None:
+            told["base_pose"] = list(base_pose)
         node = Node(f"asker_{len(nodes)}", **options(context, namespace, **told))
         nodes.append(node)
         transform = TransformParameters(prefix, transform_timeout=timeout, **given)
@@ -124,7 +135,7 @@ def test_a_transform_that_is_late_is_waited_for_and_a_goal_that_may_not_wait_is_
     robot: Robot, make: Make
 ) -> None:
     frames = make(timeout=10.0)
-    with pytest.raises(UnknownFrame):
+    with pytest.raises(TransformError):
         frames.charger_base_in("map", timeout=0.0)
     robot.fix("base_link", "charger_base", MOUNT)
     found: list[Pose] = []
@@ -185,14 +196,11 @@ def test_a_transform_of_another_time_is_named(robot: Robot, make: Make, age: flo
     robot.fix("base_link", "charger_base", MOUNT)
     robot.move(("map", "base_link", IDENTITY), when=time.time() - age)
     wait_until(lambda: frames._tf is not None and frames._tf.knows("map", "charger_base"), "both")
-    with pytest.raises(
-        TransformError, match=f"from 'charger_base' to 'map' is .*{words}.*transform_age_max"
-    ) as refusal:
+    with pytest.raises(TransformError, match=f"'charger_base' .*'map' .*{words}.*transform_age_max") as refusal:
         frames.charger_base_in("map")
     assert not isinstance(refusal.value, UnknownFrame), "it may come back"
     robot.move(("map", "base_link", IDENTITY))
-    if age > 0.0:
-        wait_until(lambda: _known(frames), "the newest")
+    wait_until(lambda: _known(frames), "the newest")
 
 
 def _known(frames: Frames) -> bool:
@@ -233,6 +241,98 @@ def test_what_tf_says_of_the_charger_counts_where_no_base_pose_was_given(robot: 
     assert close(make().base_pose(), MOUNT), "from the start: what is latched is waited for"
 
 
+def test_the_default_is_not_taken_while_tf_may_tell_another(robot: Robot, make: Make) -> None:
+    """Also by a second one, who does not wait; and it may ask again."""
+    frames = make(timeout=10.0)
+    found: list[Pose] = []
+    asker = threading.Thread(target=lambda: found.append(frames.charger_base_in("base_link")))
+    asker.start()
+    tf = frames._tf
+    wait_until(lambda: tf is not None and tf._waits.locked(), "the first one")
+    with pytest.raises(TransformError, match="just started") as refusal:
+        frames.charger_base_in("base_link")
+    assert not isinstance(refusal.value, UnknownFrame)
+    robot.fix("base_link", "charger_base", MOUNT)
+    asker.join(10.0)
+    assert close(found[0], MOUNT)
+
+
+def test_tf_is_counted_on_where_it_is_remapped(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = transforms().TFMessage
+    monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.0)
+    for number, (told, counts) in enumerate((("/a/tf_static", True), ("/tf_static", False))):
+        remapped = ["--ros-args", "-r", "/tf:=/a/tf", "-r", "/tf_static:=/a/tf_static"]
+        node = Node(f"asker_{number}", **options(context, namespace), cli_args=remapped)
+        publisher = node.create_publisher(kind, told, 10) if counts else None
+        tree = tf_tree.TfTree(node, TransformParameters(transform_timeout=10.0))
+        if publisher is not None:
+            wait_until(lambda tree=tree: tree.settling > 0.0, "the publisher")
+            node.destroy_publisher(publisher)
+        else:
+            assert tree.settling == 0.0
+        node.destroy_node()
+
+
+def test_who_has_no_tf_waits_for_none_after_the_start_and_is_told_once_what_counts(
+    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    transforms()
+    monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.2)
+    remapped = ["--ros-args", "-r", f"/tf:={namespace}/tf", "-r", f"/tf_static:={namespace}/tf_static"]
+    node = Node("asker", **options(context, namespace), cli_args=remapped)
+    frames = Frames(node, TransformParameters(transform_timeout=10.0), "base_link", USUAL)
+    began = time.monotonic()
+    for _ in range(3):
+        assert frames.charger_base_in("base_link") == USUAL
+    assert time.monotonic() - began < 3.0
+    node.destroy_node()
+    assert "".join(capfd.readouterr()).count("base_pose tells where the charger is") == 1
+
+
+def test_who_waits_is_let_go_when_the_node_closes(robot: Robot, make: Make) -> None:
+    frames = make(timeout=10.0)
+    refusals: list[TransformError] = []
+
+    def ask() -> None:
+        with pytest.raises(TransformError, match="shutting down") as refusal:
+            frames.charger_base_in("map")
+        refusals.append(refusal.value)
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    wait_until(lambda: frames._tf is not None and frames._tf._waits.locked(), "it")
+    frames.close()
+    asker.join(3.0)
+    assert refusals
+    assert not isinstance(refusals[0], UnknownFrame), "it may come back"
+
+
+def test_a_tf2_ros_that_cannot_be_loaded_is_named_and_charger_base_goes_on(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = make(timeout=0.0, base_pose=MOUNT)
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    for frame in ("map", "base_link"):
+        with pytest.raises(TransformError, match=r"tf2_ros .*cannot be loaded"):
+            frames.charger_base_in(frame)
+    assert frames.charger_base_in("charger_base") == IDENTITY
+    frames._compare()
+
+
+def test_a_transform_from_the_future_or_from_before_all_time_hides_no_other(robot: Robot, make: Make) -> None:
+    frames = make(timeout=0.1)
+    robot.fix("base_link", "charger_base", MOUNT)
+    robot.move(("map", "base_link", MOUNT), when=time.time() + 3600.0)
+    ancient = robot._told("map", "base_link", MOUNT, 0.0)
+    ancient.header.stamp.sec = -1
+    for publisher in (robot._moving, robot._fixed):
+        publisher.publish(transforms().TFMessage(transforms=[ancient]))
+    robot.move(("map", "base_link", IDENTITY))
+    wait_until(lambda: _known(frames), "the one of now")
+    with pytest.raises(TransformError, match=r"stamp is negative \(sec -1\)"):
+        frames.charger_base_in("map", Stamp(sec=-1))
+
+
 def test_a_base_pose_that_contradicts_tf_is_named_and_one_that_is_rounded_is_none(robot: Robot, make: Make) -> None:
     rounded = (0.3105, -0.0201, 0.4195, 0.502, 0.498, 0.5, 0.5)
     for given, contradicts in ((rounded, False), ((0.31, -0.02, 0.52, 0.5, 0.5, 0.5, 0.5), True)):
@@ -249,10 +349,12 @@ def test_a_base_pose_that_contradicts_tf_is_named_and_one_that_is_rounded_is_non
         assert frames.charger_base_in("charger_base") == IDENTITY
 
 
+@pytest.mark.parametrize("use_sim_time", [False, True])
 def test_a_contradiction_is_logged_before_any_goal(
-    robot: Robot, make: Make, spin: Spin, capfd: pytest.CaptureFixture[str]
+    robot: Robot, make: Make, spin: Spin, capfd: pytest.CaptureFixture[str], use_sim_time: bool
 ) -> None:
-    frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5))
+    """Also before the first /clock."""
+    frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5), use_sim_time=use_sim_time)
     robot.fix("base_link", "charger_base", MOUNT)
     spin(frames._node)
     heard: list[str] = []
