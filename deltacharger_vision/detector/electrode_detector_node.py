@@ -13,6 +13,7 @@ so and looks for it again: a charger docks to coordinates without it.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -76,6 +77,7 @@ class ElectrodeDetectorNode(Node):
         topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
         self._charger_base = transforms.named(CHARGER_BASE)
         self._tf = _tf(self, given, transforms) if given.mount_from_tf else None
+        self._transform_timeout = transforms.transform_timeout
         self._deviations = given.mount_position_stddev, given.mount_rotation_stddev
         self._mount = _mount(self, given)
         self._detector = ElectrodeDetector(terminal)
@@ -100,6 +102,8 @@ class ElectrodeDetectorNode(Node):
     def close(self) -> None:
         """Release waiting requests and end the thread."""
         self._camera.close()
+        if self._tf is not None:
+            self._tf.close()
         self._regularly.stop()
 
     def _take(self, given: DetectorNodeParameters) -> str:
@@ -130,7 +134,7 @@ class ElectrodeDetectorNode(Node):
                 if problem := self._age_problem(shot):
                     late, old = problem, old + 1
                     continue
-                message, refusal = self._look(shot)
+                message, refusal = self._look(shot, deadline)
                 if message is not None:
                     response.success, response.message, response.detection = True, "found", message
                     return response
@@ -150,8 +154,8 @@ class ElectrodeDetectorNode(Node):
         when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
         return f"the image is {when} (image_age_max {oldest} s): check load, driver and clocks"
 
-    def _look(self, shot: Shot) -> tuple[ElectrodeDetection | None, str]:
-        """Return what one image shows, published, or why it shows nothing."""
+    def _look(self, shot: Shot, deadline: float = math.inf) -> tuple[ElectrodeDetection | None, str]:
+        """Return what one image shows, published, or why it shows nothing; tf is waited for until then at most."""
         with self._looking:
             started = time.perf_counter()
             try:
@@ -167,22 +171,24 @@ class ElectrodeDetectorNode(Node):
         self._tally.found += 1
         header = shot.color.header
         try:
-            placed = self._mounted(header).place(found)
+            placed = self._mounted(header, deadline).place(found)
         except (TransformError, MountError) as error:
             return None, f"the electrodes are seen, but not where the camera is: {error}"
         message = detection_message(placed, header.stamp, found.confidence, found.range, self._charger_base)
         self._detections.publish(message)
         return message, ""
 
-    def _mounted(self, header: Any) -> Mount:
-        """Return where the camera of an image is.
+    def _mounted(self, header: Any, deadline: float = math.inf) -> Mount:
+        """Return where the camera of an image is; tf is waited for until `deadline` (s, monotonic) at most.
 
         Raises:
             TransformError: tf, where it is asked, does not know it now.
         """
         if self._tf is None:
             return self._mount
-        return Mount.from_numbers(self._tf.lookup(self._charger_base, header.frame_id, header.stamp), *self._deviations)
+        timeout = max(0.0, min(self._transform_timeout, deadline - time.monotonic()))
+        found = self._tf.lookup(self._charger_base, header.frame_id, header.stamp, timeout)
+        return Mount.from_numbers(found, *self._deviations)
 
     def _show(self, image: RgbdImage, found: Any, shot: Shot) -> None:
         if self._pictures.get_subscription_count():
