@@ -16,7 +16,7 @@ from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.rotation import IDENTITY, composed, inverted, lean, rotation
+from deltacharger_core.rotation import IDENTITY, Matrix, composed, inverted, lean, rotation
 from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
 from deltacharger_docking.codes import Rejected, Unplaced
 from deltacharger_docking.observation import BasePose, ElectrodePose
@@ -135,10 +135,12 @@ def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDet
 
     Raises:
         TransformError: its frame is not known; it is not waited for.
+        ValueError: of a detection in another frame, as of `seen`: its roll is told anew.
     """
     charger = frames.charger_base_in(message.header.frame_id, message.header.stamp, timeout=0.0)
     if charger == IDENTITY:
         return message
+    _axes(message)
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     pose = composed(inverted(charger), (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
     axes = rotation(*pose[3:])
@@ -164,19 +166,11 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
     Raises:
         ValueError: orientation or roll is not finite, they contradict each other, or a rotation's variance is negative.
     """
-    turn, point, covariance = message.pose.pose.orientation, message.pose.pose.position, message.pose.covariance
-    axes = rotation(turn.x, turn.y, turn.z, turn.w)
+    point, covariance = message.pose.pose.position, message.pose.covariance
+    axes = _axes(message)
     variances = tuple(float(covariance[index]) for index in (_ABOUT_X, _ABOUT_Y, _ABOUT_Z))
-    if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
-        raise ValueError("the detection's orientation or roll is not finite; look at the detector's mount")
     if any(variance < 0.0 for variance in variances):
         raise ValueError("the detection has a negative variance of a rotation; look at the detector's covariance")
-    told = math.atan2(axes[1][0], axes[0][0])
-    if abs(math.remainder(told - message.roll, 2.0 * math.pi)) > _SAME:
-        raise ValueError(
-            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, that of its orientation "
-            f"{math.degrees(told):.1f}°; look at the detector"
-        )
     pitch_stddev, yaw_stddev = (math.sqrt(variance) if variance > 0.0 else math.nan for variance in variances[:2])
     yaw, pitch = lean(axes)
     return ElectrodePose(
@@ -189,6 +183,21 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
         yaw_stddev,
         pitch_stddev,
     )
+
+
+def _axes(message: ElectrodeDetection) -> Matrix:
+    """Return a detection's axes as columns; errors of orientation and roll as of `seen`."""
+    turn = message.pose.pose.orientation
+    axes = rotation(turn.x, turn.y, turn.z, turn.w)
+    if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
+        raise ValueError("the detection's orientation or roll is not finite; look at the detector's mount")
+    told = math.atan2(axes[1][0], axes[0][0])
+    if abs(math.remainder(told - message.roll, 2.0 * math.pi)) > _SAME:
+        raise ValueError(
+            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, that of its orientation "
+            f"{math.degrees(told):.1f}°; look at the detector"
+        )
+    return axes
 
 
 def pose_stamped(base: BasePose | None, stamp: Any, frame: str) -> PoseStamped:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import random
 import sys
@@ -18,7 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.frames import TransformParameters
-from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted
+from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted, rotation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
 from deltacharger_ros import frames as frames_module
@@ -395,11 +396,18 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = turned
     message.pose.covariance[21], message.pose.covariance[28], message.pose.covariance[35] = 0.0004, 0.0004, 0.0004
+    axes = rotation(*turned[3:])
+    message.roll = math.atan2(axes[1][0], axes[0][0])
     wait_until(lambda: _is_told(frames, "camera"), "the camera")
     found = seen(in_charger_base(message, frames), 0.0)
     assert found.position == pytest.approx(told[:3], abs=EXACT)
     assert (found.roll, found.yaw, found.pitch) == pytest.approx((0.0, 0.04, 0.0), abs=EXACT)
     assert (found.roll_stddev, found.yaw_stddev) == pytest.approx((0.02, 0.02))
+    for roll, named in ((math.nan, "not finite"), (message.roll + 0.01, "contradicts itself")):
+        wrong = copy.deepcopy(message)
+        wrong.roll = roll
+        with pytest.raises(ValueError, match=named):
+            in_charger_base(wrong, frames)
     message.header.frame_id = "another_camera"
     with pytest.raises(UnknownFrame, match="another_camera"):
         in_charger_base(message, frames)
