@@ -98,6 +98,15 @@ class DockingMachine:
         """Whether the electrodes rest on the target, watched over, with a goal that holds or without one."""
         return self._interruptible and self._docking is not None and self._docking.supervising
 
+    def check_free(self) -> None:
+        """Refuse what a busy machine cannot take.
+
+        Raises:
+            Busy: a goal is being served, or the arm is on its way back.
+        """
+        if self.busy:
+            raise Busy(self._what_goes_on())
+
     def start_dock(self, goal: DockGoal, observation: Observation) -> None:
         """Begin to dock, or where the electrodes rest on the target, do what is missing of the goal.
 
@@ -105,8 +114,7 @@ class DockingMachine:
             Rejected: the goal cannot be served; nothing moved.
             Unreachable: the electrodes lie outside the workspace.
         """
-        if self.busy:
-            raise Busy(self._what_goes_on())
+        self.check_free()
         check_goal(goal, self._context.planner, self.parameters)
         if goal.start_charging and (refusal := unproven_hardware(observation, self.parameters)) is not None:
             raise refusal
@@ -147,8 +155,7 @@ class DockingMachine:
         Raises:
             Busy: a goal is being served.
         """
-        if self.busy:
-            raise Busy(self._what_goes_on())
+        self.check_free()
         self._begin(script, observation)
         self._desk.deadline = math.inf
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from deltacharger_core.texts import titled
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.codes import Busy, DockingError, NoTime, State, Unplaced
+from deltacharger_docking.codes import Busy, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose, Observation
@@ -210,8 +210,7 @@ class Goals:
         if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
             self._look()
         with self._lock:
-            if self._refusal:
-                raise Busy(self._refusal)
+            self._check_open()
             seen = self._observe()
             try:
                 start(wish, seen)
@@ -223,6 +222,15 @@ class Goals:
                 self._defect(error)
                 raise
         return goal
+
+    def _check_open(self) -> None:
+        """Refuse what comes while the node closes.
+
+        Raises:
+            Busy: it does.
+        """
+        if self._refusal:
+            raise Busy(self._refusal)
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
         """Return what a Dock goal asks for. The robot stands still while it docks: its pose is converted here, once."""
@@ -237,11 +245,13 @@ class Goals:
         )
 
     def _electrodes(self, told: PoseStamped) -> ElectrodePose | None:
-        busy = self._machine.busy  # then it will be refused: it has nothing to wait for, and may be sent again
+        with self._lock:
+            self._check_open()
+            self._machine.check_free()  # before tf is read, whose first time takes long beside live electrodes
         try:
-            charger = self._frames.charger_base_in(told.header.frame_id, told.header.stamp, 0.0 if busy else None)
+            charger = self._frames.charger_base_in(told.header.frame_id, told.header.stamp)
         except TransformError as error:
-            raise (Unplaced(str(error)) if busy else io.refusal(error)) from error
+            raise io.refusal(error) from error
         return io.electrodes(told, self._mount, charger)
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:

@@ -50,12 +50,15 @@ class Charger:
         wait_until(self._docks.server_is_ready, "the action")
 
     def dock(self, frame: str, pose: Numbers) -> Dock.Result:
+        return answer(self.send(frame, pose).get_result_async()).result
+
+    def send(self, frame: str, pose: Numbers) -> Any:
+        """Return the handle of a goal."""
         goal = Dock.Goal()
         goal.electrodes.header.frame_id = frame
         place, turn = goal.electrodes.pose.position, goal.electrodes.pose.orientation
         place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = pose
-        handle = answer(answer(self.client.node.executor.call_soon(self._docks.send_goal_async, goal)))
-        return answer(handle.get_result_async()).result
+        return answer(answer(self.client.node.executor.call_soon(self._docks.send_goal_async, goal)))
 
     def taken(self) -> DockingDecision:
         """Return the decision that told where the last goal was taken to be."""
@@ -106,6 +109,17 @@ def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: An
     assert (CODES[stale.error_code], stale.retriable) == ("REJECTED", True), "it may come back"
     assert "s old" in stale.error_message
     assert not charger.composition.node("mock_servo_node").torque_enabled
+
+
+@with_tf
+def test_a_charger_that_serves_a_goal_reads_no_tf_for_another(charger: Charger) -> None:
+    first = charger.send("left/charger_base", TARGET)
+    wait_until(lambda: any(each.kind == "accepted" for each in charger.told), "the first goal")
+    second = charger.dock("map", TARGET)
+    assert (CODES[second.error_code], second.retriable) == ("REJECTED", True)
+    assert "another goal is being served" in second.error_message
+    assert charger.composition.node("docking_node")._frames._tf._buffer is None
+    assert answer(first.get_result_async()).result.success
 
 
 def test_the_client_asks_in_charger_base_whatever_its_prefix(charger: Charger) -> None:
