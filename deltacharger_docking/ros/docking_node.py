@@ -67,7 +67,7 @@ class DockingNode(Node):
         geometry = declare_geometry(self)
         mount, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
         reject_unknown(self)
-        frames = Frames(self, transforms, mount.base_frame, mount.base_pose)
+        self._frames = frames = Frames(self, transforms, mount.base_frame, mount.base_pose)
         self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
         self._log = Log(self)
@@ -127,6 +127,7 @@ class DockingNode(Node):
             return
         self._closed = True
         self._goals.refuse(f"{_SHUTTING_DOWN}; send the goal again when it is back")
+        self._frames.close()
         self._stopping.set()
         self._thread.join(2.0)
         with self._lock:

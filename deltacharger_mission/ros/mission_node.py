@@ -144,6 +144,7 @@ class MissionNode(Node):
         if self._closed:
             return
         self._closed = True
+        self._frames.close()
         self._stopping.set()
         self._thread.join(2.0)
         with self._lock:
