@@ -16,6 +16,7 @@ from rclpy.node import Node
 from deltacharger_core.frames import CHARGER_BASE, LONGEST, TransformParameters
 from deltacharger_core.rotation import IDENTITY, Pose, apart, composed
 from deltacharger_ros.clock import steady_timer
+from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import was_given
 from deltacharger_ros.tf_tree import TfTree, TransformError, UnknownFrame, installed, quoted
 
@@ -42,7 +43,7 @@ class Frames:
 
     def __init__(self, node: Node, given: TransformParameters, base_frame: str, base_pose: Sequence[float]) -> None:
         self.charger_base = given.named(CHARGER_BASE)
-        self._node = node
+        self._log = Log(node)
         self._base_frame = base_frame
         x, y, z, *turn = base_pose
         self._base_pose: Pose = x, y, z, turn[0], turn[1], turn[2], turn[3]
@@ -116,7 +117,7 @@ class Frames:
                 ) from error
             if not self._told:
                 self._told = True
-                self._node.get_logger().info(f"base_pose tells where the charger is on its robot: {error}")
+                self._log.info(f"base_pose tells where the charger is on its robot: {error}")
             return self._base_pose
 
     def _agreed(self, tf: TfTree, timeout: float | None) -> Pose:
@@ -139,7 +140,7 @@ class Frames:
         try:
             self._agreed(self._tf, 0.0)
         except Contradiction as error:
-            self._node.get_logger().error(f"{error}. Goals in frames of the robot are refused until then")
+            self._log.error(f"{error}. Goals in frames of the robot are refused until then")
         except TransformError:
             if self._looks < _LOOKS:
                 return

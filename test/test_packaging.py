@@ -115,11 +115,13 @@ def test_who_asks_for_no_extra_gets_what_a_charger_needs_that_is_told_where_its_
     assert set(HARD.values()) <= asked_for()
     assert asked_for("vision") - asked_for() == {"python3-opencv"}
     assert asked_for("all") - asked_for() == extras
-    needed = {library for name in load_scene("bench").nodes for library in NODES[name].needs}
-    modules = {"serial": "python3-serial"}  # whose key is named otherwise
-    assert {modules.get(library, library) for library in needed} <= asked_for()
-    used = {library for name in load_scene("rgbd").nodes for library in NODES[name].needs_when_used}
-    assert used == {"cv2"}, "what DELTACHARGER_EXTRAS=vision brings"
+    bench, rgbd = (
+        {each for name in load_scene(scene).nodes for each in (*NODES[name].needs, *NODES[name].needs_when_used)}
+        for scene in ("bench", "rgbd")
+    )
+    modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # whose key is named otherwise
+    assert {modules.get(library, library) for library in bench} <= asked_for()
+    assert rgbd - bench == {"cv2"}, "what DELTACHARGER_EXTRAS=vision brings"
 
 
 def test_every_extra_has_its_reason() -> None:

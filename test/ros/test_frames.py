@@ -357,7 +357,7 @@ def test_a_contradiction_is_logged_before_any_goal(
     """Also before the first /clock."""
     frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5), use_sim_time=use_sim_time)
     robot.fix("base_link", "charger_base", MOUNT)
-    spin(frames._node)
+    spin(frames._tf._node)
     heard: list[str] = []
 
     def told() -> bool:
@@ -415,7 +415,7 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
 
 def test_nothing_is_taken_from_tf_while_nobody_asks(robot: Robot, make: Make, spin: Spin) -> None:
     frames = make()
-    spin(frames._node)
+    spin(frames._tf._node)
     for _ in range(300):
         robot.move(("map", "base_link", IDENTITY))
     assert frames._tf is not None
