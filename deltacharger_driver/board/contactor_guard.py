@@ -113,6 +113,12 @@ class ContactorGuard:
         if opened:
             self._link.stop_heartbeat()
 
+    @property
+    def was_closed(self) -> bool:
+        """Whether the board reported the contactor closed last."""
+        with self._lock:
+            return self._was_closed
+
     def interrupted(self) -> None:
         """Take note that the port vanished or the board rebooted: the contactor opens or is open."""
         with self._lock:

@@ -17,6 +17,7 @@ _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
 _SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame while the rest works: the board does not know that it should stream
 _LONGEST_WAIT = 0.1  # s between looks
+_LAST_WORDS = 0.2  # s of power samples after an opening at the end: who closes at the same time waits to hear of it
 
 
 class BoardKeeper:
@@ -120,8 +121,11 @@ class BoardKeeper:
                 self._configure()
 
     def _shut_down(self) -> None:
+        was_closed = self.guard.was_closed
         with contextlib.suppress(DriverError):
             self.guard.shut_down()
+        if was_closed:
+            threading.Event().wait(_LAST_WORDS)  # the reader goes on
         with contextlib.suppress(DriverError):
             self.link.stop()
 
