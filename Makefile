@@ -77,7 +77,8 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package, the interfaces alone 
 	rm -rf $(COLCON)/build/deltacharger/test_results
 	$(COLCON_HERE) test --base-paths . --build-base $(COLCON)/build --install-base $(COLCON)/install \
 	  --ctest-args -R '^core$$'
-	$(COLCON_HERE) test-result --test-result-base $(COLCON)/build | grep -E '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
+	$(COLCON_HERE) test-result --verbose --test-result-base $(COLCON)/build | tee /dev/stderr \
+	  | grep -qE '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
 
 # The interfaces are those that $(INSTALLED) has built, so this takes seconds and what pip downloads again.
 wheel: $(INSTALLED)  ## build a wheel, and dock with what it installs into a bare venv

@@ -35,15 +35,11 @@ _PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, wh
 
 
 class UnsupportedRos(SystemExit):
-    """This ROS lacks what the nodes stand on; ends a program with code 2.
-
-    Attributes:
-        reason: what is missing, and which versions run.
-    """
+    """This ROS lacks what the nodes stand on, as its text says; ends a program with code 2."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(2)
-        self.reason = reason
+        super().__init__(reason)
+        self.code = 2
 
 
 def refuse_ros(missing: ImportError) -> NoReturn:

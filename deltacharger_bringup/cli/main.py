@@ -159,7 +159,7 @@ def _run(words: list[str]) -> int:
         failure = error
     except UnsupportedRos as error:  # which has said why
         if options.json:
-            write_json({"success": False, "error": error.reason})
+            write_json({"success": False, "error": str(error)})
         return WRONG_INPUT
     except OSError as error:
         failure = of_system(error)
