@@ -35,7 +35,7 @@ def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
     patch.setattr(owner, name, fail)
 
 
-@pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_reports", "show")])
+@pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_goals", "_begun")])
 def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger_free(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,7 +57,7 @@ def test_a_defect_at_the_beginning_of_undock_opens_what_was_closed(
     hostile.heal()
     hostile.charge()
     with monkeypatch.context() as patch:
-        fail_once(patch, hostile.docking._reports, "show")
+        fail_once(patch, hostile.docking._goals, "_begun")
         outcome = hostile.client.undock(deadline=20.0)
     assert outcome.error_name == "INTERNAL", outcome
     assert hostile.opens_after() < 1.0
