@@ -6,7 +6,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,8 @@ HARDWARE = {
 }
 """hardware_id by node: ports, and the camera that it looks for."""
 QUIET = {"/rosout", "/parameter_events", "/diagnostics"}  # no data with a frame
+OF_A_GOAL = {"joint_trajectory", "docking_state", "docking_decision", "end_effector_pose", "electrode_detection"}
+"""Published by a goal, the detection once and at its very beginning."""
 
 
 def type_of(name: str) -> Any:
@@ -69,13 +71,14 @@ class Listener(Node):
     Attributes:
         frames: frame_ids of every header so far, by topic.
         statuses: so far, of this namespace.
+        heard: names of the topics that it has subscribed to.
     """
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("listener", **options(context, namespace))
         self.frames: dict[str, set[str]] = defaultdict(set)
         self.statuses: list[DiagnosticStatus] = []
-        self._heard: set[str] = set(QUIET)
+        self.heard: set[str] = set(QUIET)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.create_timer(0.2, self._look)
 
@@ -83,11 +86,11 @@ class Listener(Node):
         for name, (kind, *_) in self.get_topic_names_and_types():
             ours = name.startswith(f"{self.get_namespace()}/") and not name.endswith("/_action/status")
             offered = [end.qos_profile for end in self.get_publishers_info_by_topic(name)]
-            if not ours or name in self._heard or not offered:
+            if not ours or name in self.heard or not offered:
                 continue
-            self._heard.add(name)
             quality = QoSProfile(depth=100, reliability=offered[0].reliability, durability=offered[0].durability)
             self.create_subscription(type_of(kind), name, self._hears(name), quality)
+            self.heard.add(name)
 
     def _hears(self, topic: str) -> Callable[[Any], None]:
         return lambda message: self.frames[topic].update(each.frame_id for each in headers(message))
@@ -123,12 +126,17 @@ def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: P
     with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE)
         wait_until(lambda: diagnosed(heard) >= told_by(scene), "diagnostics of every node before a goal")
+        wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
         if "mission_node" in scene.nodes:
             errand(heard)
         else:
             dock_at_last(client, DockRequest(None))
             client.undock(deadline=DEADLINE)
         yield heard
+
+
+def names(topics: Iterable[str]) -> set[str]:
+    return {topic.rpartition("/")[2] for topic in topics}
 
 
 def diagnosed(listener: Listener) -> set[str]:
@@ -156,9 +164,7 @@ def errand(listener: Listener) -> None:
 def test_every_header_has_a_frame_and_every_diagnostic_says_what_it_knows(listener: Listener) -> None:
     frames = {topic: found for topic, found in listener.frames.items() if found}
     assert {topic: found for topic, found in frames.items() if "" in found} == {}
-    heard = {topic.rpartition("/")[2] for topic in frames}
-    assert heard >= {"servo_state", "joint_states", "joint_trajectory", "tactile_frame", "charger_power"}
-    assert heard >= {"docking_state", "docking_decision", "end_effector_pose", "electrode_detection"}, heard
+    assert names(frames) >= OF_A_GOAL | {"servo_state", "joint_states", "tactile_frame", "charger_power"}
     wrong = [each.name for each in listener.statuses if not NAME.fullmatch(each.name)]
     wrong += [f"{each.name}: {each.message}" for each in listener.statuses if NOT_KNOWN.search(each.message)]
     for status in listener.statuses:
