@@ -21,7 +21,7 @@ endif
 BIN := $(VENV)/bin
 SCENE ?= simulated
 INSTALLED := $(VENV)/.installed
-SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt \
+SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt cmake/python_includes.cmake \
   $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := $(BUILD)/colcon
 # Whether modules are there, and not from this venv.

@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+# Include it after rosidl_generate_interfaces.
+#
+# The message packages on PyPI export the include folders of the machine that built them, and CMake refuses a build folder
+# inside the source tree for our own: give both the folders of this Python. On a ROS installation this changes nothing.
+find_package(Python3 REQUIRED COMPONENTS Interpreter Development NumPy)
+set(python_includes "$<BUILD_INTERFACE:${Python3_INCLUDE_DIRS}>" "$<BUILD_INTERFACE:${Python3_NumPy_INCLUDE_DIRS}>")
+get_property(imported DIRECTORY PROPERTY IMPORTED_TARGETS)
+foreach(target ${imported} ${PROJECT_NAME}__rosidl_generator_py)
+  if(target MATCHES "__rosidl_generator_py$" AND TARGET ${target})
+    set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${python_includes}")
+  endif()
+endforeach()
