@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A connection to the board over one serial port: greeting, requests and their answers, the heartbeat.
+
+Threads: a reader decodes and calls the callbacks; a heart sends the heartbeat, and only while `keep_alive`
+says so.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from deltacharger_core.machine import BAUD_RATE
+from deltacharger_driver.board.errors import BoardMismatch, CommandRefused
+from deltacharger_driver.board.greeting import check_hello, explain_silence, refuse_servos
+from deltacharger_driver.board.heartbeat import Heartbeat
+from deltacharger_driver.board.payloads import Hello
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import (
+    AckError,
+    DecoderCounters,
+    Packet,
+    PacketDecoder,
+    PacketType,
+    encode_packet,
+)
+from deltacharger_driver.board.receiver import BoardReceiver
+from deltacharger_driver.board.requests import BoardRequest, BoardRequests
+from deltacharger_driver.board.samples import BoardLinkCounters, PowerSample, TactileSample
+from deltacharger_driver.errors import NoAnswer, PortGone
+from deltacharger_driver.rate_meter import Lateness
+
+
+class BoardConnection:
+    """One board on one serial port, as often as it is opened. `link.BoardLink` has the commands.
+
+    Commands may be called from any thread but the callbacks'; several may wait at once. After `PortGone` the
+    link is down until `close` and `open` are called again; sequence numbers, clock and counters go on.
+
+    Args:
+        port: path of the port.
+        baud_rate: speed on a UART; any on USB.
+        on_tactile: called in the reader's thread with every `TactileSample`.
+        on_power: called in the reader's thread with every `PowerSample`.
+        on_boot: called in the reader's thread when the board has rebooted: it neither streams nor is tared,
+            and the contactor is open. Must not wait for a command.
+        on_gone: called once, in any thread, when the port has vanished.
+        heartbeat_priority: of SCHED_FIFO for the heartbeat's thread, where that is permitted; 0 = ordinary.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud_rate: int = BAUD_RATE,
+        on_tactile: Callable[[TactileSample], None] | None = None,
+        on_power: Callable[[PowerSample], None] | None = None,
+        on_boot: Callable[[], None] | None = None,
+        on_gone: Callable[[PortGone], None] | None = None,
+        heartbeat_priority: int = 0,
+    ) -> None:
+        self.port = port
+        self.baud_rate = baud_rate
+        self._on_boot = on_boot
+        self._on_gone = on_gone
+        self._heartbeat_priority = heartbeat_priority
+        self._decoder = PacketDecoder()
+        self._requests = BoardRequests()
+        self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted)
+        self._sequences: dict[PacketType, int] = {}
+        self._gone_lock = threading.Lock()
+        self._write_lock = threading.Lock()  # port writes and outgoing sequences
+        self._port: BoardPort | None = None
+        self._reader: threading.Thread | None = None
+        self._heartbeat: Heartbeat | None = None
+        self._closing = threading.Event()
+        self.gone: PortGone | None = None
+
+    def open(self) -> Hello:
+        """Open the port and greet the board.
+
+        Returns:
+            What the board says about itself.
+
+        Raises:
+            PortError: the port cannot be opened (missing, not serial, busy, denied) or vanished again.
+            NoAnswer: nothing intelligible came; the message says what did.
+            BoardMismatch: the board speaks another version or has other arrays.
+            WrongDevice: the servos are on this port.
+        """
+        if self._port is not None:
+            raise RuntimeError(f"{self.port} is already open; close the link first")
+        self._port = BoardPort(self.port, self.baud_rate)
+        self.gone = None
+        self._closing.clear()
+        counters = self._decoder.counters
+        self._decoder = PacketDecoder()
+        self._decoder.counters = counters
+        before = replace(counters)
+        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}", self._heartbeat_priority)
+        self._reader = threading.Thread(target=self._read, name=f"board reader {self.port}", daemon=True)
+        self._heartbeat.start()
+        self._reader.start()
+        try:
+            return self._greet(before)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, NoAnswer | BoardMismatch) and self._decoder.counters.packets == before.packets:
+                refuse_servos(self.port, self.baud_rate)
+            raise
+
+    def _greet(self, before: DecoderCounters) -> Hello:
+        try:
+            hello = self.hello()
+        except NoAnswer as error:
+            raise explain_silence(self.port, before, self._decoder.counters, error) from error
+        check_hello(self.port, hello)
+        return hello
+
+    def close(self) -> None:
+        """Stop both threads and release the port; a closed contactor then opens for want of a heartbeat.
+
+        Calling it twice does no harm. Pending commands end with `PortGone`. Not to be called from a callback.
+        """
+        self._closing.set()
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+            self._heartbeat = None
+        if self._port is not None:
+            self._port.wake()
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        self._requests.fail(PortGone(self.port, "the link was closed"))
+        with self._write_lock:
+            port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    @property
+    def counters(self) -> BoardLinkCounters:
+        """A copy of the link's counters."""
+        return self._receiver.snapshot()
+
+    @property
+    def decoder_counters(self) -> DecoderCounters:
+        """A copy of the decoder's counters: bytes, packets and damage."""
+        return replace(self._decoder.counters)
+
+    @property
+    def drift(self) -> float:
+        """Drift of the board's clock against the host's as estimated now, s/s."""
+        return self._receiver.drift
+
+    @property
+    def heartbeat_lateness(self) -> Lateness | None:
+        """How late the heartbeats of this connection were sent; None where there is none."""
+        heartbeat = self._heartbeat
+        return None if heartbeat is None else heartbeat.lateness
+
+    @property
+    def heartbeat_runs_with(self) -> str:
+        """Priority of the heartbeat's thread in words; '' without a connection."""
+        heartbeat = self._heartbeat
+        return "" if heartbeat is None else heartbeat.runs_with
+
+    def hello(self) -> Hello:
+        """Ask the board who it is.
+
+        Raises:
+            NoAnswer, PortGone: as every command.
+        """
+        self._receiver.hello = None
+        for _ in range(2):  # the introduction may be lost while its acknowledgement arrives
+            self._ask(PacketType.HELLO, attempt_timeout=0.15, attempts=3)
+            if self._receiver.hello is not None:
+                return self._receiver.hello
+        raise NoAnswer(self.port, "HELLO (acknowledged without an introduction)", 0.3)
+
+    def keep_alive(self, until: float) -> None:
+        """Send heartbeats until `until` (s, monotonic) and not longer; each call replaces the instant.
+
+        The first is sent before this returns, so that a close may follow at once.
+        """
+        if self._heartbeat is None:
+            raise PortGone(self.port, "the link is closed")
+        self._heartbeat.keep_alive(until)
+
+    def stop_heartbeat(self) -> None:
+        """Send no further heartbeat; a closed contactor opens within 100 ms."""
+        heartbeat = self._heartbeat
+        if heartbeat is not None:
+            heartbeat.stop()
+
+    def _ask(
+        self,
+        type: PacketType,
+        payload: bytes = b"",
+        attempt_timeout: float = 0.1,
+        attempts: int = 5,
+        advice: dict[int, str] | None = None,
+    ) -> BoardRequest:
+        if threading.current_thread() is self._reader:
+            raise RuntimeError(f"{type.name} from a callback would wait for itself; use another thread")
+        with self._requests.waiting(BoardRequest(type, payload)) as request:
+            for attempt in range(attempts):
+                self._receiver.counters.retries += attempt > 0
+                self._send(type, payload, request)
+                if request.done.wait(attempt_timeout):
+                    break
+            else:
+                self._receiver.counters.unanswered += 1
+                raise NoAnswer(self.port, type.name, attempt_timeout * attempts)
+        if request.error is not None:
+            raise request.error
+        if request.ack is not None and request.ack.error != AckError.DONE:
+            error = request.ack.error
+            raise CommandRefused(type, error, (advice or {}).get(error, ""), len(request.sequences))
+        return request
+
+    def _send(self, type: PacketType, payload: bytes = b"", request: BoardRequest | None = None) -> None:
+        if self.gone is not None:
+            raise self.gone
+        try:
+            with self._write_lock:
+                if self._port is None:
+                    raise PortGone(self.port, "the link is closed")
+                sequence = self._sequences.get(type, 0)
+                self._sequences[type] = (sequence + 1) % 65536
+                if request is not None:
+                    self._requests.attempt(request, sequence)
+                self._port.write(encode_packet(Packet(type, payload, sequence)))
+        except PortGone as error:
+            self._vanish(error)
+            raise
+
+    def _send_heartbeat(self) -> None:
+        self._send(PacketType.HEARTBEAT)
+        self._receiver.counters.heartbeats += 1
+
+    def _vanish(self, error: PortGone) -> None:
+        with self._gone_lock:
+            if self.gone is not None or self._closing.is_set():
+                return
+            self.gone = error
+        self.stop_heartbeat()
+        self._requests.fail(error)
+        if self._on_gone is not None:
+            self._on_gone(error)
+
+    def _rebooted(self) -> None:
+        self.stop_heartbeat()
+        if self._on_boot is not None:
+            self._on_boot()
+
+    def _read(self) -> None:
+        port = self._port
+        assert port is not None
+        try:
+            while not self._closing.is_set():
+                data = port.read(0.5)
+                received = time.monotonic()
+                for packet in self._decoder.feed(data):
+                    self._receiver.take(packet, received)
+        except PortGone as error:
+            self._vanish(error)
