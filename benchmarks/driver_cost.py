@@ -42,8 +42,8 @@ def emulate(folder: Path) -> None:
     from deltacharger_driver.emulators.bench_arm import BenchArm
     from deltacharger_driver.emulators.bench_plant import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+    from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
     servos = PseudoTerminal(ServoBusEmulator(BenchArm()), folder / "servo")
     with servos, PseudoTerminal(BoardEmulator(BenchPlant()), folder / "board"):

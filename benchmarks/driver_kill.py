@@ -66,7 +66,7 @@ def emulate_bench(folder: Path) -> None:
     """Serve a board on a bench plant until stdin ends."""
     from deltacharger_driver.emulators.bench_plant import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
     plant = BenchPlant()
     board = Ear(BoardEmulator(plant))

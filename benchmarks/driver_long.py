@@ -45,8 +45,8 @@ ATTEMPTS = 3  # to dock
 def emulate(folder: Path) -> None:
     """Serve the simulated scene's hardware and keep a record until stdin ends."""
     from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+    from deltacharger_driver.pseudo_terminal import PseudoTerminal
     from deltacharger_scenes.scene import load_scene
     from deltacharger_sim.shared_world import SharedWorld
 

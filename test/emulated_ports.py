@@ -14,8 +14,8 @@ import pytest
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.mx64 import REGISTERS
 
 IDS = (1, 2, 3)

@@ -18,9 +18,9 @@ from deltacharger_driver.servos.mx64 import SPEEDS
 
 if TYPE_CHECKING:
     from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.emulators.servo_firmware import ServoFirmware
+    from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 ONE, SOME = "one", "some"
 """Whom a fault of the servos concerns: one of them (the second where none is named), or all where none is named."""

@@ -21,8 +21,8 @@ from typing import Any
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
 from deltacharger_sim.charger.simulation import Simulation

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.snapshot import BusSettings

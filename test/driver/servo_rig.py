@@ -10,8 +10,8 @@ from typing import Any
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.requests import ServoRequest

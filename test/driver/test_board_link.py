@@ -22,8 +22,8 @@ from deltacharger_driver.board.protocol import AckError, BoardFault, Packet, Pac
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.errors import NoAnswer, PortBusy, PortDenied, PortGone, PortMissing
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ..waiting import wait_until
 

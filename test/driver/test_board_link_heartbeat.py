@@ -14,7 +14,7 @@ import pytest
 
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ..waiting import wait_until
 

@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.servo_node import ServoNode

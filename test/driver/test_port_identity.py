@@ -11,10 +11,10 @@ from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import Packet, PacketType, encode_packet
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import HandshakeError, NoAnswer, PortMissing, WrongDevice
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.packets import status
 from deltacharger_driver.servos.snapshot import BusSettings

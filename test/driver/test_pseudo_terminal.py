@@ -12,7 +12,7 @@ import serial
 
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.pads import EmulatedPads
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_tactile.source import ContactSource
 
 from ..waiting import wait_until

@@ -17,8 +17,8 @@ import serial
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.errors import DriverError, PortBusy, PortDenied, PortError, PortMissing, PortNotSerial
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.serial_open import open_serial
 from deltacharger_driver.servos.link import ServoLink
 

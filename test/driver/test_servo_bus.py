@@ -8,9 +8,9 @@ import math
 import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, NoAnswer, PortGone, RangeError, ServoFault
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.snapshot import BusSettings

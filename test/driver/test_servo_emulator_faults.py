@@ -13,11 +13,11 @@ import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.emulators.servo_faults import collide
 from deltacharger_driver.emulators.servo_firmware import ServoFirmware
 from deltacharger_driver.errors import DriverError, HandshakeError
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
 from deltacharger_driver.servos.controller import ServoController

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import serial
 
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortBusy, PortDenied, PortError, PortMissing
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.link import ServoLink
 
 pytestmark = pytest.mark.realtime

@@ -26,8 +26,8 @@ from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner

@@ -22,9 +22,9 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import HandshakeError, NoAnswer, PortGone, WrongThread
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import REGISTERS

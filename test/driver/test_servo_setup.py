@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, ControlTable
 from deltacharger_driver.servos.mx64 import REGISTERS

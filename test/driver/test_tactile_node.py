@@ -28,8 +28,8 @@ from deltacharger_driver.board.protocol import BoardFault, PacketType
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.wire_faults import WireFaults
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 

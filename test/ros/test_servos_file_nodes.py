@@ -16,8 +16,8 @@ from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_ros.node_support import StartupError

@@ -11,7 +11,7 @@ from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ...waiting import wait_until
 from .found import one, only

@@ -6,9 +6,9 @@ from __future__ import annotations
 import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 
 from ...emulated_ports import written

@@ -7,8 +7,8 @@ import pytest
 
 from deltacharger_bringup.doctor.set_baud import set_baud
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ...emulated_ports import IDS, written
 from .found import LIKELY, only, servo_findings

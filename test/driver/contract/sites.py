@@ -18,8 +18,8 @@ from typing import TypeVar
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_driver.servos.snapshot import BusSettings
 
