@@ -47,6 +47,7 @@ class BoardConnection:
         on_boot: called in the reader's thread when the board has rebooted: it neither streams nor is tared,
             and the contactor is open. Must not wait for a command.
         on_gone: called once, in any thread, when the port has vanished.
+        on_servo: called in the reader's thread with bytes from the servos' bus, where it hangs on the board.
         heartbeat_priority: of SCHED_FIFO for the heartbeat's thread, where that is permitted; 0 = ordinary.
     """
 
@@ -58,6 +59,7 @@ class BoardConnection:
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_gone: Callable[[PortGone], None] | None = None,
+        on_servo: Callable[[bytes], None] | None = None,
         heartbeat_priority: int = 0,
     ) -> None:
         self.port = port
@@ -67,7 +69,7 @@ class BoardConnection:
         self._heartbeat_priority = heartbeat_priority
         self._decoder = PacketDecoder()
         self._requests = BoardRequests()
-        self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted)
+        self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
         self._sequences: dict[PacketType, int] = {}
         self._gone_lock = threading.Lock()
         self._write_lock = threading.Lock()  # port writes and outgoing sequences

@@ -9,8 +9,8 @@ import time
 
 from deltacharger_driver.board.connection import BoardConnection
 from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import decode_probe, encode_rate
-from deltacharger_driver.board.protocol import LONGEST_PING, AckError, PacketType
+from deltacharger_driver.board.payloads import decode_probe, encode_rate, encode_servo_speed
+from deltacharger_driver.board.protocol import LONGEST_PING, LONGEST_SERVO, AckError, PacketType
 from deltacharger_driver.board.samples import ProbeResult
 
 _PING_NUMBERS = itertools.count()
@@ -96,3 +96,21 @@ class BoardLink(BoardConnection):
             raise ValueError(f"{len(data)} bytes; a PING carries at most {LONGEST_PING}")
         sent = time.monotonic()
         return self._ask(PacketType.PING, data).received - sent
+
+    def send_to_servos(self, data: bytes) -> None:
+        """Send bytes on the servos' bus behind the board. Nobody confirms them: the servos' answers come by on_servo.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        for at in range(0, len(data), LONGEST_SERVO):
+            self._send(PacketType.SERVO, data[at : at + LONGEST_SERVO])
+
+    def set_servo_speed(self, speed: int) -> None:
+        """Set the speed of the servos' bus behind the board, bit/s.
+
+        Raises:
+            CommandRefused: the board does not have this speed.
+        """
+        advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"it does not speak to servos at {speed} bit/s"}
+        self._ask(PacketType.SERVO_SPEED, encode_servo_speed(speed), advice=advice)

@@ -14,6 +14,8 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,
     LONGEST_PING,
+    LONGEST_SERVO,
+    SERVO_MINOR,
     SHORT_RESISTANCE,
     TAXELS,
     BoardFault,
@@ -27,6 +29,7 @@ _HELLO = struct.Struct("<BBBBIf")
 _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
+_SPEED = struct.Struct("<I")
 _LAST_FAULT = max(BoardFault)
 _WORD_SHIFTS = np.array((0, 12), np.uint32)  # two codes of 12 bit in every three bytes
 _SAMPLE_BYTES: dict[int, int] = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
@@ -66,6 +69,11 @@ class Hello(NamedTuple):
     columns: int
     boot_id: int
     rate: float
+
+    @property
+    def carries_servos(self) -> bool:
+        """Whether the servos' bus hangs on the board, which then carries its bytes."""
+        return self.minor >= SERVO_MINOR
 
 
 class Ack(NamedTuple):
@@ -212,6 +220,32 @@ def decode_ping(payload: bytes) -> bytes:
     if len(payload) > LONGEST_PING:
         raise PacketError(PacketType.PING, f"{len(payload)} bytes; it carries at most {LONGEST_PING}")
     return payload
+
+
+def decode_servo(payload: bytes) -> bytes:
+    """Read the payload of a SERVO packet: bytes of the servos' bus.
+
+    Raises:
+        PacketError: none, or more than 128.
+    """
+    if not 1 <= len(payload) <= LONGEST_SERVO:
+        raise PacketError(PacketType.SERVO, f"{len(payload)} bytes; it carries 1 to {LONGEST_SERVO}")
+    return payload
+
+
+def encode_servo_speed(speed: int) -> bytes:
+    """Return the payload of a SERVO_SPEED packet: bit/s."""
+    return _SPEED.pack(speed)
+
+
+def decode_servo_speed(payload: bytes) -> int:
+    """Read the payload of a SERVO_SPEED packet: bit/s; whether the board has this speed is its own affair.
+
+    Raises:
+        PacketError: wrong length.
+    """
+    (speed,) = _unpack(_SPEED, payload, PacketType.SERVO_SPEED)
+    return int(speed)
 
 
 def encode_rate(rate: float) -> bytes:

@@ -20,6 +20,8 @@ from deltacharger_driver.errors import DriverError
 
 VERSION = 1
 MINOR = 0
+SERVO_MINOR = 1
+"""Minor version of a board that carries the bytes of the servos' bus; one that does not says MINOR."""
 TAXELS = ROWS * COLUMNS
 FULL_SCALE = 10.0  # N, the code one below the top
 DEFAULT_RATE = FRAME_RATE  # Hz, after every boot
@@ -30,6 +32,7 @@ PROBE_LIFETIME = 2.0  # s a probe answer allows a close
 PROBE_DEADLINE = 0.250  # s until a probe is answered at the latest
 SHORT_RESISTANCE = 1.0  # ohm, below it the electrodes are shorted
 LONGEST_PING = 64  # bytes
+LONGEST_SERVO = 128  # bytes of the servos' bus in one packet
 
 _HEADER = struct.Struct("<BBHQBBH")
 _CRC = struct.Struct("<I")
@@ -50,6 +53,8 @@ class PacketType(enum.IntEnum):
     ACK = 10
     PROBE = 11
     HEARTBEAT = 12
+    SERVO = 13
+    SERVO_SPEED = 14
 
 
 class SampleFormat(enum.IntEnum):
@@ -97,7 +102,9 @@ FLAG_OVERRUN = 2
 _ALL_FLAGS = FLAG_TARED | FLAG_OVERRUN
 _SAMPLE_FORMATS = (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
 
-_FROM_BOARD = frozenset({PacketType.TACTILE, PacketType.POWER, PacketType.HELLO, PacketType.PING, PacketType.ACK})
+_FROM_BOARD = frozenset(
+    {PacketType.TACTILE, PacketType.POWER, PacketType.HELLO, PacketType.PING, PacketType.ACK, PacketType.SERVO}
+)
 
 
 class PacketError(DriverError, ValueError):

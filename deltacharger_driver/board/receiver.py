@@ -19,6 +19,7 @@ from deltacharger_driver.board.payloads import (
     decode_ping,
     decode_power,
     decode_samples,
+    decode_servo,
 )
 from deltacharger_driver.board.protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType, check_header
 from deltacharger_driver.board.requests import BoardRequests
@@ -40,6 +41,7 @@ class BoardReceiver:
         on_tactile: called with every frame.
         on_power: called with every reading of the power stage.
         on_boot: called when the board has rebooted.
+        on_servo: called with the bytes that came from the servos' bus.
     """
 
     def __init__(
@@ -48,11 +50,13 @@ class BoardReceiver:
         on_tactile: Callable[[TactileSample], None] | None,
         on_power: Callable[[PowerSample], None] | None,
         on_boot: Callable[[], None],
+        on_servo: Callable[[bytes], None] | None = None,
     ) -> None:
         self._requests = requests
         self._on_tactile = on_tactile
         self._on_power = on_power
         self._on_boot = on_boot
+        self._on_servo = on_servo
         self._device_clock = DeviceClock()
         self._tactile_sequence = SequenceUnwrapper()
         self._power_sequence = SequenceUnwrapper()
@@ -138,6 +142,9 @@ class BoardReceiver:
     def _take_ping(self, packet: Packet, data: bytes, when: float, received: float) -> None:
         self._requests.ping_returned(data, received)
 
+    def _take_servo(self, packet: Packet, data: bytes, when: float, received: float) -> None:
+        self._call(self._on_servo, data)
+
     def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
         """Run a callback; its failure must not end the link, so it is counted and told once."""
         if callback is None:
@@ -156,5 +163,6 @@ _HANDLERS: dict[int, tuple[Callable[[Packet], Any], Callable[[BoardReceiver, Pac
     PacketType.HELLO: (lambda p: decode_hello(p.payload), BoardReceiver._take_hello),
     PacketType.ACK: (lambda p: decode_ack(p.payload), BoardReceiver._take_ack),
     PacketType.PING: (lambda p: decode_ping(p.payload), BoardReceiver._take_ping),
+    PacketType.SERVO: (lambda p: decode_servo(p.payload), BoardReceiver._take_servo),
 }
 """How a packet is read, and what is done with it. It is read whole before it moves clock or counters."""

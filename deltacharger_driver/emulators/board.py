@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
@@ -19,6 +20,8 @@ from deltacharger_driver.board.payloads import (
     Hello,
     decode_ping,
     decode_rate,
+    decode_servo,
+    decode_servo_speed,
     encode_ack,
     encode_hello,
     encode_power,
@@ -29,7 +32,6 @@ from deltacharger_driver.board.protocol import (
     DEFAULT_RATE,
     FLAG_OVERRUN,
     FLAG_TARED,
-    MINOR,
     POWER_RATE,
     VERSION,
     AckError,
@@ -42,9 +44,11 @@ from deltacharger_driver.board.protocol import (
     check_header,
     encode_packet,
 )
+from deltacharger_driver.emulators.board_servos import BoardServos
 from deltacharger_driver.emulators.pads import EmulatedPads, PadPlant
 from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant
 from deltacharger_driver.emulators.wire_faults import DelayLine, WireFaults
+from deltacharger_driver.pseudo_terminal import ByteDevice
 
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz that RATE accepts
 _BACKLOG = 16  # samplings the board can hold back while nobody polls it
@@ -61,6 +65,7 @@ class BoardEmulator:
 
     Attributes:
         faults: what the wire does to packets.
+        servos: the bus behind the board.
         unknown_types: packets of types that the board does not know.
 
     Args:
@@ -73,6 +78,7 @@ class BoardEmulator:
         on_sample: called for every sampling with its sequence number, the instant at which it was due and the one at
             which it was taken, s.
         on_heartbeat: called for every heartbeat with its arrival, s.
+        servos: the bus of the servos where it hangs on the board, which then carries its bytes.
     """
 
     def __init__(
@@ -85,6 +91,7 @@ class BoardEmulator:
         boot_time: float = 0.0,
         on_sample: Callable[[int, float, float], object] | None = None,
         on_heartbeat: Callable[[float], object] | None = None,
+        servos: ByteDevice | None = None,
     ) -> None:
         self._format = sample_format
         self._drift = drift
@@ -103,6 +110,7 @@ class BoardEmulator:
         self._on_sample = on_sample
         self._on_heartbeat = on_heartbeat
         self.faults = WireFaults(seed)
+        self.servos = BoardServos(servos)
         self.unknown_types = 0
 
     @property
@@ -154,25 +162,23 @@ class BoardEmulator:
         with self._lock:
             if self._boot_wanted is not None:
                 return 0.0
-            due = min(self._next_power, self._next_sample, self._pads.tare_due, self._power.next_event())
             if self._running_from < math.inf:
-                due = self._running_from
-            return max(min(due, self._wire.due) - now, 0.0)
+                return max(min(self._running_from, self._wire.due) - now, 0.0)
+            due = min(
+                self._next_power, self._next_sample, self._pads.tare_due, self._power.next_event(), self._wire.due
+            )
+            return max(min(due - now, self.servos.next_event(now)), 0.0)
 
     def _flush(self, now: float) -> bytes:
         packets, self._out = self._out, []
-        if not self.faults.delay and self._wire.due == math.inf:
-            return b"".join(packets)
-        for packet in packets:
-            self._wire.put(packet, now + self.faults.delay)
-        return self._wire.take(now)
+        return self._wire.pass_on(packets, self.faults.delay, now)
 
     def _boot(self, now: float) -> None:
         self._running_from = math.inf
         self._booted_at = now
         self._boot_id = int(self._random.integers(1, 2**32))
         self._rate = DEFAULT_RATE
-        self._sequences: dict[int, int] = {}
+        self._sequences = Counter[int]()
         self._overrun = False
         self._next_sample = math.inf
         self._next_power = now + 1.0 / POWER_RATE
@@ -181,6 +187,7 @@ class BoardEmulator:
         self._decoder.counters = counters
         self._pads.reset()
         self._power.reset(now)
+        self.servos.reset()
         self._introduce(now)
 
     def _advance(self, now: float) -> bool:
@@ -199,6 +206,8 @@ class BoardEmulator:
             missed = math.floor((now - self._next_power) * POWER_RATE)
             self._next_power += (missed + 1) / POWER_RATE
             self._queue(PacketType.POWER, now, encode_power(self._power.read()))
+        for data in self.servos.take(now):
+            self._queue(PacketType.SERVO, now, data)
         return True
 
     def _finish(self, now: float) -> None:
@@ -221,23 +230,20 @@ class BoardEmulator:
         if behind >= _BACKLOG:
             lost = behind - _BACKLOG + 1
             self._next_sample += lost * period
-            self._sequences[PacketType.TACTILE] = (self._sequence(PacketType.TACTILE) + lost) % 65536
+            self._sequences[PacketType.TACTILE] = (self._sequences[PacketType.TACTILE] + lost) % 65536
             self._overrun = True
         while now >= self._next_sample:
             left, right = self._pads.sample()
             if self._on_sample is not None:
-                self._on_sample(self._sequence(PacketType.TACTILE), self._next_sample, now)
+                self._on_sample(self._sequences[PacketType.TACTILE], self._next_sample, now)
             flags = FLAG_TARED * self._pads.tared | FLAG_OVERRUN * self._overrun
             payload = encode_samples(left, right, self._format)
             self._queue(PacketType.TACTILE, self._next_sample, payload, flags, self._format)
             self._overrun = False
             self._next_sample += period
 
-    def _sequence(self, type: int) -> int:
-        return self._sequences.get(type, 0)
-
     def _queue(self, type: PacketType, time: float, payload: bytes, flags: int = 0, format: int = 0) -> None:
-        sequence = self._sequence(type)
+        sequence = self._sequences[type]
         self._sequences[type] = (sequence + 1) % 65536
         device_time = max(round((time - self._booted_at) * (1.0 + self._drift) * 1e6), 0)
         wire = encode_packet(Packet(type, payload, sequence, device_time, flags, format))
@@ -247,21 +253,20 @@ class BoardEmulator:
         self._queue(PacketType.ACK, now, encode_ack(Ack(type, error, sequence, data)))
 
     def _introduce(self, now: float) -> None:
-        hello = Hello(VERSION, MINOR, ROWS, COLUMNS, self._boot_id, self._rate)
+        hello = Hello(VERSION, self.servos.minor, ROWS, COLUMNS, self._boot_id, self._rate)
         self._queue(PacketType.HELLO, now, encode_hello(hello))
 
     def _obey(self, packet: Packet, now: float) -> None:
         command = _COMMANDS.get(packet.type)
-        if command is None:
+        if command is None or (packet.type in _OF_SERVOS and not self.servos):
             self.unknown_types += 1
             self._acknowledge(packet.type, packet.sequence, AckError.UNKNOWN, now)
             return
-        error: AckError | None
         try:
             check_header(packet)
             if packet.payload and packet.type not in _WITH_PAYLOAD:
                 raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
-            error = command(self, packet, now)
+            error: AckError | None = command(self, packet, now)
         except PacketError:
             error = AckError.BAD_PAYLOAD
         if error is not None and packet.type not in _UNACKNOWLEDGED:
@@ -319,9 +324,16 @@ class BoardEmulator:
             return None
         return error
 
+    def _send_to_servos(self, packet: Packet, now: float) -> None:
+        self.servos.send(decode_servo(packet.payload), now)
 
-_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING)
-_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING)
+    def _set_servo_speed(self, packet: Packet, now: float) -> AckError:
+        return self.servos.set_speed(decode_servo_speed(packet.payload))
+
+
+_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING, PacketType.SERVO)
+_OF_SERVOS = (PacketType.SERVO, PacketType.SERVO_SPEED)
+_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING, *_OF_SERVOS)
 _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] = {
     PacketType.HELLO: BoardEmulator._hello,
     PacketType.START: BoardEmulator._start,
@@ -330,6 +342,8 @@ _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] 
     PacketType.RATE: BoardEmulator._set_rate,
     PacketType.CONTACTOR: BoardEmulator._contactor,
     PacketType.PROBE: BoardEmulator._probe,
+    PacketType.SERVO: BoardEmulator._send_to_servos,
+    PacketType.SERVO_SPEED: BoardEmulator._set_servo_speed,
     PacketType.HEARTBEAT: BoardEmulator._heartbeat,
     PacketType.PING: BoardEmulator._ping,
 }

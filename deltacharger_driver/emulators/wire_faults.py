@@ -23,15 +23,13 @@ class DelayLine:
         self.due = math.inf
         self._packets: collections.deque[tuple[float, bytes]] = collections.deque()
 
-    def put(self, packet: bytes, due: float) -> None:
-        """Send a packet that shall arrive at `due` (s), or else behind the one before it."""
-        if self._packets:
-            due = max(due, self._packets[-1][0])
-        self._packets.append((due, packet))
-        self.due = self._packets[0][0]
-
-    def take(self, now: float) -> bytes:
-        """Return what has arrived at `now` (s)."""
+    def pass_on(self, packets: list[bytes], delay: float, now: float) -> bytes:
+        """Send packets that shall arrive `delay` s later, or else behind the one before; return what has arrived."""
+        if not delay and not self._packets:
+            return b"".join(packets)
+        for packet in packets:
+            last = self._packets[-1][0] if self._packets else now
+            self._packets.append((max(now + delay, last), packet))
         arrived = bytearray()
         while self._packets and self._packets[0][0] <= now:
             arrived += self._packets.popleft()[1]

@@ -177,7 +177,33 @@ static void stop_probe(void *context)
     ((struct bench *)context)->probing = false;
 }
 
-dc_hardware bench_hardware(struct bench *bench)
+static size_t read_servos(void *context, uint8_t *bytes, size_t size)
+{
+    struct bench *bench = context;
+    const size_t count = size < bench->from_servos_used ? size : bench->from_servos_used;
+    memcpy(bytes, bench->from_servos, count);
+    bench->from_servos_used -= count;
+    memmove(bench->from_servos, bench->from_servos + count, bench->from_servos_used);
+    return count;
+}
+
+static size_t write_servos(void *context, const uint8_t *bytes, size_t size)
+{
+    struct bench *bench = context;
+    const size_t room = BENCH_BUS - bench->to_servos_used;
+    const size_t count = size < room ? size : room;
+    memcpy(bench->to_servos + bench->to_servos_used, bytes, count);
+    bench->to_servos_used += count;
+    return count;
+}
+
+static bool set_servo_speed(void *context, uint32_t speed)
+{
+    ((struct bench *)context)->servo_speed = speed;
+    return speed >= 9600u && speed <= 4500000u;
+}
+
+dc_hardware bench_hardware(struct bench *bench, bool servos)
 {
     const dc_hardware hardware = {
         .context = bench,
@@ -190,6 +216,9 @@ dc_hardware bench_hardware(struct bench *bench)
         .start_probe = start_probe,
         .poll_probe = poll_probe,
         .stop_probe = stop_probe,
+        .servo_read = servos ? read_servos : NULL,
+        .servo_write = servos ? write_servos : NULL,
+        .servo_speed = servos ? set_servo_speed : NULL,
     };
     return hardware;
 }

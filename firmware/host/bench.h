@@ -8,6 +8,7 @@
 
 #define BENCH_INPUT 65536u
 #define BENCH_OUTPUT (1u << 22)
+#define BENCH_BUS 4096u
 
 struct bench {
     uint64_t now;           /* us; the low 32 bits are the board's counter */
@@ -34,14 +35,17 @@ struct bench {
     uint32_t baud;          /* bits/s of the wire, 0 = takes everything; 1 = takes nothing */
     uint64_t wire_free;     /* us, until when the wire is busy */
     size_t input_used, input_read, output_used;
+    uint32_t servo_speed;   /* bit/s of the servos' bus */
+    size_t from_servos_used, to_servos_used;
+    uint8_t from_servos[BENCH_BUS], to_servos[BENCH_BUS];
     uint8_t input[BENCH_INPUT];
     uint8_t output[BENCH_OUTPUT];
 };
 
 void bench_init(struct bench *bench, uint64_t now, uint64_t seed);
 
-/* The hooks of `bench`. */
-dc_hardware bench_hardware(struct bench *bench);
+/* The hooks of `bench`, those of a servos' bus among them where it has one. */
+dc_hardware bench_hardware(struct bench *bench, bool servos);
 
 /* A at present. */
 float bench_current(const struct bench *bench);

@@ -8,7 +8,7 @@
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
  *   s  u8 format, 200 f32                               samples             -> payload
  *   p  3 f32, u8 closed, u8 fault                       POWER               -> payload
- *   h  u32 boot id, f32 rate                            HELLO               -> payload
+ *   h  u32 boot id, f32 rate, u8 minor                            HELLO               -> payload
  *   a  u8 type, u8 error, u16 sequence                  ACK                 -> payload
  *   u  COBS without delimiters                          unstuff             -> u8 good, bytes
  */
@@ -122,7 +122,7 @@ static size_t serve(int operation, size_t size)
         return dc_put_power(answer, dc_get_f32(body), dc_get_f32(body + 4), dc_get_f32(body + 8), body[12] != 0,
                             body[13]);
     case 'h':
-        return dc_put_hello(answer, dc_get_u32(body), dc_get_f32(body + 4));
+        return dc_put_hello(answer, body[8], dc_get_u32(body), dc_get_f32(body + 4));
     case 'a':
         return dc_put_ack(answer, body[0], body[1], dc_get_u16(body + 2));
     case 'u':

@@ -20,7 +20,7 @@ void console_init(struct console *console, uint64_t now, uint64_t seed, bool ste
 {
     const dc_config config = DC_DEFAULT_CONFIG;
     bench_init(&console->bench, now, seed);
-    console->hardware = bench_hardware(&console->bench);
+    console->hardware = bench_hardware(&console->bench, false);
     console->config = config;
     console->stepped = stepped;
     console_boot(console);
@@ -132,6 +132,30 @@ static bool force(struct bench *bench, char *text)
     return false;
 }
 
+static void put_hex(FILE *answer, const uint8_t *bytes, size_t size)
+{
+    static const char DIGITS[] = "0123456789abcdef";
+    for (size_t i = 0; i < size; i++) {
+        putc(DIGITS[bytes[i] >> 4], answer);
+        putc(DIGITS[bytes[i] & 15], answer);
+    }
+}
+
+/* `bus HEX`: these come from the servos; answered by what was sent to them since. */
+static bool tell_bus(struct bench *bench, const char *text, FILE *answer)
+{
+    const size_t room = BENCH_BUS - bench->from_servos_used;
+    const size_t size = from_hex(text, bench->from_servos + bench->from_servos_used, room);
+    if (size == SIZE_MAX)
+        return false;
+    bench->from_servos_used += size;
+    fputs("bus ", answer);
+    put_hex(answer, bench->to_servos, bench->to_servos_used);
+    bench->to_servos_used = 0;
+    putc('\n', answer);
+    return true;
+}
+
 /* Settings that are a number somewhere. */
 static bool set_number(struct console *console, const char *name, double value)
 {
@@ -186,6 +210,8 @@ static bool set_value(struct console *console, const char *name, const char *tex
         console->bench.detected = code;
     else if (strcmp(name, "trip") == 0)
         dc_contactor_trip(&console->board.contactor, code, console->board.clock.now);
+    else if (strcmp(name, "servos") == 0 && console->stepped) /* of the next boot */
+        console->hardware = bench_hardware(&console->bench, code != 0);
     else if (strcmp(name, "format") == 0 && code >= DC_U8 && code <= DC_U16)
         console->config.sample_format = code;
     else
@@ -209,7 +235,8 @@ static void tell_state(struct console *console, FILE *answer)
         {"header", decoder->header_errors},
         {"unknown", board->counters.unknown_types}, {"missed", board->counters.missed_samples},
         {"dropped_tactile", board->counters.dropped_tactile}, {"dropped_power", board->counters.dropped_power},
-        {"dropped_answers", board->counters.dropped_answers},
+        {"dropped_answers", board->counters.dropped_answers}, {"dropped_servo", board->counters.dropped_servo},
+        {"servo_speed", bench->servo_speed},
     };
     for (size_t i = 0; i < sizeof COUNTS / sizeof *COUNTS; i++)
         fprintf(answer, " %s=%" PRIu32, COUNTS[i].name, COUNTS[i].count);
@@ -219,13 +246,9 @@ static void tell_state(struct console *console, FILE *answer)
 /* What the board has sent since the last answer, and when it wants to be polled again. */
 static void tell_sent(struct console *console, FILE *answer)
 {
-    static const char DIGITS[] = "0123456789abcdef";
     struct bench *bench = &console->bench;
     fputs("sent ", answer);
-    for (size_t i = 0; i < bench->output_used; i++) {
-        putc(DIGITS[bench->output[i] >> 4], answer);
-        putc(DIGITS[bench->output[i] & 15], answer);
-    }
+    put_hex(answer, bench->output, bench->output_used);
     bench->output_used = 0;
     fprintf(answer, " idle %" PRIu32 "\n", dc_board_idle_us(&console->board));
 }
@@ -262,6 +285,8 @@ void console_command(struct console *console, char *line, FILE *answer)
     if (console->stepped && step(console, line, text, &good)) {
         if (good)
             tell_sent(console, answer);
+    } else if (console->stepped && strcmp(line, "bus") == 0) {
+        good = tell_bus(&console->bench, text, answer);
     } else if (strcmp(line, "state") == 0) {
         good = true;
         tell_state(console, answer);

@@ -7,7 +7,8 @@
 #include "terminal.h"
 
 static const char USAGE[] =
-    "usage: board_host [--seed N] --step [US] | --pty [LINK]\n"
+    "usage: board_host [--seed N] [--servos PORT] --step [US] | --pty [LINK]\n"
+    "  --servos  a serial port with servos hangs on the board, in real time\n"
     "  --step  time passes by commands on standard input only; starts at US (0)\n"
     "  --pty   serve in real time on a pseudo-terminal; LINK is a symbolic link to it\n";
 
@@ -30,12 +31,17 @@ int main(int count, char **arguments)
         seed = strtoull(arguments[at + 1], NULL, 10);
         at += 2;
     }
+    const char *servos = NULL;
+    if (at + 1 < count && strcmp(arguments[at], "--servos") == 0) {
+        servos = arguments[at + 1];
+        at += 2;
+    }
     const char *mode = at < count ? arguments[at++] : "";
     const char *value = at < count ? arguments[at++] : NULL;
     if (at == count && strcmp(mode, "--step") == 0)
         return step(value ? strtoull(value, NULL, 10) : 0, seed);
     if (at == count && strcmp(mode, "--pty") == 0)
-        return terminal_serve(seed, value);
+        return terminal_serve(seed, servos, value);
     fputs(USAGE, stderr);
     return 2;
 }

@@ -18,6 +18,7 @@ struct terminal {
     struct console console;
     int host;  /* our end */
     int board; /* the end that the host opens; held open, so that nothing hangs up between two hosts */
+    int servos; /* the port of the servos' bus, -1 = none */
     size_t line_used;
     char line[4096];
 };
@@ -54,6 +55,35 @@ static size_t write_terminal(void *context, const uint8_t *bytes, size_t size)
         count = write(terminal.host, bytes, size);
     }
     return count > 0 ? (size_t)count : 0;
+}
+
+static size_t read_servos(void *context, uint8_t *bytes, size_t size)
+{
+    (void)context;
+    const ssize_t count = read(terminal.servos, bytes, size);
+    return count > 0 ? (size_t)count : 0;
+}
+
+static size_t write_servos(void *context, const uint8_t *bytes, size_t size)
+{
+    (void)context;
+    const ssize_t count = write(terminal.servos, bytes, size);
+    return count > 0 ? (size_t)count : 0;
+}
+
+static bool set_servo_speed(void *context, uint32_t speed)
+{
+    static const struct { uint32_t speed; speed_t code; } SPEEDS[] = {
+        {9600, B9600}, {57600, B57600}, {115200, B115200}, {1000000, B1000000}, {2000000, B2000000},
+        {3000000, B3000000}, {4000000, B4000000},
+    };
+    (void)context;
+    struct termios settings;
+    for (size_t i = 0; i < sizeof SPEEDS / sizeof *SPEEDS; i++)
+        if (SPEEDS[i].speed == speed)
+            return tcgetattr(terminal.servos, &settings) == 0 && cfsetispeed(&settings, SPEEDS[i].code) == 0 &&
+                   cfsetospeed(&settings, SPEEDS[i].code) == 0 && tcsetattr(terminal.servos, TCSANOW, &settings) == 0;
+    return false;
 }
 
 static bool make_raw(int descriptor)
@@ -108,7 +138,7 @@ static bool obey_input(void)
     }
 }
 
-int terminal_serve(uint64_t seed, const char *link)
+int terminal_serve(uint64_t seed, const char *servos, const char *link)
 {
     struct console *console = &terminal.console;
     const char *path = open_terminal();
@@ -120,18 +150,31 @@ int terminal_serve(uint64_t seed, const char *link)
         fprintf(stderr, "%s: %s\n", link, strerror(errno));
         return 1;
     }
+    terminal.servos = servos ? open(servos, O_RDWR | O_NOCTTY | O_NONBLOCK) : -1;
+    if (servos != NULL && (terminal.servos < 0 || !make_raw(terminal.servos))) {
+        fprintf(stderr, "%s: %s\n", servos, strerror(errno));
+        return 1;
+    }
     console_init(console, monotonic_us(), seed, false);
+    if (servos != NULL) {
+        console->hardware.servo_read = read_servos;
+        console->hardware.servo_write = write_servos;
+        console->hardware.servo_speed = set_servo_speed;
+    }
     console->hardware.now_us = now_us;
     console->hardware.read = read_terminal;
     console->hardware.write = write_terminal;
     console_boot(console);
     printf("ready %s\n", link ? link : path);
     fflush(stdout);
-    struct pollfd ends[2] = {{.fd = terminal.host, .events = POLLIN}, {.fd = STDIN_FILENO, .events = POLLIN}};
+    struct pollfd ends[3] = {
+        {.fd = terminal.host, .events = POLLIN}, {.fd = STDIN_FILENO, .events = POLLIN},
+        {.fd = terminal.servos, .events = POLLIN}, /* -1 is passed over */
+    };
     for (;;) {
         dc_board_poll(&console->board);
         const uint32_t idle = (dc_board_idle_us(&console->board) + 999u) / 1000u;
-        if (poll(ends, 2, idle < LONGEST_WAIT ? (int)idle : LONGEST_WAIT) < 0 && errno != EINTR)
+        if (poll(ends, 3, idle < LONGEST_WAIT ? (int)idle : LONGEST_WAIT) < 0 && errno != EINTR)
             break;
         if (ends[1].revents != 0 && !obey_input())
             break;

@@ -16,6 +16,12 @@ const uint8_t UNWIRED = 255;
 #define LINK_OVER_USB 0
 const uint32_t LINK_BAUD = 1000000; /* exact with the core's 36 and 72 MHz peripheral clocks */
 
+/* The servos' bus, where it hangs on this board's connector: 1 = one cable serves servos and pads, 0 = the servos have an
+ * adapter of their own. Serial1 is the UART of the connector, channel 0 its driver. Supply the servos by 12 V. */
+#define SERVOS_ON_BOARD 0
+#define SERVO_UART Serial1
+#define SERVO_CHANNEL 0
+
 /* Two pads of 10 x 10. Four address pins select the row that is driven and four the column that is sensed, on both pads
  * at once (two 16-channel analog multiplexers each); each pad has one analog output. Lowest bit first; row 0 is at +y,
  * column 0 at +x of the end effector. */

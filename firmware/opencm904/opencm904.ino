@@ -7,6 +7,7 @@
 #include <dc_crc32.h>
 
 #include "power_pins.h"
+#include "servo_bus.h"
 #include "taxel_scan.h"
 #include "board_wiring.h"
 
@@ -55,7 +56,13 @@ static size_t link_write(void *, const uint8_t *bytes, size_t size)
 #endif
 
 static const dc_hardware HARDWARE = {
-    NULL, now_us, link_read, link_write, taxels_read, power_read, power_drive, probe_start, probe_poll, probe_stop,
+    NULL,         now_us,      link_read,  link_write, taxels_read,
+    power_read,   power_drive, probe_start, probe_poll, probe_stop,
+#if SERVOS_ON_BOARD
+    servos_read,  servos_write, servos_speed,
+#else
+    NULL,         NULL,        NULL,
+#endif
 };
 
 static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET, POLL_PERIOD_US};
@@ -96,6 +103,9 @@ void setup()
 {
   power_begin(); /* off before anything else */
   taxels_begin();
+#if SERVOS_ON_BOARD
+  servos_begin();
+#endif
 #if LINK_OVER_USB
   Serial.begin(LINK_BAUD);
 #else

@@ -28,9 +28,12 @@ bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16
     packet.payload = payload;
     packet.size = size;
     packet.device_time_us = board->clock.now;
-    const bool sent = queue(board, &packet, type == DC_POWER ? DC_POWER_LEAVES : 0u);
+    const bool sent = queue(board, &packet, type == DC_POWER || type == DC_SERVO ? DC_POWER_LEAVES : 0u);
     if (!sent)
-        dc_count(type == DC_POWER ? &board->counters.dropped_power : &board->counters.dropped_answers, 1);
+        dc_count(type == DC_POWER   ? &board->counters.dropped_power
+                 : type == DC_SERVO ? &board->counters.dropped_servo
+                                    : &board->counters.dropped_answers,
+                 1);
     return sent;
 }
 
@@ -54,6 +57,7 @@ void dc_board_boot(dc_board *board, const dc_hardware *hardware, const dc_config
     dc_output_clear(&board->output);
     dc_schedule_init(&board->samples, DC_DEFAULT_RATE);
     dc_pads_reset(&board->pads);
+    dc_servos_reset(&board->servos, hardware);
     memset(&board->counters, 0, sizeof board->counters);
     memset(board->sequences, 0, sizeof board->sequences);
     board->boot_id = boot_id;
@@ -67,7 +71,8 @@ void dc_board_boot(dc_board *board, const dc_hardware *hardware, const dc_config
 void dc_board_introduce(dc_board *board)
 {
     uint8_t payload[DC_HELLO_SIZE];
-    const size_t size = dc_put_hello(payload, board->boot_id, board->rate);
+    const uint8_t minor = dc_servos_are_there(board->hardware) ? DC_SERVO_MINOR : DC_MINOR;
+    const size_t size = dc_put_hello(payload, minor, board->boot_id, board->rate);
     (void)dc_board_send(board, DC_HELLO, payload, (uint16_t)size);
 }
 
@@ -152,6 +157,15 @@ static void receive(dc_board *board)
     }
 }
 
+static void pass_servos(dc_board *board)
+{
+    const size_t size = dc_servos_poll(&board->servos, board->hardware, now_us(board));
+    if (size == 0)
+        return;
+    (void)dc_board_send(board, DC_SERVO, board->servos.in, (uint16_t)size);
+    board->servos.in_size = 0;
+}
+
 void dc_board_poll(dc_board *board)
 {
     dc_contactor_poll(&board->contactor, now_us(board));
@@ -161,6 +175,7 @@ void dc_board_poll(dc_board *board)
     dc_contactor_poll(&board->contactor, now_us(board));
     report_power(board);
     receive(board);
+    pass_servos(board);
     dc_output_flush(&board->output, board->hardware->write, board->hardware->context);
 }
 
@@ -174,6 +189,7 @@ uint32_t dc_board_idle_us(const dc_board *board)
     const uint64_t now = board->clock.now;
     uint64_t due = earlier(board->next_power, board->samples.due_us);
     due = earlier(due, board->pads.tare_due);
+    due = earlier(due, dc_servos_next_event(&board->servos, now));
     due = earlier(due, dc_contactor_next_event(&board->contactor, now));
     if (board->output.used > 0)
         due = earlier(due, now + FLUSH_PERIOD_US);

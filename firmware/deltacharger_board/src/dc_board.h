@@ -20,6 +20,7 @@
 #include "dc_pads.h"
 #include "dc_payload.h"
 #include "dc_schedule.h"
+#include "dc_servos.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -37,6 +38,7 @@ typedef struct {
     uint32_t dropped_tactile; /* packets that found the wire full */
     uint32_t dropped_power;
     uint32_t dropped_answers;
+    uint32_t dropped_servo;
 } dc_board_counters;
 
 typedef struct {
@@ -48,6 +50,7 @@ typedef struct {
     dc_schedule samples;
     dc_pads pads;
     dc_contactor contactor;
+    dc_servos servos;
     dc_board_counters counters;
     uint32_t boot_id;
     float rate;          /* Hz */

@@ -35,6 +35,19 @@ static uint8_t set_rate(dc_board *board, const dc_packet *packet)
     return DC_DONE;
 }
 
+static uint8_t set_servo_speed(dc_board *board, const dc_packet *packet)
+{
+    if (packet->size != DC_SERVO_SPEED_SIZE)
+        return DC_BAD_PAYLOAD;
+    return dc_servos_set_speed(&board->servos, board->hardware, dc_get_u32(packet->payload)) ? DC_DONE : DC_BAD_PAYLOAD;
+}
+
+static void send_to_servos(dc_board *board, const dc_packet *packet)
+{
+    if (packet->size > 0 && !dc_servos_put(&board->servos, packet->payload, packet->size))
+        dc_count(&board->counters.dropped_servo, 1);
+}
+
 static uint8_t switch_contactor(dc_board *board, const dc_packet *packet)
 {
     if (packet->size != 1 || packet->payload[0] > 1)
@@ -70,8 +83,16 @@ static uint8_t plain_command(dc_board *board, const dc_packet *packet)
 void dc_board_obey(dc_board *board, const dc_packet *packet)
 {
     const bool plain = packet->flags == 0 && packet->format == DC_NO_FORMAT; /* only TACTILE has either */
+    const bool servos = packet->type == DC_SERVO || packet->type == DC_SET_SERVO_SPEED;
     uint8_t error;
-    switch (packet->type) {
+    switch (servos && !dc_servos_are_there(board->hardware) ? DC_TYPES : packet->type) {
+    case DC_SERVO:
+        if (plain)
+            send_to_servos(board, packet);
+        return;
+    case DC_SET_SERVO_SPEED:
+        error = plain ? set_servo_speed(board, packet) : DC_BAD_PAYLOAD;
+        break;
     case DC_HEARTBEAT:
         if (plain && packet->size == 0)
             dc_contactor_heartbeat(&board->contactor, board->clock.now);

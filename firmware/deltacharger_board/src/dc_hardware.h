@@ -62,6 +62,18 @@ typedef struct {
 
     /* Take the probe's voltage off the electrodes, whether it has ended or not. */
     void (*stop_probe)(void *context);
+
+    /* The servos' bus, where it hangs on the board; else these are NULL. */
+
+    /* Take at most `size` bytes that have come from the servos and return how many. */
+    size_t (*servo_read)(void *context, uint8_t *bytes, size_t size);
+
+    /* Send at most `size` bytes to the servos and return how many were sent. On one line for both directions it waits
+     * until they are out and listens before it returns, so it sends no more than two milliseconds hold. */
+    size_t (*servo_write)(void *context, const uint8_t *bytes, size_t size);
+
+    /* Speak to the servos at a speed, bit/s; false where the board does not have it. Called at boot, too. */
+    bool (*servo_speed)(void *context, uint32_t speed);
 } dc_hardware;
 
 /* What differs between installations. */

@@ -15,6 +15,7 @@ extern "C" {
 
 #define DC_VERSION 1u
 #define DC_MINOR 0u
+#define DC_SERVO_MINOR 1u /* of a board that carries the bytes of the servos' bus */
 #define DC_HEADER_SIZE 16u
 #define DC_CRC_SIZE 4u
 #define DC_LONGEST_PING 64u     /* bytes */
@@ -23,8 +24,8 @@ extern "C" {
 /* Bytes on the wire of a packet with `payload` bytes, at most; both delimiters included. */
 #define DC_WIRE_SIZE(payload) (DC_COBS_SIZE(DC_HEADER_SIZE + (payload) + DC_CRC_SIZE) + 2u)
 
-/* Longest stuffed packet that the board takes from the host; version 1 has none longer than 422 bytes. */
-#define DC_LONGEST_RECEIVED 512u
+/* Longest stuffed packet that the board takes from the host; version 1 has none longer than 149 bytes. */
+#define DC_LONGEST_RECEIVED 256u
 
 enum {
     DC_TACTILE = 1,
@@ -39,6 +40,8 @@ enum {
     DC_ACK,
     DC_PROBE,
     DC_HEARTBEAT,
+    DC_SERVO,
+    DC_SET_SERVO_SPEED,
     DC_TYPES /* one more than the last */
 };
 

@@ -70,10 +70,10 @@ size_t dc_put_power(uint8_t *to, float battery, float target, float current, boo
     return DC_POWER_SIZE;
 }
 
-size_t dc_put_hello(uint8_t *to, uint32_t boot_id, float rate)
+size_t dc_put_hello(uint8_t *to, uint8_t minor, uint32_t boot_id, float rate)
 {
     to[0] = DC_VERSION;
-    to[1] = DC_MINOR;
+    to[1] = minor;
     to[2] = DC_ROWS;
     to[3] = DC_COLUMNS;
     dc_put_u32(to + 4, boot_id);

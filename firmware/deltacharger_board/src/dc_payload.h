@@ -32,7 +32,7 @@ size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format
 /* V, V, A (NaN = not measured), the contactor's own feedback, the latched fault. */
 size_t dc_put_power(uint8_t *to, float battery, float target, float current, bool closed, uint8_t fault);
 
-size_t dc_put_hello(uint8_t *to, uint32_t boot_id, float rate);
+size_t dc_put_hello(uint8_t *to, uint8_t minor, uint32_t boot_id, float rate);
 size_t dc_put_ack(uint8_t *to, uint8_t type, uint8_t error, uint16_t sequence);
 
 #ifdef __cplusplus

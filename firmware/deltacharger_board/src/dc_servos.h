@@ -1,0 +1,53 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The servos' bus behind the board: bytes of the host out, what comes back gathered into packets. What they mean is
+ * between the host and the servos. */
+#ifndef DC_SERVOS_H
+#define DC_SERVOS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "dc_hardware.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define DC_LONGEST_SERVO 128u /* bytes of the bus in one packet */
+#define DC_SERVO_SPEED_SIZE 4u
+#define DC_SERVO_SPEED 1000000u /* bit/s, after every boot */
+
+typedef struct {
+    bool asked;        /* the host has sent something since the boot: it knows of the bus */
+    uint16_t out_size; /* bytes that wait for the bus */
+    uint16_t in_size;  /* bytes that wait for the link */
+    uint32_t quiet_us; /* without a byte, after which those that came make a packet */
+    uint64_t came_us;  /* when the last byte came */
+    uint8_t out[DC_LONGEST_SERVO];
+    uint8_t in[DC_LONGEST_SERVO];
+} dc_servos;
+
+/* Forget what came, as a boot does. */
+void dc_servos_reset(dc_servos *servos, const dc_hardware *hardware);
+
+/* Whether the board has such a bus. */
+bool dc_servos_are_there(const dc_hardware *hardware);
+
+/* Set the speed of the bus, bit/s; false where the board does not have it. */
+bool dc_servos_set_speed(dc_servos *servos, const dc_hardware *hardware, uint32_t speed);
+
+/* Take bytes of the host for the bus; false, and none are taken, where not all find room. */
+bool dc_servos_put(dc_servos *servos, const uint8_t *bytes, size_t size);
+
+/* Move bytes both ways; return how many of `in` make a packet now, 0 none. Taking it sets in_size to 0. */
+size_t dc_servos_poll(dc_servos *servos, const dc_hardware *hardware, uint64_t now);
+
+/* When something waits for the clock, us; UINT64_MAX = nothing does. */
+uint64_t dc_servos_next_event(const dc_servos *servos, uint64_t now);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
