@@ -8,6 +8,7 @@ import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +17,8 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
+
+from ..borrowed import anew
 
 
 class BoardHost:
@@ -227,3 +230,8 @@ class Counters:
         self.version_errors = version_errors
         self.header_errors = header_errors
         self.refused_version = None if refused_version < 0 else refused_version
+
+
+def on_firmware(name: str) -> ModuleType:
+    """Return a test module of the driver whose board is the firmware and whose bench is the host program's."""
+    return anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)

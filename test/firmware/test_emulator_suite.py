@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from .borrowed import borrowed_tests, on_firmware
+from ..borrowed import borrowed_tests
+from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
     "test_a_late_poll_sends_what_was_sampled_and_a_very_late_one_says_overrun",  # a real board cannot sample the past

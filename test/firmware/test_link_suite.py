@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from .borrowed import borrowed_tests, on_firmware
+from ..borrowed import borrowed_tests
+from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
     "test_a_board_that_is_none_is_refused_with_the_reason",  # a puppet answers
