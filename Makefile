@@ -13,7 +13,7 @@ else
   PINS := constraints/$(ROS).txt
   # What does not speak ROS knows no version of it, and the dialogues of commands reach it by what other tests have.
   OF_ROS := ros and
-  LEFT_OUT := --ignore-glob='test/bringup/test_cli_*' $(addprefix --ignore=test/,bringup/test_up_and_dock.py \
+  LEFT_OUT := --ignore-glob='test/bringup/test_cli_*' --ignore-glob='*/test_servos_behind_*' $(addprefix --ignore=test/,bringup/test_up_and_dock.py \
     scenes/test_camera_missing.py records/test_tactile_recording.py)
   # For every pip below, so that nothing brings the newest ROS along.
   export PIP_CONSTRAINT := $(CURDIR)/$(PINS)

@@ -13,6 +13,8 @@ JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 """Names of the driven joints in the order of the limbs; those of the URDF and of every message."""
 SERVO_IDS = (1, 2, 3)
 """On the bus, of limbs 0, 1, 2; DYNAMIXEL's own default is 1 for every servo."""
+BEHIND_BOARD = "board"
+"""In place of the port of the servos: they hang on the board."""
 TICKS_PER_TURN, EXTENDED_TICKS = 4096, 1_048_575
 """Counts of a servo's encoder in a turn, and the largest goal in modes 4 and 5, ±256 turns."""
 BAUD_RATE = 1_000_000

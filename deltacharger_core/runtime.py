@@ -46,6 +46,12 @@ def charger(domain: int, namespace: str) -> Path:
     return folder() / (f"{domain}-{name}" if name else str(domain))
 
 
+def servos(domain: int, namespace: str) -> Path:
+    """Return the path of the port behind which the servos of a charger are, where they hang on its board."""
+    path = charger(domain, namespace)
+    return path.with_name(f"{path.name}.servos")
+
+
 def is_simulated(port: str) -> bool:
     """Return whether a serial port is that of a simulated charger which runs on this computer.
 

@@ -36,6 +36,15 @@ class PortMissing(PortError, FileNotFoundError):
     advice = "plug the adapter in or correct the parameter 'port'"
 
 
+class NoServosBehindBoard(PortMissing):
+    """tactile_node passes no servos through. Example: the board's firmware is older than 1.1."""
+
+    what = "there are no servos behind the board"
+    advice = (
+        "flash firmware with SERVOS_ON_BOARD and start tactile_node in this namespace: its log names the servos' port"
+    )
+
+
 class PortNotSerial(PortError):
     """What stands under this name carries no serial line. Example: a directory, a file, /dev/null.
 

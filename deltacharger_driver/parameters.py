@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from deltacharger_core.machine import (
     BAUD_RATE,
+    BEHIND_BOARD,
     CURRENT_BOUND,
     EXTENDED_TICKS,
     FRAME_RATE,
@@ -36,7 +37,9 @@ class ServoNodeParameters(Bounded):
         ParameterError: a value lies outside its bounds, or two contradict each other.
     """
 
-    port: str = words("/dev/ttyUSB0", "serial port of the servos")
+    port: str = words(
+        "/dev/ttyUSB0", f"serial port of the servos; `{BEHIND_BOARD}`: they hang on the board with the pads"
+    )
     baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "bit/s", "speed of the servos' bus")
     ids: tuple[int, ...] = numbers(SERVO_IDS, 0, 252, "", "servo ids of limbs 0, 1, 2")
     rate: float = number(100.0, 20.0, 200.0, "Hz", "bus cycles per second")

@@ -100,6 +100,11 @@ class PseudoTerminal:
         """Put the cable back; `path` is the same where there is a link."""
         self._switch(True, self._plugged)
 
+    def wake(self) -> None:
+        """Let the device be polled now, whatever `next_event` said; from any thread."""
+        with contextlib.suppress(OSError):
+            os.write(self._wake_writer, b"x")
+
     def _switch(self, wanted: bool, done: threading.Event) -> None:
         if self._thread is None:
             return

@@ -66,19 +66,8 @@ _FRAMES = "deltacharger_core.frames.FrameParameters"
 _JOINT_FRAMES = "deltacharger_core.frames.JointFrameParameters"
 _TRANSFORMS = "deltacharger_core.frames.TransformParameters"
 
+# In the order of their start: servos may hang on the board, so tactile_node is there first and ends last.
 NODES: dict[str, NodeSpec] = {
-    "servo_node": NodeSpec(
-        "deltacharger_driver.servos.servo_node.ServoNode",
-        parameters=("deltacharger_driver.parameters.ServoNodeParameters", _JOINT_FRAMES, _SERVOS),
-        port="servo",
-        lacks="no arm moves",
-        needs=("dynamixel_sdk", "serial"),
-    ),
-    "mock_servo_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_servo_node.MockServoNode",
-        parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters", _JOINT_FRAMES),
-        stands_in_for="servo_node",
-    ),
     "tactile_node": NodeSpec(
         "deltacharger_driver.board.tactile_node.TactileNode",
         parameters=("deltacharger_driver.parameters.TactileNodeParameters", _FRAMES),
@@ -90,6 +79,18 @@ NODES: dict[str, NodeSpec] = {
         "deltacharger_scenes.mocks.mock_tactile_node.MockTactileNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockTactileNodeParameters", _FRAMES),
         stands_in_for="tactile_node",
+    ),
+    "servo_node": NodeSpec(
+        "deltacharger_driver.servos.servo_node.ServoNode",
+        parameters=("deltacharger_driver.parameters.ServoNodeParameters", _JOINT_FRAMES, _SERVOS),
+        port="servo",
+        lacks="no arm moves",
+        needs=("dynamixel_sdk", "serial"),
+    ),
+    "mock_servo_node": NodeSpec(
+        "deltacharger_scenes.mocks.mock_servo_node.MockServoNode",
+        parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters", _JOINT_FRAMES),
+        stands_in_for="servo_node",
     ),
     "kinematics_node": NodeSpec(
         "deltacharger_kinematics.kinematics_node.KinematicsNode",

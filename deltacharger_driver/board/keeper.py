@@ -7,9 +7,11 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from deltacharger_driver.board.contactor_guard import ContactorGuard
 from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.pass_through import PassThrough
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
 
@@ -17,6 +19,7 @@ _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
 _SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame while the rest works: the board does not know that it should stream
 _LONGEST_WAIT = 0.1  # s between looks
+_SERVOS_SAFE = 1.0  # s at the end in which who drives the servos through the board may make them safe
 _LAST_WORDS = 0.2  # s of power samples after an opening at the end: who closes at the same time waits to hear of it
 
 
@@ -28,7 +31,9 @@ class BoardKeeper:
 
     Attributes:
         link: to the board.
+        carries_servos: whether the servos' bus hangs on the board that was connected last.
         guard: of its contactor.
+        servos: the port of the servos, where the board carries them.
         problem: why there is no connection, '' where there is one.
 
     Args:
@@ -38,7 +43,8 @@ class BoardKeeper:
         on_tactile: called in the reader's thread.
         on_power: called in the reader's thread.
         on_change: called in the keeper's thread with `problem` whenever it changes.
-        heartbeat_priority: as of `BoardLink`.
+        servo_port: where the port of the servos appears, where the board carries them.
+        heartbeat_priority: as of `BoardConnection`.
     """
 
     def __init__(
@@ -49,6 +55,7 @@ class BoardKeeper:
         on_tactile: Callable[[TactileSample], None],
         on_power: Callable[[PowerSample], None],
         on_change: Callable[[str], None],
+        servo_port: Path,
         heartbeat_priority: int = 0,
     ) -> None:
         self._rate = rate
@@ -59,6 +66,7 @@ class BoardKeeper:
         self._stop = threading.Event()
         self._rebooted = False
         self._last_packet = self._last_frame = 0.0
+        self.carries_servos = False
         self.problem = f"{port}: not connected yet"
         self.link = BoardLink(
             port,
@@ -67,8 +75,10 @@ class BoardKeeper:
             on_power=self._take_power,
             on_boot=self._take_boot,
             on_gone=self._take_gone,
+            on_servo=self._take_servo,
             heartbeat_priority=heartbeat_priority,
         )
+        self.servos = PassThrough(self.link, servo_port)
         self.guard = ContactorGuard(self.link, on_lease=self._wake.set)
         self._thread = threading.Thread(target=self._run, name=f"board keeper {port}", daemon=True)
 
@@ -87,7 +97,7 @@ class BoardKeeper:
         backoff = _SHORTEST_BACKOFF
         while not self._stop.is_set():
             try:
-                self.link.open()
+                self.carries_servos = self.link.open().carries_servos
                 self._configure()
                 backoff = _SHORTEST_BACKOFF
                 self._watch()
@@ -96,6 +106,7 @@ class BoardKeeper:
                 self._tell(str(error))
             finally:
                 self.guard.interrupted()
+                self.servos.close()
                 self.link.close()
             self._stop.wait(backoff)
             backoff = min(backoff * 2.0, _LONGEST_BACKOFF)
@@ -105,6 +116,8 @@ class BoardKeeper:
         self._last_packet = self._last_frame = time.monotonic()
         self.link.set_rate(self._rate)
         self.link.start()
+        if self.carries_servos:
+            self.servos.open()
         self._tell("")
 
     def _watch(self) -> None:
@@ -126,6 +139,7 @@ class BoardKeeper:
             self.guard.shut_down()
         if was_closed:
             threading.Event().wait(_LAST_WORDS)  # the reader goes on
+        self.servos.wait_until_quiet(_SERVOS_SAFE)
         with contextlib.suppress(DriverError):
             self.link.stop()
 
@@ -143,6 +157,10 @@ class BoardKeeper:
         self._last_packet = time.monotonic()
         self.guard.observe_power(sample)
         self._on_power(sample)
+
+    def _take_servo(self, data: bytes) -> None:
+        self._last_packet = time.monotonic()
+        self.servos.take(data)
 
     def _take_boot(self) -> None:
         self.guard.interrupted()

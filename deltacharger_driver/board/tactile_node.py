@@ -25,6 +25,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core import runtime
+from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
@@ -98,6 +100,7 @@ class TactileNode(Node):
             self._publish_frame,
             self._publish_power,
             self._report,
+            runtime.servos(domain(), self.get_namespace()),
             given.heartbeat_priority,
         )
         self._keeper.start()
@@ -132,7 +135,9 @@ class TactileNode(Node):
             self._lines.error(problem)
         else:
             link = self._keeper.link
-            self._lines.info(f"board connected at {link.port}; heartbeat priority: {link.heartbeat_runs_with}")
+            servos = f"; the servos hang on it: {self._keeper.servos.path}" if self._keeper.carries_servos else ""
+            runs_with = link.heartbeat_runs_with
+            self._lines.info(f"board connected at {link.port}; heartbeat priority: {runs_with}{servos}")
 
     def _served(self, response: Any, action: Callable[[], str]) -> Any:
         """Fill `success` and `message` from an action that returns the message or raises why not."""

@@ -11,7 +11,8 @@ Safe at start: torque is off, and only set_torque switches it on, holding the pr
 latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
 request, torque goes off once the contactor is seen open, after 0.3 s at the latest. A port that vanishes is opened
 again by itself and torque stays off. Where the port cannot be opened at start, or other servos answer than expected,
-the node ends and says why.
+the node ends and says why. With the port `board` the servos hang on the board with the pads: tactile_node passes their
+bytes through, and is waited for at start.
 
 A trajectory's times count from its stamp (from its arrival without one), and its last point holds. A line may be sent
 piece by piece under one stamp, each piece replacing the one before.
@@ -25,15 +26,18 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core import runtime
+from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_core.machine import JOINTS
-from deltacharger_driver.errors import DriverError
+from deltacharger_core.machine import BEHIND_BOARD, JOINTS
+from deltacharger_driver.errors import DriverError, NoServosBehindBoard
 from deltacharger_driver.parameters import SERVOS_FOLLOW, ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
@@ -56,6 +60,8 @@ _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
 _LISTEN_EVERY = 10  # cycles between two looks for a trajectory while it can only be refused
 _LATE = 0.5  # of a period; a cycle that begins later than that is late
+_BOARD_TIMEOUT = 10.0  # s at start in which tactile_node may find the board behind which the servos are
+_LOOK = 0.05  # s between two looks for their port
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 
 
@@ -111,7 +117,7 @@ class ServoNode(Node):
         reject_unknown(self)
         try:
             settings = BusSettings(
-                given.port,
+                self._path_of(given.port),
                 given.baud_rate,
                 given.ids,
                 given.zero_ticks,
@@ -130,10 +136,28 @@ class ServoNode(Node):
             JointLimits(JOINTS, given.joint_min, given.joint_max, largest),
         )
 
+    def _path_of(self, port: str) -> str:
+        """Return the path of the parameter `port`."""
+        self._is_behind_board = port == BEHIND_BOARD
+        return str(runtime.servos(domain(), self.get_namespace())) if self._is_behind_board else port
+
+    def _wait_for_board(self) -> None:
+        """Wait for the port behind which tactile_node has the servos.
+
+        Raises:
+            NoServosBehindBoard: it does not come.
+        """
+        port, end = Path(self._controller.bus.settings.port), time.monotonic() + _BOARD_TIMEOUT
+        while not port.exists():
+            if time.monotonic() > end or self._stop.wait(_LOOK):
+                raise NoServosBehindBoard(str(port))
+
     def _run(self) -> None:
         """Own the bus: cycle until told to stop, then make the arm safe."""
         controller = self._controller
         try:
+            if self._is_behind_board:
+                self._wait_for_board()
             controller.open()
         except BaseException as error:
             self._start_error = error

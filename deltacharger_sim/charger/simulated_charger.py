@@ -20,6 +20,7 @@ from typing import Any
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
+from deltacharger_core.machine import BEHIND_BOARD
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
@@ -42,7 +43,7 @@ class SimulatedCharger:
         namespace: of the charger, under which `deltacharger fault` finds it.
 
     Attributes:
-        servo_port: path of the servo bus.
+        servo_port: path of the servo bus, or `board` where it hangs on that.
         board_port: path of the board.
         faults: what goes wrong with the hardware; None before the start.
     """
@@ -63,15 +64,17 @@ class SimulatedCharger:
         """Open both ports."""
         plant = SharedWorld(self.world)
         servos = ServoBusEmulator(plant, seed=self._simulation.seed)
-        board = BoardEmulator(plant, seed=self._simulation.seed)
+        on_board = self._simulation.servos == "board"
+        board = BoardEmulator(plant, seed=self._simulation.seed, servos=servos if on_board else None)
         with contextlib.ExitStack() as opened:
             folder = self._directory or Path(
                 opened.enter_context(tempfile.TemporaryDirectory("", "deltacharger-", ignore_cleanup_errors=True))
             )
-            servo_terminal = self._serve(servos, folder / _SERVO, opened)
             board_terminal = self._serve(board, folder / _BOARD, opened)
-            self.servo_port, self.board_port = servo_terminal.path, board_terminal.path
-            servos.line_speed = servo_terminal.speed
+            servo_terminal = board_terminal if on_board else self._serve(servos, folder / _SERVO, opened)
+            servos.line_speed = (lambda: board.servos.speed) if on_board else servo_terminal.speed
+            self.board_port = board_terminal.path
+            self.servo_port = BEHIND_BOARD if on_board else servo_terminal.path
             hardware = Hardware(servos, board, servo_terminal, board_terminal)
             self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
             opened.callback(self.faults.close)

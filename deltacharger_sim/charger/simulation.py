@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from deltacharger_core.bounded_file import given_path
-from deltacharger_core.parameters import Bounded, entries, number, words
+from deltacharger_core.parameters import Bounded, choice, entries, number, words
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_sim.charger.faults import Fault
@@ -21,6 +21,7 @@ class Simulation(Bounded):
 
     seed: int = number(0, 0, 2**31 - 1, "", "course of noise, jitter and faults")
     rig_seed: int = number(0, 0, 2**31 - 1, "", "which device: gains, offsets, dead taxels, ridges")
+    servos: str = choice("adapter", ("adapter", "board"), "where they hang: on an adapter of their own, on the board")
     world: WorldParameters = field(default_factory=WorldParameters)
     faults: tuple[Fault, ...] = entries("what goes wrong with the emulated hardware, and when")
     geometry_file: str = words("", "YAML file with what the simulated arm's dimensions really are; empty = the usual")

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Emulated servos that hang on a board: what opens their port reaches them through tactile_node's end of the link."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import ClassVar
+
+from deltacharger_driver.board.keeper import BoardKeeper
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
+
+from .waiting import wait_until
+
+SERVO_TESTS = (
+    "conftest",
+    "test_servo_node",
+    "test_servo_bus",
+    "test_servo_setup",
+    "test_servo_controller",
+    "test_servo_controller_trajectory",
+    "test_servo_watchdog",
+)
+"""Modules of the driver whose tests hold for servos behind a board as well, and their fixtures."""
+
+
+class BehindEmulator:
+    """Servos behind the emulated board, in place of the `PseudoTerminal` on which they would be by themselves."""
+
+    def __init__(self, device: ServoBusEmulator, link: Path | None = None) -> None:
+        self._folder = tempfile.TemporaryDirectory("", "deltacharger-")
+        self._port = link or Path(self._folder.name) / "servos"
+        self._keeper: BoardKeeper | None = None
+        self._serve(device, Path(self._folder.name) / "board")
+        self.path = str(self._port)
+
+    def _serve(self, device: ServoBusEmulator, port: Path) -> None:
+        self.board = BoardEmulator(BenchPlant(), servos=device)
+        self._cable = PseudoTerminal(self.board, port)
+
+    @property
+    def error(self) -> BaseException | None:
+        """What ended the thread that serves, None as it should be."""
+        return self._cable.error
+
+    def speed(self) -> int:
+        """Return the speed of the servos' bus, bit/s."""
+        return self.board.servos.speed
+
+    def start(self) -> BehindEmulator:
+        """Plug the board in; the servos' port is there when this returns."""
+        self._plug()
+        self._keeper = BoardKeeper(
+            str(Path(self._folder.name) / "board"),
+            1_000_000,
+            120.0,
+            lambda sample: None,
+            lambda sample: None,
+            lambda problem: None,
+            self._port,
+        )
+        self._keeper.start()
+        wait_until(self._port.exists)
+        return self
+
+    def _plug(self) -> None:
+        self._cable.start()
+
+    def _unplug(self) -> None:
+        self._cable.stop()
+
+    def stop(self) -> None:
+        """Pull the board's cable, and with it the servos' port. Safe to call twice."""
+        if self._keeper is not None:
+            self._unplug()
+            self._keeper.close()
+            self._keeper = None
+
+    def __enter__(self) -> BehindEmulator:
+        return self.start()
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop()
+
+
+class BehindFirmware(BehindEmulator):
+    """The same behind the firmware's host program."""
+
+    program: ClassVar[Path]
+
+    def _serve(self, device: ServoBusEmulator, port: Path) -> None:
+        self._bus = PseudoTerminal(device, Path(self._folder.name) / "bus")
+        self._board_port = port
+
+    @property
+    def error(self) -> BaseException | None:
+        """What ended the thread that serves, None as it should be."""
+        return self._bus.error
+
+    def speed(self) -> int:
+        """Return the speed of the servos' bus, bit/s."""
+        return self._bus.speed()
+
+    def _plug(self) -> None:
+        self._bus.start()
+        self._process = subprocess.Popen(
+            [self.program, "--servos", self._bus.path, "--pty", str(self._board_port)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == f"ready {self._board_port}\n"
+
+    def _unplug(self) -> None:
+        _, errors = self._process.communicate("quit\n", timeout=10.0)
+        assert self._process.returncode == 0, errors
+        assert not errors, errors
+        self._bus.stop()
+
+
+def behind(kind: type[BehindEmulator]) -> object:
+    """Return what stands in for `PseudoTerminal`: servos are behind a board, other devices where they were."""
+
+    def terminal(device: ByteDevice, link: Path | None = None) -> PseudoTerminal | BehindEmulator:
+        return kind(device, link) if isinstance(device, ServoBusEmulator) else PseudoTerminal(device, link)
+
+    return terminal

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One cable for servos and pads: bytes pass the board as they are, and what goes wrong behind it is named."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from deltacharger.msg import ServoState
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from deltacharger_core import runtime
+from deltacharger_core.environment import domain
+from deltacharger_driver.board.keeper import BoardKeeper
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.pass_through import PassThrough
+from deltacharger_driver.board.protocol import LONGEST_SERVO, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.errors import HandshakeError
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.serial_open import open_serial
+from deltacharger_driver.servos import servo_node
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.servo_node import ServoNode
+from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_ros.node_support import StartupError
+
+from ..behind_board import BehindEmulator
+from ..nodes import call, options
+from ..waiting import DEADLINE, wait_until
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
+ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
+
+
+class Echo:
+    """What hangs on the bus sends back what it hears, and keeps it."""
+
+    def __init__(self) -> None:
+        self.heard = b""
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        self.heard += data
+        return data
+
+    def poll(self, now: float) -> bytes:
+        return b""
+
+    def next_event(self, now: float) -> float:
+        return math.inf
+
+
+def test_bytes_pass_as_they_are(tmp_path: Path) -> None:
+    echo, back = Echo(), b""
+    tmp_path.chmod(0o700)
+    with PseudoTerminal(BoardEmulator(BenchPlant(), servos=echo)) as cable:
+        link = BoardLink(cable.path, on_servo=lambda data: port.take(data))
+        port = PassThrough(link, tmp_path / "servos")
+        assert link.open().carries_servos
+        port.open()
+        with open_serial(str(port.path), 1_000_000) as line:
+            source = random.Random(24)
+            for size in (1, 10, LONGEST_SERVO, LONGEST_SERVO + 1, 1000):
+                sent = source.randbytes(size)
+                line.write(sent)
+                back = b""
+
+                def came(sent: bytes = sent) -> bool:
+                    nonlocal back
+                    back += line.read(4096)
+                    return len(back) >= len(sent)
+
+                wait_until(came)
+                assert back == sent
+                assert echo.heard.endswith(sent)
+        port.close()
+        assert not port.path.is_symlink()
+        link.close()
+
+
+def test_a_host_that_does_not_know_of_the_bus_is_told_nothing_of_it() -> None:
+    class Noisy(Echo):
+        def poll(self, now: float) -> bytes:
+            return b"\xff"
+
+    board, decoder = BoardEmulator(BenchPlant(), servos=Noisy()), PacketDecoder()
+    packets = decoder.feed(board.poll(0.0) + board.receive(encode_packet(Packet(PacketType.HELLO)), 0.1))
+    packets += decoder.feed(board.poll(1.0))
+    assert {PacketType(packet.type) for packet in packets} == {PacketType.HELLO, PacketType.ACK, PacketType.POWER}
+    board.receive(encode_packet(Packet(PacketType.SERVO, b"\0")), 1.1)
+    assert PacketType.SERVO in {packet.type for packet in decoder.feed(board.poll(1.2))}
+
+
+@pytest.mark.parametrize("type", [PacketType.SERVO, PacketType.SERVO_SPEED])
+def test_a_board_without_the_bus_does_not_know_the_packets(type: PacketType) -> None:
+    board, decoder = BoardEmulator(BenchPlant()), PacketDecoder()
+    board.poll(0.0)
+    decoder.feed(board.receive(encode_packet(Packet(type, bytes(4))), 0.1))
+    assert board.unknown_types == 1
+
+
+class Servos:
+    """Emulated servos behind an emulated board, and the bus that a driver opens."""
+
+    def __init__(self) -> None:
+        self.arm = BenchArm(ANGLES)
+        self.emulator = ServoBusEmulator(self.arm)
+        self.terminal = BehindEmulator(self.emulator).start()
+        self.emulator.line_speed = self.terminal.speed
+        self.bus = ServoBus(BusSettings(self.terminal.path, reply_margin=0.1))
+
+    def close(self) -> None:
+        self.bus.close()
+        self.terminal.stop()
+
+
+@pytest.fixture
+def servos() -> Iterator[Servos]:
+    servos = Servos()
+    yield servos
+    servos.close()
+
+
+def test_a_silent_bus_is_told_servo_by_servo(servos: Servos) -> None:
+    servos.emulator.faults.missing = {1, 2, 3}
+    with pytest.raises(HandshakeError) as caught:
+        servos.bus.open()
+    assert [f"servo {each} does not answer at any speed" in str(caught.value) for each in (1, 2, 3)] == [True] * 3
+
+
+def test_servos_at_different_speeds_are_told_by_speed(servos: Servos) -> None:
+    servos.emulator.set_speed(2, 1)
+    with pytest.raises(HandshakeError, match="servo 2 answers at 57600") as caught:
+        servos.bus.open()
+    assert len(caught.value.faults) == 1
+
+
+def test_an_answer_to_another_question_is_not_taken(servos: Servos) -> None:
+    """Late by longer than the wait, so that each answer meets the next question."""
+    servos.bus.open()
+    servos.bus.enable_torque(CURRENTS)
+    servos.emulator.faults.delay = 0.15
+    seen = [servos.bus.read() for _ in range(20)]
+    servos.emulator.faults.delay = 0.0
+    for snapshot in seen:
+        for angle, valid, truth in zip(snapshot.angle, snapshot.valid, ANGLES, strict=True):
+            assert math.isnan(angle) if not valid else angle == pytest.approx(truth, abs=0.01)
+    wait_until(lambda: servos.bus.read().complete)
+
+
+def test_a_board_that_is_reset_amid_a_packet_costs_some_cycles(servos: Servos) -> None:
+    servos.bus.open()
+    servos.bus.enable_torque(CURRENTS)
+    for _ in range(5):
+        servos.terminal.board.reboot(boot_time=0.3)
+        wait_until(lambda: not servos.bus.exchange(ANGLES, CURRENTS).complete)
+        wait_until(lambda: servos.bus.exchange(ANGLES, CURRENTS).complete)
+    assert not servos.terminal.board.contactor_commanded
+    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs look after them meanwhile"
+
+
+class LivePlant(BenchPlant):
+    """Knows when the contactor was told to open."""
+
+    opened_at = math.inf
+
+    def open_contactor(self, ramp: bool) -> None:
+        self.opened_at = min(self.opened_at, time.monotonic())
+        super().open_contactor(ramp)
+
+
+@pytest.mark.parametrize("end", ["the lease", "the heartbeat"])
+def test_the_contactor_keeps_its_limits_while_servos_are_asked_without_pause(tmp_path: Path, end: str) -> None:
+    beats: list[float] = []
+    plant, servos = LivePlant(), ServoBusEmulator(BenchArm(ANGLES))
+    board = BoardEmulator(plant, servos=servos, on_heartbeat=beats.append)
+    over, cycles = threading.Event(), []
+    with PseudoTerminal(board) as cable:
+        keeper = BoardKeeper(cable.path, 1_000_000, 120.0, *[lambda *_: None] * 3, tmp_path / "servos")
+        keeper.start()
+        wait_until(keeper.servos.path.exists)
+
+        def ask() -> None:
+            bus = ServoBus(BusSettings(str(keeper.servos.path)))
+            bus.open()
+            while not over.is_set():
+                cycles.append(bus.exchange(ANGLES, CURRENTS).complete)
+            bus.close()
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        plant.press(20.0)
+        wait_until(lambda: len(cycles) > 100)
+        keeper.guard.probe()
+        began = time.monotonic()
+        keeper.guard.close("test", 0.25)
+        while time.monotonic() - began < 1.0:
+            time.sleep(0.1)  # the holder's 10 Hz
+            keeper.guard.close("test", 0.25)
+        renewed = time.monotonic()
+        assert plant.opened_at == math.inf
+        if end == "the heartbeat":
+            keeper.link.stop_heartbeat()
+        wait_until(lambda: plant.opened_at < math.inf)
+        over.set()
+        asking.join()
+        keeper.close()
+    assert sum(cycles) > 0.9 * len(cycles)
+    assert plant.opened_at - beats[-1] < 0.1
+    assert plant.opened_at - renewed < 0.35
+
+
+class Charger:
+    """Both nodes on one cable."""
+
+    def __init__(self, context: Any, namespace: str, spin: Any, servos: ServoBusEmulator | None) -> None:
+        self.plant = BenchPlant()
+        self.board = BoardEmulator(self.plant, servos=servos)
+        if servos is not None:
+            servos.line_speed = lambda: self.board.servos.speed
+        self.cable = PseudoTerminal(self.board).start()
+        self.tactile = spin(TactileNode(**options(context, namespace, port=self.cable.path)))
+
+
+def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any) -> None:
+    arm = BenchArm(ANGLES)
+    charger = Charger(context, namespace, spin, ServoBusEmulator(arm))
+    node = spin(ServoNode(**options(context, namespace, port="board", rate=60.0)))
+    states: list[ServoState] = []
+    node.create_subscription(ServoState, "servo_state", states.append, 10)
+    wait_until(lambda: len(states) > 120)
+    assert all(list(state.valid) == [True] * 3 for state in states[-60:])
+    assert runtime.servos(domain(), namespace).is_symlink()
+    charger.cable.stop()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
+    context: Any, namespace: str, spin: Any, start: Any, number: int
+) -> None:
+    """tactile_node passes on what servo_node still has to say."""
+    arm = BenchArm(ANGLES)
+    servos = ServoBusEmulator(arm)
+    board = BoardEmulator(BenchPlant(), servos=servos)
+    servos.line_speed = lambda: board.servos.speed
+    client = spin(Node("client", **options(context, namespace)))
+    torque = client.create_client(SetBool, "set_torque")
+    with PseudoTerminal(board) as cable:
+        nodes = [
+            start(
+                *(sys.executable, "-m", f"deltacharger_driver.{module}", "--ros-args"),
+                *("-r", f"__ns:=/{namespace}", "-p", f"port:={port}"),
+            )
+            for module, port in (("board.tactile_node", cable.path), ("servos.servo_node", "board"))
+        ]
+        assert torque.wait_for_service(DEADLINE)
+        assert call(torque, SetBool.Request(data=True)).success
+        for node in nodes:
+            node.process.send_signal(number)
+        assert [node.end() for node in nodes] == [0, 0]
+    assert arm.torque_enabled() == [False] * 3
+
+
+def test_servos_that_hang_on_no_board_are_named(
+    context: Any, namespace: str, spin: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(servo_node, "_BOARD_TIMEOUT", 0.5)
+    charger = Charger(context, namespace, spin, None)
+    with pytest.raises(StartupError, match=re.escape("no servos behind the board")):
+        ServoNode(**options(context, namespace, port="board"))
+    charger.cable.stop()
