@@ -71,6 +71,15 @@ def board_port(board: BoardEmulator) -> Iterator[str]:
 
 
 @pytest.fixture
+def one_cable(servos: ServoBusEmulator) -> Iterator[str]:
+    """The port of a board that the servos hang on."""
+    carrier = BoardEmulator(BenchPlant(), servos=servos)
+    servos.line_speed = lambda: carrier.servos.speed
+    with PseudoTerminal(carrier) as terminal:
+        yield terminal.path
+
+
+@pytest.fixture
 def silent_port() -> Iterator[str]:
     with PseudoTerminal(Babbler(b"")) as terminal:
         yield terminal.path

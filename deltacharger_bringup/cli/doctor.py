@@ -23,7 +23,7 @@ from deltacharger_bringup.doctor.ports import candidates, examine_port, same_dev
 from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_bringup.doctor.set_baud import set_baud
 from deltacharger_core import environment
-from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
+from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 
 if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
@@ -34,7 +34,9 @@ _CURRENT_MAX = 3.0  # A, default of servo_node
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Add the options of `doctor`."""
     scene_option(parser)
-    parser.add_argument("--servo-port", metavar="PORT", help="of the servos, instead of the scene's")
+    parser.add_argument(
+        "--servo-port", metavar="PORT", help=f"of the servos, instead of the scene's; {BEHIND_BOARD}: they hang on it"
+    )
     parser.add_argument("--board-port", metavar="PORT", help="of the board, instead of the scene's")
     speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
     text = "write this speed (bit/s) to servos that speak another one, torque off; needs --servo-port"
@@ -55,6 +57,11 @@ class _Hardware:
     ids: tuple[int, ...] = SERVO_IDS
     current_max: float = _CURRENT_MAX
     problems: list[Finding] = field(default_factory=list)
+
+    @property
+    def is_one_cable(self) -> bool:
+        """Whether the servos hang on the board."""
+        return self.servo_port == BEHIND_BOARD
 
 
 def doctor(options: argparse.Namespace) -> int:
@@ -86,13 +93,12 @@ def doctor(options: argparse.Namespace) -> int:
 def _set_baud(options: argparse.Namespace) -> int:
     if not options.servo_port:
         raise CommandError("--set-baud needs --servo-port: say which port's servos are to be written", WRONG_INPUT)
-    if options.scene or options.board_port:
-        raise CommandError("--set-baud looks at --servo-port alone; leave --scene and --board-port out", WRONG_INPUT)
-    port = options.servo_port
-    found = _examine(
-        "servos", port, f"looking for servos on {port} ...", lambda: set_baud(port, options.set_baud, options.ids)
-    )
-    return _report(options, found, _Hardware(servo_port=port))
+    hardware = _Hardware(servo_port=options.servo_port, board_port=options.board_port or "")
+    if options.scene or bool(options.board_port) != hardware.is_one_cable:
+        text = "--set-baud looks at --servo-port alone; leave --scene and --board-port out, or give both as "
+        raise CommandError(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT", WRONG_INPUT)
+    found = _examine_servos(hardware, lambda port: set_baud(port, options.set_baud, options.ids))
+    return _report(options, found, hardware)
 
 
 def _hardware(options: argparse.Namespace) -> _Hardware:
@@ -164,12 +170,31 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
         return [wrong("ports", f"{servo} and {board} are one device", "give each its own port")]
     if servo:
         speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
-        saying = f"looking at the servos on {servo} ..."
-        found += _examine("servos", servo, saying, lambda: examine_servos(servo, speed, ids, current))
+        named = f"--servo-port {BEHIND_BOARD} --board-port {board}" if hardware.is_one_cable else ""
+        found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=named))
     if board:
         saying = f"looking at the board on {board} ..."
         found += _examine("board", board, saying, lambda: examine_board(board, hardware.board_speed))
     return found
+
+
+def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding]]) -> list[Finding]:
+    """Return what is found of the servos' port and of the servos, also where they hang on the board."""
+    port, found = hardware.servo_port, list[Finding]()
+    if not hardware.is_one_cable:
+        return _examine("servos", port, f"looking at the servos on {port} ...", lambda: check(port))
+    if not hardware.board_port:
+        return [wrong("servo port", "the servos hang on the board, and no port of it is given", "give --board-port")]
+
+    def behind() -> Iterator[Finding]:
+        from deltacharger_driver.board.pass_through import servos_behind
+
+        with servos_behind(hardware.board_port, hardware.board_speed) as path:
+            yield ok("servo port", f"the servos hang on the board at {hardware.board_port}")
+            found.extend(checked("servos", lambda: check(path)))
+
+    say(f"looking at the servos behind the board on {hardware.board_port} ...")
+    return checked("servo port", behind) + found
 
 
 def _examine(device: str, path: str, saying: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:

@@ -23,7 +23,12 @@ _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the v
 
 
 def examine_servos(
-    path: str, baud_rate: int, ids: Sequence[int], current_max: float, speeds: Sequence[int] = ()
+    path: str,
+    baud_rate: int,
+    ids: Sequence[int],
+    current_max: float,
+    speeds: Sequence[int] = (),
+    options: str = "",
 ) -> Iterator[Finding]:
     """Find all servos of a port and look into those that the charger uses.
 
@@ -33,6 +38,7 @@ def examine_servos(
         ids: of limbs 0, 1, 2.
         current_max: A, the largest current bound that will be asked of them.
         speeds: at which they are looked for, bit/s; none = every one that servos know.
+        options: of the command line that name the port; empty = by its path.
     """
     from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
@@ -43,7 +49,7 @@ def examine_servos(
     ready = []
     for servo in ids:
         matching = [one for one in found.servos if one.servo == servo]
-        problem = _problem(servo, matching, baud_rate, path)
+        problem = _problem(servo, matching, baud_rate, options or f"--servo-port {path}")
         if problem is not None:
             yield problem
         else:
@@ -64,7 +70,7 @@ def _none(found: PortIdentity) -> Finding:
     return wrong("servos", f"{found.port}: {found.details}", "give the right port, or look for noise and duplicate ids")
 
 
-def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, path: str) -> Finding | None:
+def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options: str) -> Finding | None:
     """Return why one servo cannot be used, or None."""
     from deltacharger_driver.servos.mx64 import MODEL
 
@@ -83,7 +89,7 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, path: s
     if one.model != MODEL:
         return wrong(part, f"is model {one.model}, not an MX-64 with Protocol 2.0 ({MODEL})", "replace it")
     if one.speed != baud_rate:
-        command = f"deltacharger doctor --servo-port {path} --set-baud {baud_rate} --ids {servo}"
+        command = f"deltacharger doctor {options} --set-baud {baud_rate} --ids {servo}"
         return wrong(part, f"answers at {one.speed} bit/s, not at {baud_rate}", f"run: {command}")
     return None
 

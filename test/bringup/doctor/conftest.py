@@ -3,6 +3,6 @@
 
 from __future__ import annotations
 
-from ...emulated_ports import board, board_port, servo_port, servos, silent_port
+from ...emulated_ports import board, board_port, one_cable, servo_port, servos, silent_port
 
-__all__ = ("board", "board_port", "servo_port", "servos", "silent_port")
+__all__ = ("board", "board_port", "one_cable", "servo_port", "servos", "silent_port")

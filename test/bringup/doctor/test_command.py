@@ -48,7 +48,7 @@ def test_people_read_levels_and_remedies_and_progress_goes_to_stderr(
     captured = capsys.readouterr()
     assert "ok     servo 2" in captured.out
     assert captured.out.rstrip().endswith("0 wrong, 0 worth a look, 4 as they should be")
-    assert "looking for servos" in captured.err
+    assert "looking at the servos" in captured.err
     assert main(["doctor", "--set-baud", "1000000", "--servo-port", "/dev/nothing"]) == 1
     assert "-> plug" in capsys.readouterr().out
 
@@ -79,10 +79,31 @@ def test_set_baud_from_the_command_line(
     assert (code, list(by_level(value, "wrong"))) == (1, ["servo port"])
 
 
+def test_servos_that_hang_on_the_board(
+    capsys: pytest.CaptureFixture[str], servos: ServoBusEmulator, one_cable: str
+) -> None:
+    servos.set_speed(2, 1)
+    behind = ("--servo-port", "board", "--board-port", one_cable)
+    code, value = run(capsys, *behind)
+    assert (code, "servo 2" in by_level(value, "wrong")) == (1, True)
+    remedy = next(f["remedy"] for f in value["findings"] if f["part"] == "servo 2")
+    assert remedy == f"run: deltacharger doctor {' '.join(behind)} --set-baud 1000000 --ids 2"
+    assert run(capsys, *behind, "--set-baud", "1000000")[0] == 0
+    assert servos.servo(2).table.get("baud") == 3
+
+
+def test_a_board_without_servos_is_named(capsys: pytest.CaptureFixture[str], board_port: str) -> None:
+    code, value = run(capsys, "--servo-port", "board", "--board-port", board_port)
+    assert (code, list(by_level(value, "wrong"))) == (1, ["servo port"])
+    assert "no servos behind the board" in by_level(value, "wrong")["servo port"]
+    assert run(capsys, "--servo-port", "board")[0] == 1
+
+
 @pytest.mark.parametrize(
     "words",
     [
         ("--set-baud", "1000000"),
+        ("--set-baud", "57600", "--servo-port", "board"),
         ("--set-baud", "12345", "--servo-port", "/dev/null"),
         ("--set-baud", "57600", "--servo-port", "/dev/null", "--ids", "300"),
         ("--set-baud", "57600", "--servo-port", "/dev/null", "--scene", "bench"),
