@@ -53,8 +53,14 @@ def emulate(folder: Path) -> None:
     processes.take_priority()
     scene = load_scene("simulated")
     assert scene.simulation is not None
-    seed, plant = scene.simulation.seed, SharedWorld(scene.simulation.build_world())
-    samples, beats = array("d"), array("d")
+    samples, beats, openings = array("d"), array("d"), array("d")
+
+    class World(SharedWorld):
+        def open_contactor(self, ramp: bool) -> None:
+            super().open_contactor(ramp)
+            openings.append(time.monotonic())
+
+    seed, plant = scene.simulation.seed, World(scene.simulation.build_world())
     board: BoardEmulator = BoardEmulator(
         plant,
         seed=seed,
@@ -62,13 +68,14 @@ def emulate(folder: Path) -> None:
         on_sample=lambda *sample: samples.extend(sample),
         on_heartbeat=lambda at: beats.extend((at, board.contactor_commanded)),
     )
+    record = {"samples": samples, "beats": beats, "openings": openings}
     servos = ServoBusEmulator(plant, seed=seed)
     with PseudoTerminal(servos, folder / "servo") as cable, PseudoTerminal(board, folder / "board"):
         servos.line_speed = cable.speed
         processes.serve(
             {
                 "look": lambda: {"closed": board.contactor_commanded, "fault": board.fault},
-                "record": lambda: {"samples": samples.tolist(), "beats": beats.tolist()},
+                "record": lambda: {name: values.tolist() for name, values in record.items()},
             }
         )
 
@@ -223,7 +230,7 @@ def run(seconds: float) -> dict[str, Any]:
             "counters": {key: listener.counter(part, key) - before[key] for key, part in counters},
             "frames": np.array(listener.frames).reshape(-1, 3),
             "states": np.array(listener.states),
-            **{key: np.array(value) for key, value in hardware.ask("record").items()},
+            **{key: np.array(value) for key, value in hardware.ask("record").items() if key != "openings"},
         }
 
 

@@ -165,7 +165,7 @@ def take_priority() -> None:
     the nodes.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))  # before nodes with real-time priority
     except OSError:
         try:
             os.setpriority(os.PRIO_PROCESS, 0, -15)
