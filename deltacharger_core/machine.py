@@ -38,6 +38,8 @@ CURRENT_BOUND = 0.83
 """A of a servo where a trajectory sets no bound."""
 ZERO_CURRENT = 0.5
 """A between charger and target below which none is said to flow."""
+BATTERY_MIN, BATTERY_MAX = 22.7, 29.8
+"""V of the charger's own battery, empty and full (paper)."""
 GRAVITY_STRENGTH = 9.81
 """m/s²."""
 GRAVITY = (0.0, -GRAVITY_STRENGTH, 0.0)

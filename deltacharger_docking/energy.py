@@ -173,6 +173,8 @@ class Watch:
             return unproven
         if observation.power_age > context.parameters.power_age_max:
             return PowerStale("charger_power stopped; check the board's cable and tactile_node")
+        if (unfit := _battery_problem(context)) is not None:
+            return unfit
         if observation.tactile_age > context.parameters.tactile_age_max:
             return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
         if not observation.tactile_contact:
@@ -260,6 +262,24 @@ def _open_circuit(context: Context) -> DockingError:
             "bar does not press: level the target or the charger"
         )
     return NoChargeCurrent(f"{found}; clean them, and see that no pitch of the faces lifts a bar")
+
+
+def _battery_problem(context: Context) -> DockingError | None:
+    """Return why the charger's own battery may not be let onto the electrodes, if anything speaks against it."""
+    low, high = context.parameters.battery_voltage_min, context.parameters.battery_voltage_max
+    voltage = context.observation.battery_voltage
+    if not math.isfinite(voltage):
+        return PowerStale(
+            "the voltage of the charger's own battery is not measured, so nothing is energised; look at the power "
+            "stage's plug and at the voltage's divider"
+        )
+    if low <= voltage <= high:
+        return None
+    cure = "charge it" if voltage < low else "look at it and at its charger"
+    return VoltageOutOfRange(
+        f"the charger's own battery shows {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or look at the "
+        "voltage's divider"
+    )
 
 
 def _check_probe(context: Context, reply: Reply) -> None:

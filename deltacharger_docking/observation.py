@@ -150,6 +150,7 @@ class Observation:
     contactor_closed: bool = False
     charge_current: float = math.nan
     target_voltage: float = math.nan
+    battery_voltage: float = math.nan
     power_fault: int = 0
     contactor_refusal: str = ""
     duplicate_sources: str = ""

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from deltacharger_core.machine import (
     BAR_GAP,
     BAR_LENGTH,
+    BATTERY_MAX,
+    BATTERY_MIN,
     DOCKING_JITTER,
     GRAVITY,
     MAGNET_FLOOR,
@@ -29,6 +31,7 @@ from deltacharger_kinematics.geometry import Vector
 APPROACHES = ("guarded", "paper", "published")
 SIGNALS = ("contact", "max", "sum")
 _ORDERED = (
+    ("battery_voltage_min", "battery_voltage_max"),
     ("target_voltage_min", "target_voltage_max"),
     ("clearance_sigmas", "clearance_sigmas_sure"),
     ("release_travel", "spring_travel"),
@@ -197,6 +200,10 @@ class DockingParameters(Bounded):
     )
     open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to be gone after an opening")
     opening_time: float = number(0.1, 0.0, 1.0, "s", "time that an order to open is under way")
+    battery_voltage_min: float = number(
+        BATTERY_MIN, 1.0, 60.0, "V", "lowest voltage of the charger's own battery that is let onto the electrodes"
+    )
+    battery_voltage_max: float = number(BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the charger's own battery")
     target_voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that may be charged")
     target_voltage_max: float = number(30.0, 1.0, 60.0, "V", "highest voltage of a target that may be charged")
     probe_resistance_min: float = number(1.0, 0.1, 100.0, "Ω", "probed resistance below which it is a short")

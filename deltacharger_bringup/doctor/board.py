@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
 
 if TYPE_CHECKING:
     from deltacharger_driver.board.link import BoardLink
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from deltacharger_driver.board.samples import PowerSample, TactileSample
 
 WATCHED = 2.0  # s of stream
-BATTERY = (22.7, 29.8)  # V, what the paper's battery gives
 _RATE_SHARE = 0.95  # of the board's own rate, below which frames do not come as they should
 _LOST_SHARE = 0.01  # of frames, above which the link is bad
 _PINGS = 20
@@ -151,10 +151,14 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
         advice = "switch the battery off: without a heartbeat it must be open; the contactor may be welded"
         yield wrong("power", "the contactor reports closed though nobody asked for it", advice)
     if math.isnan(power.battery_voltage):
-        yield hint("power", "the battery's voltage is not measured", "look at the power stage's plug")
-    elif not BATTERY[0] <= power.battery_voltage <= BATTERY[1]:
-        text = f"battery {power.battery_voltage:.1f} V, outside {BATTERY[0]} to {BATTERY[1]} V"
-        yield hint("power", text, "charge it, or look at it and at the voltage's divider")
+        yield hint(
+            "power",
+            "the battery's voltage is not measured: with a contactor (power: board) docking energises nothing",
+            "look at the power stage's plug and at the voltage's divider",
+        )
+    elif not BATTERY_MIN <= power.battery_voltage <= BATTERY_MAX:
+        text = f"battery {power.battery_voltage:.1f} V, outside {BATTERY_MIN} to {BATTERY_MAX} V"
+        yield wrong("power", text, "charge it, or look at it and at the voltage's divider; docking energises nothing")
     else:
         yield ok("power", f"battery {power.battery_voltage:.1f} V")
 

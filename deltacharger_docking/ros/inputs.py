@@ -169,6 +169,7 @@ class Inputs:
                 contactor_closed=power.contactor_closed,
                 charge_current=power.charge_current,
                 target_voltage=power.target_voltage,
+                battery_voltage=power.battery_voltage,
                 power_fault=power.fault,
             )
         return Observation(

@@ -225,7 +225,7 @@ class VirtualCharger:
     def observe(self) -> Observation:
         """Return what the topics would tell."""
         angles, currents = self._reading()
-        _, target, current, closed, fault = self.plant.read_power()
+        battery, target, current, closed, fault = self.plant.read_power()
         return Observation(
             time=self.now,
             angles=angles,
@@ -240,6 +240,7 @@ class VirtualCharger:
             contactor_closed=closed,
             charge_current=current,
             target_voltage=target,
+            battery_voltage=battery,
             power_fault=fault,
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),

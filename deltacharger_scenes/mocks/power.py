@@ -8,7 +8,7 @@ import math
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault
 
-BATTERY = 26.0  # V, inside the paper's 22.7…29.8 V
+BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX
 TARGET = 23.5  # V, open circuit
 CHARGE_CURRENT = 5.0  # A once ramped up
 _RISE = 0.1  # s, time constant of the ramp

@@ -18,6 +18,7 @@ from deltacharger_records.replay.recorder import Recorder
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.mocks import mock_tactile_node
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace
@@ -149,6 +150,16 @@ def test_a_fault_ends_docking_with_its_code_and_an_open_contactor(
     assert not outcome.success
     assert outcome.error_name in names, outcome
     assert outcome.error_message
+    assert open_contactor(charger)
+
+
+def test_a_battery_out_of_range_in_charger_power_keeps_the_contactor_open(
+    charger: Charger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mock_tactile_node, "BATTERY", 20.0)
+    outcome = charger.dock()
+    assert outcome.error_name == "VOLTAGE_OUT_OF_RANGE", outcome
+    assert "own battery shows 20.0 V" in outcome.error_message
     assert open_contactor(charger)
 
 

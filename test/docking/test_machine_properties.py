@@ -117,6 +117,7 @@ class Model:
             contactor_closed=self.closed,
             charge_current=8.0 if self.closed else 0.0,
             target_voltage=24.0,
+            battery_voltage=26.0,
             replies=replies,
         )
 
@@ -193,6 +194,7 @@ class Judge:
         assert observation.servo_age <= LIMITS.live_servo_age_max
         assert observation.tactile_age <= LIMITS.tactile_age_max
         assert observation.power_age <= LIMITS.power_age_max
+        assert LIMITS.battery_voltage_min <= observation.battery_voltage <= LIMITS.battery_voltage_max
         assert self.probed, "a good probe after the last motion"
         assert self.passed, "the last estimate before it leaves clearance"
         assert Verdict.SAFE in self.passed or len(self.passed) >= 2
@@ -253,6 +255,7 @@ SPOILS: dict[str, Spoil] = {
     "fault": lambda seen, source: replace(seen, power_fault=source.choice(range(1, 12))),
     "contactor": lambda seen, source: replace(seen, contactor_closed=not seen.contactor_closed),
     "charge": lambda seen, source: replace(seen, charge_current=source.choice((math.nan, -3.0, 0.0, 0.3, 25.0))),
+    "battery": lambda seen, source: replace(seen, battery_voltage=source.choice((math.nan, 0.0, 20.0, 35.0))),
     "push": lambda seen, source: replace(seen, currents=(source.uniform(-2.0, 2.0),) * 3),
     "reserve": lambda seen, source: replace(seen, thermal_reserve=source.choice((0.0, math.nan))),
     "refused": lambda seen, source: replace(seen, contactor_refusal="refused"),

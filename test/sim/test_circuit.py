@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.circuit import (
     NO_CHARGE_CURRENT,
@@ -82,7 +83,7 @@ def test_the_target_voltage_is_measured_only_in_contact() -> None:
     circuit = make()
     run(circuit, 0.02, None)
     battery, target = circuit.voltages()
-    assert 22.7 <= battery <= 29.8
+    assert BATTERY_MIN <= battery <= BATTERY_MAX
     assert math.isnan(target)
     run(circuit, 0.02)
     assert circuit.voltages()[1] == pytest.approx(24.0)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from deltacharger_bringup.doctor.board import examine_board
@@ -72,6 +74,23 @@ def test_the_probe_is_judged(resistance: float, level: str, words: str) -> None:
     plant.resistance = resistance
     with PseudoTerminal(BoardEmulator(plant)) as terminal:
         assert words in one(board_findings(terminal.path), level, "probe").message
+
+
+@pytest.mark.parametrize(
+    ("volts", "level", "words"),
+    [
+        (22.6, "wrong", "22.6 V, outside 22.7 to 29.8 V"),
+        (22.7, "ok", "battery 22.7 V"),
+        (29.8, "ok", "battery 29.8 V"),
+        (29.9, "wrong", "29.9 V, outside"),
+        (math.nan, "hint", "not measured"),
+    ],
+)
+def test_the_battery_is_judged_as_docking_judges_it(volts: float, level: str, words: str) -> None:
+    plant = BenchPlant()
+    plant.battery = volts
+    with PseudoTerminal(BoardEmulator(plant)) as terminal:
+        assert words in one(board_findings(terminal.path), level, "power").message
 
 
 @pytest.mark.parametrize(
