@@ -245,7 +245,8 @@ REMEDIES: dict[Code, str] = {
     Code.SHORT_CIRCUIT: "look for what lies between them; clean or realign them",
     Code.POWER_STALE: "check the board's cable and tactile_node",
     Code.REVERSE_POLARITY: "rewire the target",
-    Code.VOLTAGE_OUT_OF_RANGE: "as the message says: the target needs another charger, or charge the charger's own battery",
+    Code.VOLTAGE_OUT_OF_RANGE: "as the message says: the target needs another charger, or charge the charger's own "
+    "battery",
     Code.REVERSE_CURRENT: "have the target's charging input looked at",
     Code.CONTACTOR_WELDED: "switch the battery off, replace the contactor",
     Code.INTERNAL: "send the log",

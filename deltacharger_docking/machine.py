@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 
 from deltacharger_core.script import Runner, Script
-from deltacharger_docking.algorithm import TargetVisit
 from deltacharger_docking.codes import (
     SILENT_SERVOS,
     Busy,
@@ -32,6 +31,7 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.retract import let_go, retract
+from deltacharger_docking.visit import TargetVisit
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 

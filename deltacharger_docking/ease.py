@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arm at ease on the target: the servos' currents are led to a common one, as far as friction holds."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_core.script import NEXT, Script
+from deltacharger_docking.codes import State
+from deltacharger_docking.context import Context
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
+
+_POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
+
+
+def ease(context: Context) -> Script[bool]:
+    """Bring each servo to the common current that presses in the middle of the band, as far as friction holds.
+
+    Return whether it was tried: the paper's approach, and raw currents as the signal, stay as published.
+    """
+    parameters = context.parameters
+    if parameters.approach != "guarded" or parameters.current_signal != "contact":
+        return False
+    context.enter(State.CONTACT, parameters.contact_timeout)
+    place, hottest = context.position, _hottest(context)
+    fades, response = True, 1.0 / context.springs.compliance
+    for _ in range(parameters.ease_rounds):
+        before = context.contact.currents
+        wanted = _wanted(context, fades)
+        asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
+        known = all(map(math.isfinite, (*asked, *context.goal_angles)))
+        if not known or max(map(abs, asked)) <= parameters.ease_tolerance:
+            break
+        slipped = yield from _lead(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
+        yield from context.rest()
+        if slipped:
+            fades = False
+            continue
+        got = sum(a * (now - then) for a, now, then in zip(asked, context.contact.currents, before, strict=True))
+        share = got / sum(a * a for a in asked)
+        response *= min(max(share, parameters.response_min), parameters.response_max)
+    context.decide(
+        "eased",
+        "friction carries the weight" if fades else "friction carries a part of the weight",
+        hottest_before_A=hottest,
+        hottest_A=_hottest(context),
+        contact_current_A=context.contact.value,
+        slip_m=math.dist(place[:2], context.position[:2]),
+    )
+    return True
+
+
+def _hottest(context: Context) -> float:
+    return max(map(abs, context.contact.currents))
+
+
+def _wanted(context: Context, fades: bool) -> Vector:
+    """Return the currents (A) that press in the middle of the band: all alike, or with what bears the weight now."""
+    x, y, z = context.position
+    contact, kinematics, parameters = context.contact, context.kinematics, context.parameters
+    constant = parameters.torque_constant
+    now = contact.currents
+    a, b, c = (current * constant for current in now)
+    missing = (parameters.current_target - contact.value) / contact.per_force
+    if fades:
+        alike = kinematics.force(x, y, z, (constant, constant, constant))[2]
+        common = (kinematics.force(x, y, z, (a, b, c))[2] + missing) / alike if alike else math.nan
+        common = max(min(common, parameters.ease_current_max), common - parameters.ease_spared_max)
+        return common, common, common
+    d, e, f = kinematics.torque(x, y, z, (0.0, 0.0, missing))
+    return now[0] + d / constant, now[1] + e / constant, now[2] + f / constant
+
+
+def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
+    """Lead the goal angles by `change` (rad), back by a part once the platform slips from `place`; return whether."""
+    parameters = context.parameters
+    duration = max(parameters.ease_time_min, parameters.ease_lags * context.springs.lag)
+    start, began = context.goal_angles, context.time
+    context.follow(_ramp(context, start, change, duration))
+    while context.feed.is_under_way(context.time):
+        slip = math.dist(place[:2], context.position[:2])
+        if slip > parameters.slip_max:
+            done = min((context.time - began) / duration, 1.0)
+            back, lasts = -parameters.slip_taken_back * done, parameters.slip_back_time * duration
+            here = _shifted(start, change, done)
+            context.decide("slipped", "friction carries no more", share=done, slip_m=slip)
+            context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))
+            yield from context.wait(lasts)
+            return True
+        yield NEXT
+    return False
+
+
+def _ramp(context: Context, start: Vector, change: Vector, duration: float) -> tuple[Waypoint, ...]:
+    """Return a line of joint angles (rad) from `start` by `change`, inside the joint limits, under the last bound."""
+    x, y, z = context.position
+    geometry, parameters = context.kinematics.geometry, context.parameters
+    held = context.kinematics.holding_torque(x, y, z, parameters.gravity)
+    a, b, c = (abs(torque) + parameters.push_current * parameters.torque_constant for torque in held)
+    points = []
+    for index in range(1, _POINTS + 1):
+        share = index / _POINTS
+        d, e, f = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in _shifted(start, change, share))
+        points.append(Waypoint(share * duration, (d, e, f), (a, b, c)))
+    return tuple(points)
+
+
+def _shifted(start: Vector, change: Vector, share: float) -> Vector:
+    return start[0] + share * change[0], start[1] + share * change[1], start[2] + share * change[2]

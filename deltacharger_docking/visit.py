@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happens on one target: docking, charging, staying docked, and every further goal."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_core.script import NEXT, Script
+from deltacharger_docking import published
+from deltacharger_docking.algorithm import align, dock
+from deltacharger_docking.charging import Order, charge
+from deltacharger_docking.clearance import FeltPose, judge
+from deltacharger_docking.codes import CriticalAngle, DockingError, NoContact, ServoFailure, State
+from deltacharger_docking.context import Context
+from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
+from deltacharger_docking.goals import GoalDesk
+from deltacharger_docking.observation import DockGoal
+from deltacharger_docking.touch import Target
+
+
+class TargetVisit:
+    """One target, from the first goal on it until the electrodes leave it.
+
+    Attributes:
+        supervising: whether a further goal may be taken: the electrodes rest on the target.
+    """
+
+    def __init__(self, context: Context, desk: GoalDesk, goal: DockGoal) -> None:
+        self._context = context
+        self._desk = desk
+        self._goal = goal  # what brought the arm here
+        limit = goal.critical_angle or context.parameters.critical_angle
+        self._order = Order(goal, limit, desk.started)
+        self._target = Target(context, limit)
+        self._is_new = False  # a further goal waits to be looked at
+        self.supervising = False
+
+    def take(self, goal: DockGoal) -> DockingError | None:
+        """Take a further goal; return what speaks against going on as it wants.
+
+        The lowest critical angle of all goals on this target counts, and who watched goes on watching.
+        """
+        context, order, desk = self._context, self._order, self._desk
+        order.goal, order.since = goal, context.time
+        if goal.critical_angle and goal.critical_angle < order.critical_angle:
+            order.critical_angle = goal.critical_angle
+            known = context.status.estimate if context.status.charging else None
+            if known and self._is_too_tilted(known, goal.critical_angle):
+                return CriticalAngle("the goal's critical_angle is below what was measured on this target")
+        if context.status.charging and goal.start_charging:
+            if not goal.hold:
+                desk.succeed("already docked and charging")
+        else:
+            self._is_new = True
+        return None
+
+    def _is_too_tilted(self, known: FeltPose, limit: float) -> bool:
+        """Return whether what was felt last forbids current below this critical angle, rad."""
+        parameters = self._context.parameters
+        if parameters.keeps_clearance:
+            return known.usable and not judge(known, parameters, limit).leaves_clearance
+        return known.classes is None or not known.classes.angle < limit
+
+    def run(self) -> Script[None]:
+        """Dock, then serve every goal on this target until contact is lost or the servos are limp."""
+        order, desk = self._order, self._desk
+        self.supervising = False
+        yield from self._dock()
+        while True:
+            self._is_new = False
+            if order.goal.start_charging:
+                yield from self._charge()
+            elif not order.goal.hold:
+                desk.succeed("docked; charging was not asked for")
+            self.supervising = True
+            if not (yield from self._stay()):
+                return
+            if order.goal.start_charging:
+                self.supervising = False
+                yield from self._stand_again()
+
+    def _dock(self) -> Script[None]:
+        context = self._context
+        context.status.aligned, context.status.estimate = False, None
+        context.status.alignments = context.status.redockings = 0
+        self._target = Target(context, self._order.critical_angle)
+        yield from dock(context, self._target, self._goal.electrodes)
+
+    def _stand_again(self) -> Script[None]:
+        """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
+        context = self._context
+        value, least = context.contact.value, context.parameters.contact_lost_current
+        if not (context.observation.tactile_contact and value >= least):
+            yield from self._dock()
+            return
+        context.decide("stay", "docked: clearance is measured anew where it stands", contact_current_A=value)
+        yield from self._feel_again()
+
+    def _feel_again(self) -> Script[None]:
+        target = self._target
+        self._context.status.alignments = self._context.status.redockings = 0
+        target.critical_angle = self._order.critical_angle
+        if self._context.parameters.approach == "published":
+            yield from published.align(self._context, target)
+        else:
+            yield from align(self._context, target, stay=True)
+
+    def _charge(self) -> Script[None]:
+        """Close, report success or hold the goal, watch over charging, and open."""
+        context, desk = self._context, self._desk
+        while context.doubtful:
+            yield from wait_for_single_sources(context)
+            yield from self._feel_again()  # without the second source
+        yield from energise(context)
+        context.status.charging = True
+        context.enter(State.CHARGING, math.inf)
+        if not self._order.goal.hold:
+            desk.succeed("charging")
+        self.supervising = True
+        self._order.since = context.time
+        reason = yield from charge(context, self._order, self._target)
+        yield from de_energise(context)
+        if not self._is_new:
+            desk.succeed(reason)
+
+    def _stay(self) -> Script[bool]:
+        """Stay docked without current; return True for a further goal, False where the arm has been let go."""
+        context, order, desk = self._context, self._order, self._desk
+        context.enter(State.IDLE, math.inf)
+        while not self._is_new:
+            if not context.observation.torque_enabled:
+                if desk.is_open:
+                    raise ServoFailure("the servos lost their torque while docked")
+                return False
+            if context.contact.value < context.parameters.contact_lost_current:
+                raise NoContact("contact was lost after docking; the target moved")
+            reason = order.is_met(context)
+            if desk.is_open and reason:
+                context.decide("stop", reason)
+                desk.succeed(reason)
+            yield NEXT
+        return True
