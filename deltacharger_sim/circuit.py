@@ -40,11 +40,13 @@ class Circuit:
     Attributes:
         current: into the target, A.
         fault: code that the stage has detected, 0 none.
-        broken_current: largest current that the contactor has had to interrupt, A.
+        broken_current: largest current that the contactor, or without one the electrodes, had to interrupt, A.
+        wired: whether the electrodes hang on the battery: no power stage opens, limits or measures.
     """
 
     def __init__(self, parameters: CircuitParameters) -> None:
         self._parameters = parameters
+        self.wired = parameters.wired
         self._phase = _OPEN
         self._since = 0.0
         self._limit = 0.0
@@ -67,7 +69,7 @@ class Circuit:
 
     def close(self) -> None:
         """Begin pre-charge, then close and ramp up."""
-        if self._phase is _OPEN:
+        if self._phase is _OPEN and not self.wired:
             self.fault = 0
             self._enter(_PRECHARGE)
 
@@ -84,6 +86,9 @@ class Circuit:
         self._since += dt
         if bars is not self._bars or overlap is not self._overlap:
             self._overlap, self._bars, self._known_contacts = overlap, bars, None
+        if self.wired:
+            self._step_wired(dt)
+            return
         if self._phase is _OPEN and not self._stuck:
             self.current = self._shorted_for = 0.0
             return
@@ -109,6 +114,33 @@ class Circuit:
         elif self._phase is not _OPEN:
             self._detect()
 
+    def _step_wired(self, dt: float) -> None:
+        """Let flow what the two batteries drive, either way; where the electrodes part, they interrupt it."""
+        before, self.current = self.current, self._driven()
+        if self._parameters.target_capacity and not self._shorted:
+            self._voltage += self.current * dt / self._parameters.target_capacity
+        if math.isinf(self._resistance):
+            self.broken_current = max(self.broken_current, abs(before))
+
+    def _driven(self) -> float:
+        parameters = self._parameters
+        if self._shorted:
+            return parameters.battery_voltage / parameters.battery_resistance
+        if math.isinf(self._resistance) or not parameters.target_accepts:
+            return 0.0
+        loop = parameters.battery_resistance + self._resistance + parameters.target_resistance
+        return (parameters.battery_voltage - self._voltage) / loop
+
+    def measured(self) -> tuple[float, float, float, bool, int]:
+        """Return battery and target voltage (V), current (A), contactor closed, and fault, as a board tells them.
+
+        NaN where nothing measures.
+        """
+        if self.wired:
+            return math.nan, math.nan, math.nan, False, 0
+        battery, target = self.voltages()
+        return battery, target, self.current, self.closed, self.fault
+
     def voltages(self) -> tuple[float, float]:
         """Return battery and target voltage (V); NaN for a target that is not connected."""
         parameters = self._parameters
@@ -119,7 +151,9 @@ class Circuit:
         return parameters.battery_voltage, self._voltage + self.current * parameters.target_resistance
 
     def probe(self) -> tuple[float, float]:
-        """Return resistance (Ω; inf = open) and target voltage (V) at low voltage."""
+        """Return resistance (Ω; inf = open) and target voltage (V) at low voltage; NaN where there is no probe."""
+        if self.wired:
+            return math.nan, math.nan
         if math.isinf(self._resistance):
             return math.inf, math.nan
         if self._shorted:

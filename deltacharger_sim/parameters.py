@@ -111,7 +111,9 @@ class TargetParameters(Bounded):
 class CircuitParameters(Bounded):
     """Charger's battery and power stage, target's battery."""
 
+    wired: bool = flag(False, "whether the electrodes hang on the battery, without power stage (power: none)")
     battery_voltage: float = number(26.0, BATTERY_MIN, BATTERY_MAX, "V", "charger's battery (paper: 22.7–29.8 V)")
+    battery_resistance: float = number(0.13, 0.001, 10.0, "Ω", "of that battery and its wires; counts where wired")
     current_limit: float = number(10.0, 0.5, 18.0, "A", "constant-current limit of the stage (electrodes: 18 A)")
     voltage_limit: float = number(29.0, 10.0, 60.0, "V", "constant-voltage limit of the stage")
     ramp_up: float = number(40.0, 1.0, 1000.0, "A/s", "rise of the current after closing")

@@ -18,10 +18,11 @@ class Record:
     Attributes:
         energised_shorts: times that live electrodes were shorted.
         energised_unsafe: s that the electrodes were live with negative clearance.
-        energised: s that the electrodes were live: the contactor was closed, whether or not current flowed.
+        energised: s that the electrodes were live: the contactor was closed, or without one they lay on the target,
+            whether or not current flowed.
         parted_live: times that live electrodes left the target.
         unpowered_live: times that a servo lost its torque while the electrodes were live.
-        broken_current: largest current that the contactor had to interrupt, A.
+        broken_current: largest current that the contactor, or without one the electrodes, had to interrupt, A.
         contacts: dockings, bounces not counted.
         peak_force: largest normal force, that of impacts within a step included, N.
         peak_push: largest force on the target along z without that of the magnets, N: of the servos and of impacts.

@@ -56,11 +56,12 @@ class SharedWorld:
             return self._advance().taxels()
 
     def read_power(self) -> tuple[float, float, float, bool, int]:
-        """Return battery and target voltage (V), charge current (A), contactor closed, fault found by the stage."""
+        """Return battery and target voltage (V), charge current (A), contactor closed, fault found by the stage.
+
+        NaN where nothing measures.
+        """
         with self._lock:
-            circuit = self._advance().circuit
-            battery, target = circuit.voltages()
-            return battery, target, circuit.current, circuit.closed, circuit.fault
+            return self._advance().circuit.measured()
 
     def close_contactor(self) -> None:
         """Let the stage pre-charge, close and ramp up."""

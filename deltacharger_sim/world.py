@@ -85,6 +85,7 @@ class World:
         self._overlap: Overlap | None = None
         self._overlap_pose: Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
+        self._lay_wired = False  # electrodes without a contactor lay on the target
         self._temperature = [parameters.servo.ambient_temperature] * 3
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
@@ -272,11 +273,13 @@ class World:
         if self._docked and force - self.mechanics.magnet_force > record.peak_push:
             record.peak_push = force - self.mechanics.magnet_force
         record.broken_current = circuit.broken_current
-        live = circuit.closed
-        if not live:
+        lies = self._overlap
+        if circuit.wired:
+            record.parted_live += self._lay_wired and lies is None
+            self._lay_wired = lies is not None
+        if not (circuit.closed or self._lay_wired):
             self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
             return
-        lies = self._overlap
         record.energised += dt
         if lies is not None and lies.clearance < 0.0:
             record.energised_unsafe += dt

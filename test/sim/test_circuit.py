@@ -311,3 +311,33 @@ def test_heat_is_that_of_the_bar_with_the_larger_resistance() -> None:
     circuit.step(0.005, BRIDGED, PRESSED)
     assert circuit.current > 100.0
     assert circuit.heat == 0.0
+
+
+def wired(**changes: Any) -> Circuit:
+    return make(wired=True, **changes)
+
+
+@pytest.mark.parametrize(("target", "drives"), [(24.0, 2.0), (26.0, 0.0), (29.0, -3.0), (-24.0, 50.0)])
+def test_electrodes_on_the_battery_carry_what_two_batteries_drive_either_way(target: float, drives: float) -> None:
+    circuit = wired(target_voltage=target, target_resistance=0.15, battery_resistance=0.13, contact_resistance=0.0)
+    run(circuit, 0.02)
+    assert circuit.current == pytest.approx(drives / 0.28)
+    run(circuit, 0.02, None)
+    assert circuit.current == 0.0
+    assert circuit.broken_current == pytest.approx(abs(drives) / 0.28)
+
+
+def test_nothing_measures_detects_or_opens_electrodes_on_the_battery() -> None:
+    circuit = wired(battery_voltage=26.0, battery_resistance=0.13)
+    circuit.close()
+    run(circuit, 1.0, BRIDGED)
+    circuit.open(ramp=False)
+    run(circuit, 0.1, BRIDGED)
+    assert circuit.current == pytest.approx(200.0), "a short lasts as long as the electrodes touch"
+    battery, target, current, closed, fault = circuit.measured()
+    assert all(map(math.isnan, (battery, target, current, *circuit.probe())))
+    assert (closed, fault) == (False, 0)
+
+
+def test_what_has_a_power_stage_is_measured() -> None:
+    assert charging().measured()[3:] == (True, 0)
