@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import published
+from deltacharger_docking import published, wired
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import (
     CriticalAngle,
     DetectionStale,
@@ -27,7 +28,7 @@ from deltacharger_docking.ease import ease
 from deltacharger_docking.energy import de_energise
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
-from deltacharger_docking.press import approach, contact, first_push, press_again
+from deltacharger_docking.press import Look, approach, contact, first_push, press_again
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.touch import Target, measure
 
@@ -57,26 +58,34 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
     if parameters.approach == "paper":
         yield from first_push(context, electrodes.position)  # 3
     target.depth = electrodes.position[2] + parameters.search_depth
-    yield from contact(context, target.depth)  # 4
-    yield from align(context, target)  # 5 and 6
+    if parameters.always_live:
+        yield from wired.stay_away(context)
+    felt = yield from contact(context, target.depth, _look(context, target))  # 4
+    yield from align(context, target, felt=felt)  # 5 and 6
 
 
-def align(context: Context, target: Target, stay: bool = False) -> Script[None]:
+def _look(context: Context, target: Target) -> Look | None:
+    """Return how to look before electrodes that are live already are pressed home; None where they are not."""
+    return (lambda: wired.look(context, target)) if context.parameters.always_live else None
+
+
+def align(context: Context, target: Target, stay: bool = False, felt: FeltPose | None = None) -> Script[None]:
     """Measure, move and press again until the electrodes may rest where they are and current may flow.
 
     Args:
         context: of the docking.
         target: on which the electrodes rest.
         stay: they have been aligned before and may rest where they are, if they have clearance there.
+        felt: what kept them from being pressed home; None = they are.
     """
     target.begin()
     while True:
-        felt = yield from measure(context)  # 5
+        felt = felt or (yield from measure(context))  # 5
         if target.allows_rest(felt, stay) and (yield from stands_at_ease(context, target)):
             break
         stay = False
         x, y = target.correction()  # 6, at most 15 times
-        yield from press_again(context, target.depth, x, y)
+        felt = yield from press_again(context, target.depth, x, y, _look(context, target))
     context.status.docked = True
 
 

@@ -107,7 +107,7 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
         DockingError: what ended charging; the caller opens and retracts.
     """
     watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
-    checks = _clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
+    checks = clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
     while True:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
@@ -138,7 +138,7 @@ def _touch_checks(context: Context) -> Script[None]:
             raise NoTactileContact("the pads feel nothing any more while charging")
 
 
-def _clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:
+def clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:
     """Feel the misalignment every few seconds; end charging when clearance is gone or unknown too often in a row."""
     parameters = context.parameters
     unsafe = blind = 0

@@ -33,17 +33,21 @@ from deltacharger_docking.observation import Reply, Service
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
 
 
-def wait_for_single_sources(context: Context) -> Script[None]:
+def wait_for_single_sources(context: Context, state: State = State.MEASURE) -> Script[None]:
     """Wait until nobody publishes or serves any more beside another what docking works with.
+
+    Args:
+        context: of the docking.
+        state: in which it waits; its checks stay on meanwhile.
 
     Raises:
         DuplicateSource: somebody still does after duplicate_source_timeout.
     """
     limit = context.parameters.duplicate_source_timeout
-    context.enter(State.MEASURE, math.inf)  # its checks stay on while waiting
+    context.enter(state, math.inf)
     begun = context.time
     if names := context.observation.duplicate_sources:
-        context.decide("wait", f"no contactor closes beside a second source: {names}", limit_s=limit)
+        context.decide("wait", f"nothing is energised beside a second source: {names}", limit_s=limit)
     with context.waiting_for("a second source to go"):
         while names := context.observation.duplicate_sources:
             if context.time - begun > limit:
@@ -53,7 +57,7 @@ def wait_for_single_sources(context: Context) -> Script[None]:
 
 def _duplicate(names: str) -> DuplicateSource:
     return DuplicateSource(
-        f"the contactor stays open, because there is a second source: {names}; stop the second node, or give it its "
+        f"nothing may be energised, because there is a second source: {names}; stop the second node, or give it its "
         "own namespace or ROS_DOMAIN_ID"
     )
 
@@ -190,14 +194,29 @@ class Watch:
         """
         observation = self._context.observation
         self._was_closed |= observation.contactor_closed
-        if self._context.slept > self._context.parameters.slept_max:
-            return PowerStale(
-                f"docking itself stood still for {self._context.slept:.1f} s while the electrodes were live"
-            )
+        if (slept := self._slept()) is not None:
+            return slept
         if observation.power_fault:
             kind, words = POWER_FAULTS.get(observation.power_fault, (PowerStale, f"fault {observation.power_fault}"))
             return kind(f"the power stage opened the contactor: {words}")
         return self._servo_problem() or self._power_problem() or self._contact_problem()
+
+    def problem_unmeasured(self) -> DockingError | None:
+        """Return what went wrong as `problem` does, where nothing measures what flows: by arm and pads alone."""
+        observation, parameters = self._context.observation, self._context.parameters
+        if (slept := self._slept()) is not None:
+            return slept
+        if observation.tactile_age > parameters.tactile_age_max:
+            return TactileStale(
+                "tactile frames stopped beside live electrodes; check the board's cable and tactile_node"
+            )
+        return self._servo_problem() or self._contact_problem()
+
+    def _slept(self) -> DockingError | None:
+        slept = self._context.slept
+        if not slept > self._context.parameters.slept_max:
+            return None
+        return PowerStale(f"docking itself stood still for {slept:.1f} s while the electrodes were live")
 
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation

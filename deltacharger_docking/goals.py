@@ -28,8 +28,25 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
     if goal.critical_angle > limit:
         raise Rejected(f"critical_angle may only be lowered; the limit is {limit:.4f} rad, not {goal.critical_angle}")
     check_stops(goal.stop_energy, goal.stop_after)
+    if parameters.always_live:
+        _check_live(goal)
     if goal.electrodes is not None:
         check_place(goal.electrodes, planner, parameters)
+
+
+def _check_live(goal: DockGoal) -> None:
+    """Refuse what electrodes that hang on the battery cannot do.
+
+    Raises:
+        Rejected: the goal wants contact without current, or energy counted.
+    """
+    if not goal.start_charging:
+        raise Rejected(
+            "power: none: the electrodes hang on the battery, so there is no contact without current: send the goal "
+            "with start_charging true, or undock to end the current"
+        )
+    if goal.stop_energy:
+        raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
 
 
 def unproven_hardware(seen: Observation, parameters: DockingParameters) -> Rejected | None:
@@ -123,7 +140,7 @@ class GoalDesk:
         self.is_open, self.wants_back, self.outcome = True, False, None
         self.started = context.time
         self.renew()
-        context.energy = 0.0
+        context.energy = math.nan if context.parameters.always_live else 0.0
         context.deadline = math.inf
         context.status.request_id = request_id
         context.status.code, context.status.message = Code.NONE, ""
@@ -132,9 +149,9 @@ class GoalDesk:
         """Give the whole of `goal_timeout` from now on."""
         self.deadline = self._context.time + self._context.parameters.goal_timeout
 
-    def succeed(self, message: str) -> None:
-        """End the goal with success, if there is one."""
-        self._end(self._outcome(True, Code.NONE, message, False))
+    def succeed(self, message: str, notice: str = "") -> None:
+        """End the goal with success, if there is one; `notice` is what its client must know besides."""
+        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notice))
 
     def fail(self, error: DockingError) -> None:
         """End the goal with the code of `error` and the message of the status, if there is one."""
@@ -143,6 +160,7 @@ class GoalDesk:
 
     def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> DockingOutcome:
         context = self._context
+        measured = math.nan if context.parameters.always_live else context.observation.charge_current
         return DockingOutcome(
             success=success,
             code=code,
@@ -154,7 +172,7 @@ class GoalDesk:
             estimate=context.status.estimate,
             contact_current=context.contact.value,
             contact_force=context.contact.force,
-            charge_current=context.observation.charge_current,
+            charge_current=measured,
             energy=context.energy,
             elapsed=context.time - self.started,
         )

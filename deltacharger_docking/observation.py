@@ -206,13 +206,14 @@ class DockGoal:
 
 @dataclass(frozen=True)
 class GoalOutcome:
-    """How a goal ended, after `elapsed` s."""
+    """How a goal ended, after `elapsed` s; `notice` is what its client must know of a success."""
 
     success: bool = False
     code: Code = Code.INTERNAL
     message: str = ""
     retriable: bool = False
     elapsed: float = 0.0
+    notice: str = ""
 
     @property
     def canceled(self) -> bool:

@@ -30,6 +30,7 @@ from deltacharger_kinematics.geometry import Vector
 
 APPROACHES = ("guarded", "paper", "published")
 SIGNALS = ("contact", "max", "sum")
+POWERS = ("board", "none")
 _ORDERED = (
     ("battery_voltage_min", "battery_voltage_max"),
     ("target_voltage_min", "target_voltage_max"),
@@ -51,6 +52,9 @@ class DockingParameters(Bounded):
 
     approach: str = choice(
         "guarded", APPROACHES, "guarded; paper: the paper's constant steps; published: its whole algorithm as printed"
+    )
+    power: str = choice(
+        "board", POWERS, "board: contactor, limiter and probe; none: the electrodes hang on the battery, always live"
     )
     published_clearance_rule: bool = flag(False, "whether published, too, needs clearance before current may flow")
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
@@ -246,6 +250,11 @@ class DockingParameters(Bounded):
         if not self.current_min + 2 * self.band_margin < self.current_max:
             problem = "current_min + 2 · band_margin must lie below current_max"
             raise ParameterError("current_min", self.current_min, problem)
+        if self.always_live and self.approach != "guarded":
+            problem = (
+                "with power none every touch is live, so only approach guarded may dock: it looks before it presses"
+            )
+            raise ParameterError("approach", self.approach, problem)
         for lower, upper in _ORDERED:
             if getattr(self, lower) > getattr(self, upper):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
@@ -254,6 +263,11 @@ class DockingParameters(Bounded):
     def classes_of(self) -> str:
         """The packaged model whose classes an estimate shall tell besides; '' = none."""
         return "cnn" if self.approach == "published" else ""
+
+    @property
+    def always_live(self) -> bool:
+        """Whether the electrodes are live whenever they touch, and nothing tells what flows."""
+        return self.power == "none"
 
     @property
     def keeps_clearance(self) -> bool:

@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.release import take_off
 from deltacharger_kinematics.geometry import Vector
+
+Look = Callable[[], Script[FeltPose | None]]
+"""Looks where the electrodes have just met the target; returns what was felt where that forbids to press home."""
 
 
 def approach(context: Context, target: Vector) -> Script[None]:
@@ -28,12 +33,16 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.contact.tare()
 
 
-def contact(context: Context, depth: float) -> Script[None]:
+def contact(context: Context, depth: float, look: Look | None = None) -> Script[FeltPose | None]:
     """Press until the contact current rests in its band, by the configured approach.
 
     Args:
         context: shared state; the platform stands before the target.
         depth: largest z (m, charger_base) at which contact is still looked for.
+        look: how to look before pressing home (guarded only); None = it is not looked.
+
+    Returns:
+        What was felt where it was not pressed home, else None.
 
     Raises:
         NoContact: nothing was met up to `depth`.
@@ -42,7 +51,9 @@ def contact(context: Context, depth: float) -> Script[None]:
     """
     context.enter(State.CONTACT, context.parameters.contact_timeout)
     if context.parameters.approach == "guarded":
-        yield from _meet(context, depth)
+        felt = yield from _meet(context, depth, look)
+        if felt is not None:
+            return felt
         yield from _guarded(context, depth)
         context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
     else:
@@ -62,10 +73,13 @@ def contact(context: Context, depth: float) -> Script[None]:
         contact_force_N=context.contact.force,
         z_m=context.position[2],
     )
+    return None
 
 
-def press_again(context: Context, depth: float, x: float, y: float) -> Script[None]:
-    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base).
+def press_again(
+    context: Context, depth: float, x: float, y: float, look: Look | None = None
+) -> Script[FeltPose | None]:
+    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base); return as `contact`.
 
     The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
     short of its command, are corrected as well.
@@ -81,7 +95,7 @@ def press_again(context: Context, depth: float, x: float, y: float) -> Script[No
     yield from take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
     yield from context.move(place, parameters.travel_speed, settle=False)
-    yield from contact(context, depth)
+    return (yield from contact(context, depth, look))
 
 
 def first_push(context: Context, target: Vector) -> Script[None]:
@@ -138,24 +152,23 @@ def _paper(context: Context, depth: float) -> Script[None]:
         yield from step_to(context, context.commanded[2] + context.parameters.paper_step)
 
 
-def _meet(context: Context, depth: float) -> Script[None]:
+def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose | None]:
     """Press on the target, near the band: straight to where it is known to be, else searching for it.
 
-    The way there is fast where nothing can be struck; a known place that turns out wrong is searched from there on.
+    The way there is fast where nothing can be struck; a known place that turns out wrong is searched from there on. Who
+    looks searches each time: what presses straight on has no time to look.
     """
     parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
     while context.observation.servo_age > parameters.press_age_max:
         yield NEXT
     context.contact.clear()
     try:
-        if known is None:
-            yield from _search(context, depth)
-            return
+        if known is None or look is not None:
+            return (yield from _search(context, depth, look))
         before = max(known.measured - parameters.near, z)
         met = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _feels(context))
         if met and context.position[2] < before:
-            yield from _press_on(context)
-            return
+            return (yield from _press_on(context))
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
@@ -169,10 +182,11 @@ def _meet(context: Context, depth: float) -> Script[None]:
         elif not _feels(context):
             yield from _search(context, depth)
     except Unreachable:
-        return  # the steps that follow tell whether the arm's limit comes before the target
+        pass  # the steps that follow tell whether the arm's limit comes before the target
+    return None
 
 
-def _search(context: Context, depth: float) -> Script[None]:
+def _search(context: Context, depth: float, look: Look | None = None) -> Script[FeltPose | None]:
     """Move along z to where the target may begin, then slowly up to `depth` (m), until it is felt; press on there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     free = depth - parameters.search_depth - parameters.search_from
@@ -180,24 +194,27 @@ def _search(context: Context, depth: float) -> Script[None]:
         if z < end and (
             yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _feels(context))
         ):
-            yield from _press_on(context)
-            return
+            return (yield from _press_on(context, look))
+    return None
 
 
 def _feels(context: Context) -> bool:
     return context.observation.tactile_contact or context.contact.value > context.parameters.felt_current
 
 
-def _press_on(context: Context) -> Script[None]:
+def _press_on(context: Context, look: Look | None = None) -> Script[FeltPose | None]:
     """Press on at once from where the platform comes to lie, to a share of the band that a rigid target bears."""
     parameters, end = context.parameters, context.time + context.parameters.settle_touching
     highest = -math.inf
     while context.time < end and context.position[2] > highest:
         highest = context.position[2]
         yield NEXT
+    if look is not None and (felt := (yield from look())) is not None:
+        return felt
     x, y, z = context.commanded
     pressing = context.position[2] + parameters.step_share * parameters.current_target / slope_expected(context)
     yield from context.move((x, y, max(z, pressing)), parameters.press_speed)
+    return None
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import published
+from deltacharger_docking import published, wired
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.charging import Order, charge
 from deltacharger_docking.clearance import FeltPose, judge
@@ -44,10 +44,14 @@ class TargetVisit:
         order.goal, order.since = goal, context.time
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
-            known = context.status.estimate if context.status.charging else None
+            live = context.status.charging or context.parameters.always_live
+            known = context.status.estimate if live else None
             if known and self._is_too_tilted(known, goal.critical_angle):
                 return CriticalAngle("the goal's critical_angle is below what was measured on this target")
-        if context.status.charging and goal.start_charging:
+        if context.parameters.always_live:
+            if not goal.hold:
+                desk.succeed(wired.DOCKED, wired.DOCKED)
+        elif context.status.charging and goal.start_charging:
             if not goal.hold:
                 desk.succeed("already docked and charging")
         else:
@@ -66,6 +70,9 @@ class TargetVisit:
         order, desk = self._order, self._desk
         self.supervising = False
         yield from self._dock()
+        if self._context.parameters.always_live:
+            yield from self._stay_live()
+            return
         while True:
             self._is_new = False
             if order.goal.start_charging:
@@ -108,9 +115,7 @@ class TargetVisit:
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""
         context, desk = self._context, self._desk
-        while context.doubtful:
-            yield from wait_for_single_sources(context)
-            yield from self._feel_again()  # without the second source
+        yield from self._feel_without_second_sources()
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
@@ -122,6 +127,24 @@ class TargetVisit:
         yield from de_energise(context)
         if not self._is_new:
             desk.succeed(reason)
+
+    def _feel_without_second_sources(self) -> Script[None]:
+        while self._context.doubtful:
+            yield from wait_for_single_sources(self._context)
+            yield from self._feel_again()
+
+    def _stay_live(self) -> Script[None]:
+        """Stay docked without knowing what flows, and part on a stop condition."""
+        context, order, desk = self._context, self._order, self._desk
+        yield from self._feel_without_second_sources()
+        context.enter(State.IDLE, math.inf)
+        if not order.goal.hold:
+            desk.succeed(wired.DOCKED, wired.DOCKED)
+        self.supervising, order.since = True, context.time
+        reason = yield from wired.watch(context, order, self._target)
+        self.supervising = False
+        yield from wired.part(context)
+        desk.succeed(reason, f"{reason}; {wired.PARTED}")
 
     def _stay(self) -> Script[bool]:
         """Stay docked without current; return True for a further goal, False where the arm has been let go."""

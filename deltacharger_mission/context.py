@@ -73,7 +73,7 @@ class MissionContext:
         self.observation = observation
         self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
-        self.deadline = math.inf
+        self.deadline, self.limit = math.inf, ""  # the latter is the name of its parameter
         self._calls.forget()
 
     def observe(self, observation: MissionObservation) -> None:
@@ -90,7 +90,7 @@ class MissionContext:
     def enter(self, stage: Stage, limit: float) -> None:
         """Begin a stage that may last `limit` seconds."""
         self.status.stage = stage
-        self.deadline = self.time + limit
+        self.deadline, self.limit = self.time + limit, f"{stage.name.lower()}_timeout"
 
     def drop(self) -> None:
         """Call off all that is under way."""
@@ -160,14 +160,18 @@ class MissionContext:
         return reply
 
     def dock(self, goal: MissionGoal) -> Script[TaskReply]:
-        """Dock and charge until docking ends its goal; the stage turns to CHARGE when it says that current flows."""
+        """Dock and charge until docking ends its goal; the stage turns to CHARGE when it says that current flows.
+
+        Where it rests on the target without saying so (power: none), the stage remains and has the time of CHARGE.
+        """
         self.enter(Stage.DOCK, self.parameters.dock_timeout)
         number = self.send(Task.DOCK, goal=goal)
         self.touched = True
         while (reply := self._calls.take(number)) is None:
             docking = self.observation.docking
-            if self.status.stage is Stage.DOCK and docking is not None and docking.charging:
-                self.enter(Stage.CHARGE, self.parameters.charge_timeout)
+            if self.limit == "dock_timeout" and docking is not None and (docking.charging or docking.rests):
+                self.enter(Stage.CHARGE if docking.charging else Stage.DOCK, self.parameters.charge_timeout)
+                self.limit = "charge_timeout"
             yield NEXT
         return reply
 

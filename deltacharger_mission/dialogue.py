@@ -80,6 +80,7 @@ class TaskReply:
         place: where the navigator last said the base was, None = it did not say.
         electrodes: as the camera saw them.
         suggested: where charger_base should stand, None = nowhere else. A yaw of 0 tells no turn: it may be unknown.
+        unmeasured: docking does not know what it has charged (power: none).
     """
 
     number: int
@@ -90,6 +91,7 @@ class TaskReply:
     place: Place | None = None
     electrodes: ElectrodePose | None = None
     suggested: BasePose | None = None
+    unmeasured: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,11 @@ class DockingReport:
     def free(self) -> bool:
         """Whether nothing ties the robot to a target, so that its base may move."""
         return self.state is State.IDLE and not self.docked and not self.charging
+
+    @property
+    def rests(self) -> bool:
+        """Whether the electrodes rest on the target and docking does not say that it charges."""
+        return self.state is State.IDLE and self.docked and not self.charging
 
 
 @dataclass(frozen=True)

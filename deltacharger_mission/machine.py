@@ -50,6 +50,7 @@ class MissionMachine:
         self._runner = Runner()
         self._cancel = self._interruptible = self._returns = False
         self._started = 0.0
+        self._notice = ""  # what the client must know of a success
         self.outcome: MissionOutcome | None = None
 
     @property
@@ -88,6 +89,7 @@ class MissionMachine:
         self._context.begin(goal.request_id, observation)
         self._started = observation.time
         self._cancel = False
+        self._notice = ""
         self.outcome = None
         self._runner.start(self._mission(goal))
 
@@ -125,7 +127,7 @@ class MissionMachine:
         if self._interruptible and time > self._started + self.parameters.mission_timeout:
             return PhaseTimeout("the mission took longer than mission_timeout")
         if time > self._context.deadline:
-            return PhaseTimeout(f"{stage.name} took longer than {stage.name.lower()}_timeout")
+            return PhaseTimeout(f"{stage.name} took longer than {self._context.limit}")
         return None
 
     def _mission(self, goal: MissionGoal) -> Script[None]:
@@ -160,7 +162,9 @@ class MissionMachine:
         # A target that has been charged needs no second mission, whatever became of the charger.
         retriable = first is not None and first.retriable and not charged
         status = self.status
-        self.outcome = MissionOutcome(first is None, status.code, message, retriable, status.elapsed, returned)
+        self.outcome = MissionOutcome(
+            first is None, status.code, message, retriable, status.elapsed, notice=self._notice, returned=returned
+        )
 
     def _note(self, error: DockingError | None) -> None:
         self.status.code, self.status.message = (Code.NONE, "") if error is None else (error.code, str(error))
@@ -181,6 +185,9 @@ class MissionMachine:
             better = self._better(electrodes, parameters.stand_tolerance, parameters.stand_turn_tolerance)
             if better is None:
                 reply = yield from context.dock(goal)
+                if reply.end is End.DONE and reply.unmeasured:
+                    self._notice = reply.message or "docked; what was charged is not measured"
+                    return self._notice
                 if reply.end is End.DONE:
                     return f"charged: {reply.message}" if reply.message else "charged"
                 if reply.code not in _MENDED_BY_A_STAND or reply.suggested is None:

@@ -54,7 +54,7 @@ def to_result(kind: Any, outcome: Any, **details: Any) -> Any:
     return kind.Result(
         success=outcome.success,
         error_code=int(outcome.code),
-        error_message="" if outcome.success else outcome.message,
+        error_message=outcome.notice if outcome.success else outcome.message,
         retriable=outcome.retriable,
         elapsed=duration(outcome.elapsed),
         **details,

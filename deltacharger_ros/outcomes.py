@@ -88,7 +88,7 @@ class Outcome:
         action: "dock" or "undock".
         success: whether it did what was asked.
         error_code: 0 or a code of Dock.Result; error_name: its name.
-        error_message: what failed and what to do.
+        error_message: what failed and what to do; of a success what it does not promise, '' = nothing.
         retriable: the same goal may succeed if sent again.
         elapsed: s that the charger worked on it.
         details: the result's other fields by name, SI units, NaN = not measured.
@@ -113,7 +113,8 @@ class Outcome:
     def ending(self, failed: str = "failed") -> str:
         """Return in words how it ended; `failed` is the word for an end without success."""
         if self.success:
-            return f"done in {self.elapsed:.1f} s"
+            notice = f"; {self.error_message}" if self.error_message else ""
+            return f"done in {self.elapsed:.1f} s{notice}"
         retry = "; the same goal may succeed if sent again" if self.retriable else ""
         return f"{failed}, {self.error_code} {self.error_name}: {self.error_message}{retry}"
 
@@ -126,7 +127,7 @@ class Outcome:
         x, y = (figure(1e3 * felt[axis], "", 1) for axis in ("horizontal", "vertical"))
         angle = figure(math.degrees(felt["angle"]), "", 1)
         return (
-            f"charge {figure(told['charge_current'], 'A', 2)}, {told['energy']:.0f} J; "
+            f"charge {figure(told['charge_current'], 'A', 2)}, {figure(told['energy'], 'J', 0)}; "
             f"contact {figure(told['contact_current'], 'A', 3)}, {figure(told['contact_force'], 'N', 1)}; "
             f"{told['alignments']} alignments, {told['redockings']} redockings, rest ({x}, {y}) mm and {angle}°"
         )

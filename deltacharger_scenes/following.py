@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated scene's nodes take arm and gravity for: what its world has, unless the scene says otherwise."""
+"""What a simulated scene's nodes take arm, gravity and power for: what its world has, unless the scene differs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
     "kinematics_node": {"gravity": _GRAVITY, "torque_constant": _CONSTANT},
     "docking_node": {
         "servo_stiffness": ("servo.stiffness",),
+        "power": ("circuit.wired",),
         "torque_constant": _CONSTANT,
         **{axis: (axis,) for axis in _GRAVITY},
     },
 }
 """Of each node, its parameters with the keys of the world that they follow."""
+_TOLD_AS = {"circuit.wired": {False: "board", True: "none"}}
+"""Of a key, what the parameter that follows it is called for each of its values."""
 
 
 def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -82,5 +85,9 @@ def servos_apart(nodes: Collection[str], parameters: Mapping[str, Mapping[str, A
 
 
 def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:
-    values = [operator.attrgetter(key)(world) for key in keys]
+    values = [_told_as(key, operator.attrgetter(key)(world)) for key in keys]
     return values if len(values) > 1 else values[0]
+
+
+def _told_as(key: str, value: Any) -> Any:
+    return _TOLD_AS.get(key, {}).get(value, value)

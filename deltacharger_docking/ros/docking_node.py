@@ -114,7 +114,8 @@ class DockingNode(Node):
     def release(self) -> None:
         """Begin to work, with the goals that wait."""
         self._closed = False
-        self._log.info(f"takes goals, approach {self._settings.approach}, version {package_version()}")
+        power = ", power none: electrodes are live whenever they touch" if self._settings.always_live else ""
+        self._log.info(f"takes goals, approach {self._settings.approach}{power}, version {package_version()}")
         self._thread.start()
         self._goals.release()
 
@@ -138,13 +139,15 @@ class DockingNode(Node):
         while self._observe().contactor_closed and time.monotonic() < end:
             self._calls.contactor(False, True)
             time.sleep(0.02)
+        if self._settings.always_live and self._machine.status.docked:
+            self._log.error("the electrodes stay on the target, live and unwatched: undock before docking_node ends")
         if self._is_live(self._observe()):
             self._log.error("the contactor does not open; the torque stays on so that no arc is drawn")
         else:
             self._see_torque_off()
         self._reports.show(self._machine.status, force=True)
         self._reports.log(self._machine.status, (), self._observe())
-        self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True))
+        self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True, energy=math.nan))
 
     def _see_torque_off(self) -> None:
         """Switch the torque off and wait until it is, also where an order to switch it on is still under way."""
@@ -222,7 +225,8 @@ class DockingNode(Node):
             self._switch_off_when_due(observation)  # here too, where every tick meets the defect
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
             self._calls.forget()
-            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
+            words = f"internal error: {error}; see the log"
+            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=words, energy=math.nan))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed)

@@ -42,6 +42,7 @@ def build_parts(
         "approach": approach,
         "servo_stiffness": factor * world.servo.stiffness,
         "torque_constant": constant * world.servo.torque_constant,
+        "power": "none" if world.circuit.wired else "board",
         **_axes(told_gravity(values, gravity)),
     }
     if world.magnets.force == 0.0:  # whoever has built none knows it

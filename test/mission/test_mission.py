@@ -401,6 +401,34 @@ def test_charging_and_the_whole_mission_have_limits_of_their_own() -> None:
     assert "mission_timeout" in outcome.message
 
 
+def rests(after: float = 100.0) -> Answer:
+    """Return docking without a contactor (power: none): it rests on the target and knows nothing of a current."""
+
+    def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
+        world.attached, world.docking = True, DockingReport(State.IDLE, docked=True)
+        return after, TaskReply(request.number, End.DONE, message="it hangs on the battery", unmeasured=True)
+
+    return answer
+
+
+def test_a_charge_that_nobody_measures_is_not_claimed() -> None:
+    world = World(answers={Task.DOCK: rests()})
+    outcome = world.run()
+    assert (outcome.success, outcome.returned) == (True, True)
+    assert Stage.CHARGE not in world.stages
+    assert "charged" not in outcome.message
+    assert outcome.notice == "it hangs on the battery"
+    assert quick({}).run().notice == "", "what is measured needs no notice"
+
+
+def test_resting_on_the_battery_has_the_time_of_charging() -> None:
+    limits = MissionParameters(dock_timeout=50.0, charge_timeout=500.0, home_x=HOME.x, home_y=HOME.y, home_yaw=HOME.yaw)
+    assert World(parameters=limits, answers={Task.DOCK: rests(400.0)}).run().success
+    outcome = World(parameters=limits, answers={Task.DOCK: rests(600.0)}).run()
+    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
+    assert "DOCK took longer than charge_timeout" in outcome.message
+
+
 @pytest.mark.parametrize("task", list(Task))
 def test_who_is_not_there_is_named_before_anything_moves(task: Task) -> None:
     world = quick()

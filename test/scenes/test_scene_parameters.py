@@ -86,6 +86,7 @@ def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
     scene = parse_scene(content, "mine")
     assert scene.node_parameters("docking_node", {}) == {
         "servo_stiffness": 6.0,
+        "power": "board",
         "torque_constant": 1.2,
         "gravity_x": 0.0,
         "gravity_y": -9.0,
@@ -93,6 +94,11 @@ def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
     }
     assert scene.node_parameters("servo_node", {}) == {"torque_constant": 1.2}
     assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
+
+
+def test_docking_follows_a_world_without_a_contactor() -> None:
+    scene = parse_scene({"simulation": {"world": {"circuit": {"wired": True}}}}, "mine")
+    assert scene.node_parameters("docking_node", {})["power"] == "none"
 
 
 def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file() -> None:
