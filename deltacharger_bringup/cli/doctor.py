@@ -55,6 +55,7 @@ class _Hardware:
     servo_speed: int = BAUD_RATE
     board_speed: int = BAUD_RATE
     ids: tuple[int, ...] = SERVO_IDS
+    wired: bool = False  # the electrodes hang on the battery
     current_max: float = _CURRENT_MAX
     problems: list[Finding] = field(default_factory=list)
 
@@ -119,6 +120,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
         hardware.problems.append(wrong("scene", f"cannot be read: {error}", install(error.name or "")))
         return hardware
     hardware.scene = scene.name
+    hardware.wired = scene.node_parameters("docking_node", {}).get("power") == "none"
     if scene.simulation is not None:
         if given:
             raise CommandError(f"scene '{scene.name}' brings its own ports; leave --servo-port and --board-port out", 2)
@@ -174,7 +176,9 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
         found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=named))
     if board:
         saying = f"looking at the board on {board} ..."
-        found += _examine("board", board, saying, lambda: examine_board(board, hardware.board_speed))
+        found += _examine(
+            "board", board, saying, lambda: examine_board(board, hardware.board_speed, wired=hardware.wired)
+        )
     return found
 
 

@@ -28,13 +28,14 @@ _PINGS = 20
 _CABLE_ADVICE = "look at plugs and cables; close what keeps this computer busy"
 
 
-def examine_board(path: str, baud_rate: int, watched: float = WATCHED) -> Iterator[Finding]:
+def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bool = False) -> Iterator[Finding]:
     """Greet the board of a port, watch its stream, read its power stage, probe once.
 
     Args:
         path: of the port; nobody else may have it open.
         baud_rate: bit/s.
         watched: s of stream.
+        wired: the electrodes hang on the battery (power: none), so that there is no power stage and no probe.
     """
     from deltacharger_driver.board.errors import BoardMismatch
     from deltacharger_driver.board.link import BoardLink
@@ -58,8 +59,11 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED) -> Iterat
     try:
         yield from _firmware(link, hello)
         yield from _stream(link, hello, frames, watched)
-        yield from _power(powers)
-        yield from _probe(link)
+        if wired:
+            yield _wired(powers)
+        else:
+            yield from _power(powers)
+            yield from _probe(link)
     finally:
         link.close()
 
@@ -154,13 +158,23 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
         yield hint(
             "power",
             "the battery's voltage is not measured: with a contactor (power: board) docking energises nothing",
-            "look at the power stage's plug and at the voltage's divider",
+            "look at the power stage's plug and at the voltage's divider; electrodes wired to the battery: power none",
         )
     elif not BATTERY_MIN <= power.battery_voltage <= BATTERY_MAX:
         text = f"battery {power.battery_voltage:.1f} V, outside {BATTERY_MIN} to {BATTERY_MAX} V"
         yield wrong("power", text, "charge it, or look at it and at the voltage's divider; docking energises nothing")
     else:
         yield ok("power", f"battery {power.battery_voltage:.1f} V")
+
+
+def _wired(powers: list[Any]) -> Finding:
+    """Return what to know of electrodes that hang on the battery; a power stage that measures contradicts that."""
+    power = powers[-1].power if powers else None
+    if power is None or not (power.contactor_closed or math.isfinite(power.battery_voltage)):
+        text = "power: none: the electrodes hang on the battery, live whenever they touch; nothing measures or opens"
+        return hint("power", text, "see that a fuse and a switch sit close to the battery")
+    text = f"docking is told power: none, but the board has a power stage: battery {power.battery_voltage:.1f} V"
+    return wrong("power", text, "set docking_node's power to board, so that contactor and probe are used")
 
 
 def _probe(link: BoardLink) -> Iterator[Finding]:

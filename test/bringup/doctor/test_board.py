@@ -94,6 +94,18 @@ def test_the_battery_is_judged_as_docking_judges_it(volts: float, level: str, wo
 
 
 @pytest.mark.parametrize(
+    ("volts", "level", "words"), [(math.nan, "hint", "live"), (26.0, "wrong", "has a power stage")]
+)
+def test_a_board_beside_electrodes_on_the_battery_is_not_probed(volts: float, level: str, words: str) -> None:
+    plant = BenchPlant()
+    plant.battery = volts
+    with PseudoTerminal(BoardEmulator(plant)) as terminal:
+        found = list(examine_board(terminal.path, 1_000_000, 0.5, wired=True))
+    assert words in one(found, level, "power").message
+    assert "probe" not in {finding.part for finding in found}
+
+
+@pytest.mark.parametrize(
     ("fixture", "words"), [("servo_port", "here are the servos"), ("silent_port", "no answer to HELLO")]
 )
 def test_where_the_board_is_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
