@@ -28,7 +28,7 @@ from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.tactile_protocol import DEFAULT_PLACE, record_protocol
 from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
 from deltacharger_core import environment
-from deltacharger_docking.codes import Code, Unreachable
+from deltacharger_docking.codes import Code, Rejected, Unreachable
 from deltacharger_docking.observation import DockingOutcome
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, TILTED, Part
@@ -277,7 +277,7 @@ def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
     if not charger.has_docking_node:
         say("docking_node is not running: docking by its default parameters")
     machine = DockingMachine(*charger.settings())
-    with wrong_input(Unreachable):
+    with wrong_input(Rejected, Unreachable):
         check_places(machine, _commands(part))
     return machine
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.algorithm import locate, prepare
-from deltacharger_docking.codes import DockingError, ServoFailure, State, Unreachable
+from deltacharger_docking.codes import DockingError, Rejected, ServoFailure, State, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
@@ -76,8 +76,14 @@ def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
     """Refuse places (m, charger_base) that the arm cannot reach, or not from before them.
 
     Raises:
+        Rejected: electrodes that hang on the battery: each touch would be live.
         Unreachable: names the first; nothing was moved.
     """
+    if machine.parameters.always_live:
+        raise Rejected(
+            "docking_node has power: none, so every touch of a recording would be live: take the electrodes' leads off "
+            "the battery, and start docking_node with power: board for the recording"
+        )
     for x, y, z in commands:
         wrong = machine.planner.reachable((x, y, _before(machine.parameters, z)), (x, y, z))
         if wrong:

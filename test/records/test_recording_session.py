@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import DOCKING_JITTER
-from deltacharger_docking.codes import Busy, Code, State, Unreachable
+from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Observation, Service
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
 from deltacharger_records.datasets.session import NotKept, Rested, TouchSession, check_places
@@ -232,3 +233,9 @@ def test_the_sets_are_the_papers() -> None:
     sweep = np.array([(pose.horizontal, pose.vertical) for pose in part_of("sweep", repeat=100).poses()])
     assert sweep.min() < -0.008
     assert 0.008 < sweep.max() <= 0.012
+
+
+def test_electrodes_that_hang_on_the_battery_are_not_pressed_on_a_target_to_record() -> None:
+    machine = VirtualCharger(parameters=DockingParameters(power="none")).machine
+    with pytest.raises(Rejected, match="take the electrodes' leads off"):
+        check_places(machine, [(0.0, 0.0, 0.080)])
