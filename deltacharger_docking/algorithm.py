@@ -25,7 +25,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.ease import ease
-from deltacharger_docking.energy import de_energise
+from deltacharger_docking.energy import check_battery, de_energise
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.press import Look, approach, contact, first_push, press_again
@@ -35,25 +35,26 @@ from deltacharger_docking.touch import Target, measure
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
 
 
-def dock(context: Context, target: Target, given: ElectrodePose | None) -> Script[None]:
+def dock(context: Context, target: Target, given: ElectrodePose | None, charges: bool) -> Script[None]:
     """Lay the electrodes on a target, with clearance and the arm at ease.
 
     Args:
         context: of the docking.
         target: what is known of it by touch.
         given: where its electrodes are; None = the camera is asked.
+        charges: whether current is wanted there.
     """
     parameters = context.parameters
     context.known_contact = None
     context.electrodes = electrodes = given or (yield from locate(context))  # 1
     if parameters.approach == "published":
-        yield from prepare(context)
+        yield from _prepare(context, charges)
         yield from published.dock(context, target, electrodes.position)
         return
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
     target.foresee(electrodes)
-    yield from prepare(context)
+    yield from _prepare(context, charges)
     yield from approach(context, electrodes.position)  # 2
     if parameters.approach == "paper":
         yield from first_push(context, electrodes.position)  # 3
@@ -62,6 +63,12 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
         yield from wired.stay_away(context)
     felt = yield from contact(context, target.depth, _look(context, target))  # 4
     yield from align(context, target, felt=felt)  # 5 and 6
+
+
+def _prepare(context: Context, charges: bool) -> Script[None]:
+    yield from prepare(context)
+    if charges and not context.parameters.always_live:
+        check_battery(context)
 
 
 def _look(context: Context, target: Target) -> Look | None:

@@ -62,6 +62,20 @@ def _duplicate(names: str) -> DuplicateSource:
     )
 
 
+def check_battery(context: Context) -> None:
+    """Refuse, before anything touches, a battery that is heard of and unfit; one not heard of is judged at closing.
+
+    Electrodes that were wired to a battery which nobody measures would be live from the first touch on.
+
+    Raises:
+        DockingError: as `energise`.
+    """
+    if context.observation.power_age <= context.parameters.power_age_max:
+        unfit = _battery_problem(context)
+        if unfit is not None:
+            raise unfit
+
+
 def energise(context: Context) -> Script[None]:
     """Probe, close the contactor and wait until charge current has been stable.
 
@@ -290,7 +304,7 @@ def _battery_problem(context: Context) -> DockingError | None:
     if not math.isfinite(voltage):
         return PowerStale(
             "the voltage of the charger's own battery is not measured, so nothing is energised; look at the power "
-            "stage's plug and at the voltage's divider"
+            "stage's plug and at the voltage's divider, or set power to none where the electrodes hang on the battery"
         )
     if low <= voltage <= high:
         return None

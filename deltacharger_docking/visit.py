@@ -91,7 +91,7 @@ class TargetVisit:
         context.status.aligned, context.status.estimate = False, None
         context.status.alignments = context.status.redockings = 0
         self._target = Target(context, self._order.critical_angle)
-        yield from dock(context, self._target, self._goal.electrodes)
+        yield from dock(context, self._target, self._goal.electrodes, self._order.goal.start_charging)
 
     def _stand_again(self) -> Script[None]:
         """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""

@@ -11,8 +11,10 @@ import pytest
 
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
 from deltacharger_core.parameters import ParameterError
-from deltacharger_docking.codes import Code
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL
 
 from .dockings import assert_safe_at_home, quick_charger
 
@@ -34,8 +36,27 @@ def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code:
     assert outcome.code is code
     for word in words:
         assert word in outcome.message
+    assert run.world.record.contacts == 0, "it is known before anything touches"
+    assert_safe_at_home(run)
+
+
+def test_a_battery_that_becomes_unfit_meanwhile_is_not_energised() -> None:
+    run = quick_charger()
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
+    run.distort = lambda observation: replace(observation, battery_voltage=20.0)
+    assert run.finish(60.0).code is Code.VOLTAGE_OUT_OF_RANGE
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize(("charges", "power_age"), [(False, 0.0), (True, math.inf)])
+def test_where_no_current_is_wanted_or_nothing_is_heard_yet_it_docks(charges: bool, power_age: float) -> None:
+    run = quick_charger()
+    run.distort = lambda observation: replace(observation, battery_voltage=math.nan, power_age=power_age)
+    run.dock(DockGoal(GOAL, start_charging=charges))
+    assert run.world.record.contacts > 0
+    assert run.world.record.energised == 0.0
 
 
 @pytest.mark.parametrize("volts", [BATTERY_MIN, BATTERY_MAX])
