@@ -53,6 +53,13 @@ def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
     assert io.read_dock(2, End.FAILED, result, None).suggested is None
 
 
+@pytest.mark.parametrize(("energy", "unmeasured"), [(math.nan, True), (0.0, False), (500.0, False)])
+def test_energy_that_is_not_a_number_is_a_charge_that_nobody_measured(energy: float, unmeasured: bool) -> None:
+    result = Dock.Result(success=True, energy=energy, error_message="it hangs on the battery")
+    reply = io.read_dock(2, End.DONE, result, None)
+    assert (reply.unmeasured, reply.message) == (unmeasured, "it hangs on the battery")
+
+
 def test_a_suggested_stand_is_read_with_its_turn_and_a_turn_that_is_none_is_no_stand() -> None:
     result = Dock.Result(error_code=Dock.Result.LEANING)
     result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
