@@ -21,6 +21,7 @@ void bench_init(struct bench *bench, uint64_t now, uint64_t seed)
     bench->target = 24.0f;
     bench->resistance = 2.0f;
     bench->probe_time = 150000;
+    bench->bus_takes = BENCH_BUS;
 }
 
 uint32_t bench_random(struct bench *bench)
@@ -191,7 +192,8 @@ static size_t write_servos(void *context, const uint8_t *bytes, size_t size)
 {
     struct bench *bench = context;
     const size_t room = BENCH_BUS - bench->to_servos_used;
-    const size_t count = size < room ? size : room;
+    const size_t takes = bench->bus_takes < room ? bench->bus_takes : room;
+    const size_t count = size < takes ? size : takes;
     memcpy(bench->to_servos + bench->to_servos_used, bytes, count);
     bench->to_servos_used += count;
     return count;
@@ -199,8 +201,12 @@ static size_t write_servos(void *context, const uint8_t *bytes, size_t size)
 
 static bool set_servo_speed(void *context, uint32_t speed)
 {
-    ((struct bench *)context)->servo_speed = speed;
-    return speed >= 9600u && speed <= 4500000u;
+    struct bench *bench = context;
+    if (speed < 9600u || speed > 4500000u)
+        return false;
+    bench->servo_speed = speed;
+    bench->from_servos_used = 0;
+    return true;
 }
 
 dc_hardware bench_hardware(struct bench *bench, bool servos)

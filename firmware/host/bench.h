@@ -36,6 +36,7 @@ struct bench {
     uint64_t wire_free;     /* us, until when the wire is busy */
     size_t input_used, input_read, output_used;
     uint32_t servo_speed;   /* bit/s of the servos' bus */
+    uint32_t bus_takes;     /* bytes that the bus takes at once */
     size_t from_servos_used, to_servos_used;
     uint8_t from_servos[BENCH_BUS], to_servos[BENCH_BUS];
     uint8_t input[BENCH_INPUT];

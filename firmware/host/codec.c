@@ -8,7 +8,7 @@
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
  *   s  u8 format, 200 f32                               samples             -> payload
  *   p  3 f32, u8 closed, u8 fault                       POWER               -> payload
- *   h  u32 boot id, f32 rate, u8 minor                            HELLO               -> payload
+ *   h  u32 boot id, f32 rate, u8 minor                  HELLO               -> payload
  *   a  u8 type, u8 error, u16 sequence                  ACK                 -> payload
  *   u  COBS without delimiters                          unstuff             -> u8 good, bytes
  */

@@ -16,11 +16,11 @@ void console_boot(struct console *console)
     dc_board_boot(&console->board, &console->hardware, &console->config, boot_id);
 }
 
-void console_init(struct console *console, uint64_t now, uint64_t seed, bool stepped)
+void console_init(struct console *console, uint64_t now, uint64_t seed, bool stepped, bool servos)
 {
     const dc_config config = DC_DEFAULT_CONFIG;
     bench_init(&console->bench, now, seed);
-    console->hardware = bench_hardware(&console->bench, false);
+    console->hardware = bench_hardware(&console->bench, servos);
     console->config = config;
     console->stepped = stepped;
     console_boot(console);
@@ -32,7 +32,8 @@ static void settle(struct console *console)
     const uint64_t instant = console->bench.now;
     for (int polls = 0; polls < MOST_POLLS; polls++) {
         dc_board_poll(&console->board);
-        if (dc_board_idle_us(&console->board) > 0 || console->bench.now != instant)
+        const bool idle = console->bench.from_servos_used == 0 && dc_board_idle_us(&console->board) > 0;
+        if (idle || console->bench.now != instant)
             return;
     }
     fprintf(stderr, "the board always has something to do\n");
@@ -167,6 +168,7 @@ static bool set_number(struct console *console, const char *name, double value)
     const struct { const char *name; uint32_t *number; } WHOLE[] = {
         {"probe_time", &bench->probe_time}, {"scan_time", &bench->scan_time}, {"baud", &bench->baud},
         {"release_time", &bench->release_time}, {"poll_period", &console->config.poll_period},
+        {"bus_takes", &bench->bus_takes},
     };
     const struct { const char *name; bool *set; } SWITCHES[] = {
         {"welded", &bench->welded}, {"stuck", &bench->stuck}, {"drop", &bench->dropped},
@@ -286,7 +288,7 @@ void console_command(struct console *console, char *line, FILE *answer)
         if (good)
             tell_sent(console, answer);
     } else if (console->stepped && strcmp(line, "bus") == 0) {
-        good = tell_bus(&console->bench, text, answer);
+        good = dc_servos_are_there(&console->hardware) && tell_bus(&console->bench, text, answer);
     } else if (strcmp(line, "state") == 0) {
         good = true;
         tell_state(console, answer);

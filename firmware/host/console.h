@@ -15,8 +15,8 @@ struct console {
     bool stepped;     /* time passes by command instead of by itself */
 };
 
-/* Boot a board. `seed` determines noise and boot ids; `now` is us. */
-void console_init(struct console *console, uint64_t now, uint64_t seed, bool stepped);
+/* Boot a board, with a servos' bus or without. `seed` determines noise and boot ids; `now` is us. */
+void console_init(struct console *console, uint64_t now, uint64_t seed, bool stepped, bool servos);
 
 void console_boot(struct console *console);
 

@@ -5,12 +5,13 @@
  *
  * Decoder: every accepted packet must be one that was sent. Board: whatever the host does, the contactor is commanded
  * only while a heartbeat is fresh, never together with the probe, never with a fault latched, and never above the limit
- * of current. */
+ * of current; the servos get no byte more than the host sent them. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "console.h"
+#include "dc_bytes.h"
 
 #define AT_ONCE 16u /* packets that are damaged together */
 #define LONGEST_PLAIN 520u
@@ -133,12 +134,29 @@ static void check_board(const struct console *console, uint64_t heartbeat)
         fail("contactor on without a command");
     if (console->board.output.used > DC_OUTPUT_SIZE)
         fail("output overflows");
+    if (console->board.servos.in_size > DC_LONGEST_SERVO || console->board.servos.out_size > DC_LONGEST_SERVO)
+        fail("more bytes of the servos than there is room for");
+}
+
+/* Something comes from the servos, or nothing; what went to them is taken off the bus. */
+static void vary_bus(struct console *console, const dc_packet *packet)
+{
+    struct bench *bench = &console->bench;
+    static uint64_t promised; /* bytes of SERVO that may still reach the servos */
+    promised += packet->type == DC_SERVO ? packet->size : 0u;
+    if (bench->to_servos_used > promised)
+        fail("the servos got what nobody sent them");
+    promised -= bench->to_servos_used;
+    bench->to_servos_used = 0;
+    bench->bus_takes = any(3) ? BENCH_BUS : any(40);
+    for (uint32_t more = any(4) ? 0u : any(400); more > 0 && bench->from_servos_used < BENCH_BUS; more--)
+        bench->from_servos[bench->from_servos_used++] = (uint8_t)any(256);
 }
 
 /* A packet that a host could send, now and then senseless. */
 static dc_packet draw_command(uint8_t *payload)
 {
-    static const uint8_t TYPES[] = {3, 4, 5, 6, 7, 8, 8, 8, 9, 11, 11, 12, 12, 12, 12, 12};
+    static const uint8_t TYPES[] = {3, 4, 5, 6, 7, 8, 8, 8, 9, 11, 11, 12, 12, 12, 12, 12, 13, 13, 14};
     dc_packet packet = {0};
     if (any(20) == 0)
         return draw_packet(payload, 15);
@@ -148,10 +166,14 @@ static dc_packet draw_command(uint8_t *payload)
     payload[0] = (uint8_t)(any(4) != 0);
     if (packet.type == DC_CONTACTOR)
         packet.size = 1;
-    else if (packet.type == DC_RATE || packet.type == DC_PING)
+    else if (packet.type == DC_RATE || packet.type == DC_PING || packet.type == DC_SERVO_SPEED)
         packet.size = 4;
+    else if (packet.type == DC_SERVO)
+        packet.size = (uint16_t)any(140);
     for (size_t i = packet.type == DC_CONTACTOR ? 1u : 0u; i < packet.size; i++)
         payload[i] = (uint8_t)any(256);
+    if (packet.type == DC_SERVO_SPEED)
+        dc_put_u32(payload, any(5) ? 9600u << any(9) : any(UINT32_MAX));
     return packet;
 }
 
@@ -188,6 +210,7 @@ static void fuzz_board(struct console *console, uint64_t *heartbeat)
     if (console->board.contactor.heartbeat_deadline != before)
         *heartbeat = bench->now;
     check_board(console, *heartbeat);
+    vary_bus(console, &packet);
     bench->output_used = 0;
 }
 
@@ -206,7 +229,7 @@ int main(int count, char **arguments)
         accepted += fuzz_decoder(&decoder);
     for (unsigned long done = 0; done < packets; done++) {
         if (done == 0 || console.bench.now > ROUND_US) {
-            console_init(&console, 0, seed + done, true);
+            console_init(&console, 0, seed + done, true, any(4) != 0);
             console.bench.noise = 0.0f;
             heartbeat = 0;
         }

@@ -7,17 +7,18 @@
 #include "terminal.h"
 
 static const char USAGE[] =
-    "usage: board_host [--seed N] [--servos PORT] --step [US] | --pty [LINK]\n"
-    "  --servos  a serial port with servos hangs on the board, in real time\n"
-    "  --step  time passes by commands on standard input only; starts at US (0)\n"
-    "  --pty   serve in real time on a pseudo-terminal; LINK is a symbolic link to it\n";
+    "usage: board_host [--seed N] --step [US]\n"
+    "       board_host [--seed N] [--servos PORT] --pty [LINK]\n"
+    "  --step    time passes by commands on standard input only; starts at US (0)\n"
+    "  --pty     serve in real time on a pseudo-terminal; LINK is a symbolic link to it\n"
+    "  --servos  the servos behind this serial port hang on the board\n";
 
 static struct console console;
 static char line[200000]; /* `wire` with 64 KiB */
 
 static int step(uint64_t now, uint64_t seed)
 {
-    console_init(&console, now, seed, true);
+    console_init(&console, now, seed, true, false);
     while (fgets(line, sizeof line, stdin) != NULL && strcmp(line, "quit\n") != 0)
         console_command(&console, line, stdout);
     return 0;
@@ -38,7 +39,7 @@ int main(int count, char **arguments)
     }
     const char *mode = at < count ? arguments[at++] : "";
     const char *value = at < count ? arguments[at++] : NULL;
-    if (at == count && strcmp(mode, "--step") == 0)
+    if (at == count && servos == NULL && strcmp(mode, "--step") == 0)
         return step(value ? strtoull(value, NULL, 10) : 0, seed);
     if (at == count && strcmp(mode, "--pty") == 0)
         return terminal_serve(seed, servos, value);

@@ -82,7 +82,8 @@ static bool set_servo_speed(void *context, uint32_t speed)
     for (size_t i = 0; i < sizeof SPEEDS / sizeof *SPEEDS; i++)
         if (SPEEDS[i].speed == speed)
             return tcgetattr(terminal.servos, &settings) == 0 && cfsetispeed(&settings, SPEEDS[i].code) == 0 &&
-                   cfsetospeed(&settings, SPEEDS[i].code) == 0 && tcsetattr(terminal.servos, TCSANOW, &settings) == 0;
+                   cfsetospeed(&settings, SPEEDS[i].code) == 0 &&
+                   tcsetattr(terminal.servos, TCSANOW, &settings) == 0 && tcflush(terminal.servos, TCIFLUSH) == 0;
     return false;
 }
 
@@ -155,7 +156,7 @@ int terminal_serve(uint64_t seed, const char *servos, const char *link)
         fprintf(stderr, "%s: %s\n", servos, strerror(errno));
         return 1;
     }
-    console_init(console, monotonic_us(), seed, false);
+    console_init(console, monotonic_us(), seed, false, false);
     if (servos != NULL) {
         console->hardware.servo_read = read_servos;
         console->hardware.servo_write = write_servos;
@@ -178,6 +179,8 @@ int terminal_serve(uint64_t seed, const char *servos, const char *link)
             break;
         if (ends[1].revents != 0 && !obey_input())
             break;
+        if ((ends[2].revents & (POLLHUP | POLLERR | POLLNVAL)) != 0)
+            ends[2].fd = -1; /* the servos are gone for good, and silent */
     }
     if (link != NULL)
         unlink(link);

@@ -13,7 +13,8 @@ static uint64_t now_us(dc_board *board)
     return dc_clock_update(&board->clock, board->hardware->now_us(board->hardware->context));
 }
 
-/* Number a packet and queue it. It is encoded on the stack, which has room where the 20 kB of an OpenCM 9.04 do not. */
+/* Number a packet and queue it. What lives for a call is on the stack: the 20 kB of an OpenCM 9.04 have no room to
+ * keep it. */
 static bool queue(dc_board *board, dc_packet *packet, size_t leaves)
 {
     uint8_t wire[DC_WIRE_SIZE(DC_LONGEST_PAYLOAD)];
@@ -28,7 +29,10 @@ bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16
     packet.payload = payload;
     packet.size = size;
     packet.device_time_us = board->clock.now;
-    const bool sent = queue(board, &packet, type == DC_POWER || type == DC_SERVO ? DC_POWER_LEAVES : 0u);
+    const bool sent = queue(board, &packet,
+                            type == DC_POWER   ? DC_POWER_LEAVES
+                            : type == DC_SERVO ? DC_SERVO_LEAVES
+                                               : 0u);
     if (!sent)
         dc_count(type == DC_POWER   ? &board->counters.dropped_power
                  : type == DC_SERVO ? &board->counters.dropped_servo
@@ -93,7 +97,7 @@ static void finish(dc_board *board)
     case DC_PROBE_NONE:
         break;
     }
-    switch (dc_pads_poll_tare(&board->pads, board->hardware, board->clock.now, board->forces)) {
+    switch (dc_pads_poll_tare(&board->pads, board->hardware, board->clock.now)) {
     case DC_TARE_DONE:
         dc_board_acknowledge(board, DC_TARE, board->tare_sequence, DC_DONE, NULL, 0);
         break;
@@ -115,14 +119,15 @@ static void stream(dc_board *board)
     dc_count(&board->counters.missed_samples, come - 1);
     board->sequences[DC_TACTILE] = (uint16_t)(board->sequences[DC_TACTILE] + (come - 1));
     board->overrun = board->overrun || come > 1;
+    float forces[DC_TAXELS];
     uint8_t payload[DC_LONGEST_PAYLOAD];
     dc_packet packet = {0};
     packet.type = DC_TACTILE;
     packet.device_time_us = now_us(board); /* the sampling instant itself, not when it was due */
-    board->hardware->read_taxels(board->hardware->context, board->forces);
-    dc_pads_apply(&board->pads, board->forces);
+    board->hardware->read_taxels(board->hardware->context, forces);
+    dc_pads_apply(&board->pads, forces);
     packet.payload = payload;
-    packet.size = (uint16_t)dc_put_samples(payload, board->forces, board->config.sample_format);
+    packet.size = (uint16_t)dc_put_samples(payload, forces, board->config.sample_format);
     packet.format = board->config.sample_format;
     packet.flags = (uint8_t)((board->pads.tared ? DC_FLAG_TARED : 0) | (board->overrun ? DC_FLAG_OVERRUN : 0));
     board->overrun = !queue(board, &packet, DC_TACTILE_LEAVES);

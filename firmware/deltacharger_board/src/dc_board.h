@@ -59,7 +59,6 @@ typedef struct {
     uint16_t sequences[DC_TYPES];
     uint16_t probe_sequence; /* of the packets that wait for an answer */
     uint16_t tare_sequence;
-    float forces[DC_TAXELS];
     uint8_t received[DC_LONGEST_RECEIVED];
 } dc_board;
 

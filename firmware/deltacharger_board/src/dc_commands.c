@@ -8,7 +8,7 @@
 
 static uint8_t start_tare(dc_board *board, const dc_packet *packet)
 {
-    if (!dc_pads_start_tare(&board->pads, board->hardware, board->clock.now, board->forces))
+    if (!dc_pads_start_tare(&board->pads, board->hardware, board->clock.now))
         return DC_NOT_NOW;
     board->tare_sequence = packet->sequence;
     return LATER;
@@ -83,14 +83,14 @@ static uint8_t plain_command(dc_board *board, const dc_packet *packet)
 void dc_board_obey(dc_board *board, const dc_packet *packet)
 {
     const bool plain = packet->flags == 0 && packet->format == DC_NO_FORMAT; /* only TACTILE has either */
-    const bool servos = packet->type == DC_SERVO || packet->type == DC_SET_SERVO_SPEED;
+    const bool servos = packet->type == DC_SERVO || packet->type == DC_SERVO_SPEED;
     uint8_t error;
     switch (servos && !dc_servos_are_there(board->hardware) ? DC_TYPES : packet->type) {
     case DC_SERVO:
         if (plain)
             send_to_servos(board, packet);
         return;
-    case DC_SET_SERVO_SPEED:
+    case DC_SERVO_SPEED:
         error = plain ? set_servo_speed(board, packet) : DC_BAD_PAYLOAD;
         break;
     case DC_HEARTBEAT:

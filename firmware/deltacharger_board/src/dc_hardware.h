@@ -69,10 +69,12 @@ typedef struct {
     size_t (*servo_read)(void *context, uint8_t *bytes, size_t size);
 
     /* Send at most `size` bytes to the servos and return how many were sent. On one line for both directions it waits
-     * until they are out and listens before it returns, so it sends no more than two milliseconds hold. */
+     * until they are out and listens before it returns, so it sends no more than half a millisecond holds: meanwhile
+     * nobody reads the link. */
     size_t (*servo_write)(void *context, const uint8_t *bytes, size_t size);
 
-    /* Speak to the servos at a speed, bit/s; false where the board does not have it. Called at boot, too. */
+    /* Speak to the servos at a speed, bit/s, and forget what came before; false, and nothing changes, where the board
+     * does not have it. Called at boot, too. */
     bool (*servo_speed)(void *context, uint32_t speed);
 } dc_hardware;
 

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Packets on their way to the host: a ring of bytes that takes whole packets and never waits.
  *
- * Where the wire is slow, the less a packet matters the more room it must leave: TACTILE is refused first, POWER next,
- * and the answers to commands have the last bytes for themselves. */
+ * Where the wire is slow, the less a packet matters the more room it must leave: TACTILE is refused first, SERVO next,
+ * then POWER, and the answers to commands have the last bytes for themselves. */
 #ifndef DC_OUTPUT_H
 #define DC_OUTPUT_H
 
@@ -16,6 +16,7 @@ extern "C" {
 
 #define DC_OUTPUT_SIZE 1536u    /* bytes: 15 ms of wire at 1 Mbaud */
 #define DC_TACTILE_LEAVES 768u  /* bytes that TACTILE must leave free; the rest holds two packets in u12, one in u16 */
+#define DC_SERVO_LEAVES 448u    /* bytes that SERVO must leave free: a bus that never falls silent keeps no POWER back */
 #define DC_POWER_LEAVES 384u    /* bytes that POWER must leave free, 14 ACKs; it may fill half a second */
 
 typedef struct {

@@ -41,7 +41,7 @@ enum {
     DC_PROBE,
     DC_HEARTBEAT,
     DC_SERVO,
-    DC_SET_SERVO_SPEED,
+    DC_SERVO_SPEED,
     DC_TYPES /* one more than the last */
 };
 

@@ -88,8 +88,9 @@ bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS])
     return false;
 }
 
-bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS])
+bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now)
 {
+    float forces[DC_TAXELS];
     if (pads->tare_due != DC_NEVER)
         return false;
     hardware->read_taxels(hardware->context, forces);
@@ -110,8 +111,9 @@ static void finish(dc_pads *pads)
     pads->tare_due = DC_NEVER;
 }
 
-dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS])
+dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now)
 {
+    float forces[DC_TAXELS];
     if (now < pads->tare_due)
         return DC_TARE_NONE;
     hardware->read_taxels(hardware->context, forces);

@@ -34,11 +34,11 @@ void dc_pads_reset(dc_pads *pads);
  * falls below 0. */
 void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS]);
 
-/* Begin a tare; false where one runs or something touches a pad. `forces` is room for a sampling. */
-bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS]);
+/* Begin a tare; false where one runs or something touches a pad. */
+bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now);
 
 /* Take the tare's sample that is due, and say whether it has ended. */
-dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS]);
+dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now);
 
 /* Whether any live taxel carries DC_CONTACT_FORCE or more after the present tare. */
 bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS]);

@@ -16,10 +16,10 @@ extern "C" {
 
 #define DC_LONGEST_SERVO 128u /* bytes of the bus in one packet */
 #define DC_SERVO_SPEED_SIZE 4u
-#define DC_SERVO_SPEED 1000000u /* bit/s, after every boot */
+#define DC_BAUD_RATE 1000000u /* bit/s of the bus after every boot */
 
 typedef struct {
-    bool asked;        /* the host has sent something since the boot: it knows of the bus */
+    bool asked;        /* the host has sent bytes since the boot: it knows of the bus */
     uint16_t out_size; /* bytes that wait for the bus */
     uint16_t in_size;  /* bytes that wait for the link */
     uint32_t quiet_us; /* without a byte, after which those that came make a packet */
@@ -34,13 +34,14 @@ void dc_servos_reset(dc_servos *servos, const dc_hardware *hardware);
 /* Whether the board has such a bus. */
 bool dc_servos_are_there(const dc_hardware *hardware);
 
-/* Set the speed of the bus, bit/s; false where the board does not have it. */
+/* Set the speed of the bus, bit/s, and forget what waits; false, and nothing changes, where the board does not have it. */
 bool dc_servos_set_speed(dc_servos *servos, const dc_hardware *hardware, uint32_t speed);
 
-/* Take bytes of the host for the bus; false, and none are taken, where not all find room. */
+/* Take bytes of the host for the bus; false, and none are taken, where not all find room: half a packet is none. */
 bool dc_servos_put(dc_servos *servos, const uint8_t *bytes, size_t size);
 
-/* Move bytes both ways; return how many of `in` make a packet now, 0 none. Taking it sets in_size to 0. */
+/* Move bytes both ways; return how many of `in` make a packet now, 0 none. Whoever takes them sets
+ * in_size to 0. */
 size_t dc_servos_poll(dc_servos *servos, const dc_hardware *hardware, uint64_t now);
 
 /* When something waits for the clock, us; UINT64_MAX = nothing does. */
