@@ -40,7 +40,9 @@ COMMANDS = [
     (PacketType.TACTILE, b""),
     (PacketType.POWER, bytes(16)),
     (PacketType.ACK, b""),
-    (200, bytes(440)),
+    (200, bytes(230)),
+    (PacketType.SERVO, b"servo"),  # neither board has a bus
+    (PacketType.SERVO_SPEED, struct.pack("<I", 57600)),
 ]
 
 

@@ -106,7 +106,7 @@ def test_packets_are_encoded_alike(codec: CodecProcess, packet: Packet) -> None:
     assert codec.encode(packet) == encode_packet(packet)
 
 
-@pytest.mark.parametrize("type", [*PacketType, 0, 13, 255])
+@pytest.mark.parametrize("type", [*PacketType, 0, 15, 255])
 def test_every_type_at_every_size(codec: CodecProcess, type: int) -> None:
     source = random.Random(type)
     sent = [random_packet(source, type, size) for size in range(0, 520, 7)]
@@ -154,7 +154,9 @@ def test_power_is_written_alike(
 def test_hello_and_ack_are_written_alike(
     codec: CodecProcess, boot_id: int, rate: float, type: int, sequence: int
 ) -> None:
-    assert codec.ask("h", struct.pack("<If", boot_id, rate)) == encode_hello(Hello(1, 0, 10, 10, boot_id, rate))
+    minor = sequence % 2
+    written = codec.ask("h", struct.pack("<IfB", boot_id, rate, minor))
+    assert written == encode_hello(Hello(1, minor, 10, 10, boot_id, rate))
     error = sequence % 5
     assert codec.ask("a", struct.pack("<BBH", type, error, sequence)) == encode_ack(Ack(type, error, sequence))
 

@@ -73,7 +73,9 @@ def test_a_command_it_does_not_know_is_named(program: Program) -> None:
     assert program.command("advance 5") == "error: not understood: advance 5"  # time passes by itself
 
 
-@pytest.mark.parametrize("arguments", [[], ["--pti"], ["--step", "0", "x"], ["--seed", "--pty"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["--pti"], ["--step", "0", "x"], ["--seed", "--pty"], ["--servos", "x", "--step"]]
+)
 def test_wrong_usage_says_how(programs: Path, arguments: list[str]) -> None:
     ended = subprocess.run([programs / "board_host", *arguments], capture_output=True, text=True, check=False)
     assert ended.returncode == 2

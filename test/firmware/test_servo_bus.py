@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servos' bus behind the firmware, in simulated time: what docs/board-link.md demands of SERVO and SERVO_SPEED."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from deltacharger_driver.board.payloads import decode_hello
+from deltacharger_driver.board.protocol import LONGEST_SERVO, AckError, BoardFault, Packet, PacketType, encode_packet
+
+from .bench import MS, Bench, S, acks, tactile
+
+NewBench = Callable[..., Bench]
+QUESTION = bytes.fromhex("fffffd0001030001194e")
+
+
+@pytest.fixture
+def bench(new_bench: NewBench) -> Bench:
+    """A board just booted, with servos and a wire that takes everything."""
+    return new_bench(servos=1)
+
+
+def bus(bench: Bench, came: bytes = b"") -> bytes:
+    """Let bytes come from the servos and return what has gone to them."""
+    return bytes.fromhex(bench.host.command(f"bus {came.hex()}").removeprefix("bus").strip())
+
+
+def told(packets: list[Packet]) -> list[bytes]:
+    """What the host was told of the servos, packet by packet."""
+    return [packet.payload for packet in packets if packet.type == PacketType.SERVO]
+
+
+def ask_servos(bench: Bench) -> None:
+    """Let the host ask once, so that the board passes on what comes."""
+    bench.send((PacketType.SERVO, QUESTION))
+    assert bus(bench) == QUESTION
+
+
+def set_speed(bench: Bench, speed: int) -> int:
+    """Command a speed of the bus, bit/s, and return the error."""
+    return bench.ask(PacketType.SERVO_SPEED, struct.pack("<I", speed)).error
+
+
+def test_hello_says_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
+    for servos, minor in ((0, 0), (1, 1)):
+        bench = new_bench(servos=servos)
+        assert decode_hello(bench.packets[0].payload).minor == minor
+        answer = next(p for p in bench.send((PacketType.HELLO, b"")) if p.type == PacketType.HELLO)
+        assert decode_hello(answer.payload).minor == minor
+
+
+def test_a_board_without_the_bus_does_not_know_its_packets(new_bench: NewBench) -> None:
+    bench = new_bench(servos=0)
+    for type, payload in ((PacketType.SERVO, QUESTION), (PacketType.SERVO_SPEED, struct.pack("<I", 57600))):
+        assert bench.ask(type, payload).error == AckError.UNKNOWN
+    assert bench.state("unknown") == 2
+
+
+def test_servo_is_not_answered(bench: Bench) -> None:
+    assert bench.send((PacketType.SERVO, QUESTION)) == []
+    assert told(bench.run(50 * MS)) == []
+
+
+@pytest.mark.parametrize("takes", [1, 7, 4096])
+def test_what_the_host_sends_reaches_the_bus_byte_for_byte(bench: Bench, takes: int) -> None:
+    source = random.Random(takes)
+    bench.set(f"bus_takes {takes}")
+    sent = arrived = b""
+    for _ in range(60):
+        payload = source.randbytes(source.randrange(1, LONGEST_SERVO + 1))
+        sent += payload
+        wire = encode_packet(Packet(PacketType.SERVO, payload, 0))
+        while wire:
+            cut = source.randrange(1, len(wire) + 1)
+            bench.host.sent(f"wire {wire[:cut].hex()}")
+            wire = wire[cut:]
+        bench.run(30 * MS)
+        arrived += bus(bench)
+    assert arrived == sent
+    assert bench.state("dropped_servo") == 0
+
+
+@pytest.mark.parametrize("baud", [0, 1_000_000])
+def test_what_comes_from_the_bus_reaches_the_host_byte_for_byte(new_bench: NewBench, baud: int) -> None:
+    bench = new_bench(servos=1, baud=baud)
+    source = random.Random(baud)
+    ask_servos(bench)
+    came = heard = b""
+    for _ in range(300):
+        piece = source.randbytes(source.choice((1, 2, 11, 127, 128, 129, 400)))
+        came += piece
+        bus(bench, piece)
+        heard += b"".join(told(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
+    heard += b"".join(told(bench.run(50 * MS)))
+    assert heard == came
+    assert bench.state("dropped_servo") == 0
+
+
+@pytest.mark.parametrize(("speed", "quiet"), [(4_500_000, 200), (1_000_000, 200), (57_600, 3472), (9_600, 20_833)])
+def test_bytes_are_gathered_until_the_bus_is_quiet(bench: Bench, speed: int, quiet: int) -> None:
+    """200 us, or 20 byte times where those are longer."""
+    assert set_speed(bench, speed) == 0
+    ask_servos(bench)
+    for piece in (b"an ", b"ans", b"wer"):
+        bus(bench, piece)
+        assert told(bench.run(quiet - 1)) == []
+    assert told(bench.run(1)) == [b"an answer"]
+
+
+def test_128_bytes_make_a_packet_at_once(bench: Bench) -> None:
+    ask_servos(bench)
+    came = bytes(range(256)) + b"tail"
+    bus(bench, came)
+    assert told(bench.run(0)) == [came[:128], came[128:256]]
+    assert told(bench.run(200)) == [b"tail"]
+
+
+def test_nothing_comes_before_the_first_servo_of_a_boot(bench: Bench) -> None:
+    def nobody_asked() -> bool:
+        bus(bench, bytes(300))
+        return told(bench.run(100 * MS)) == []
+
+    assert nobody_asked()
+    assert set_speed(bench, 57_600) == 0
+    bench.send((PacketType.SERVO, b""), (PacketType.SERVO, bytes(129)))  # neither is one
+    assert nobody_asked()
+    ask_servos(bench)
+    bus(bench, b"answer")
+    assert told(bench.run(10 * MS)) == [b"answer"]
+    bench.host.sent(f"boot {bench.now}")
+    assert nobody_asked()
+
+
+@pytest.mark.parametrize("payload", [b"", bytes(129), bytes(150)])
+def test_servo_of_a_wrong_size_is_ignored(bench: Bench, payload: bytes) -> None:
+    assert bench.send((PacketType.SERVO, payload)) == []
+    assert bus(bench) == b""
+    flagged = encode_packet(Packet(PacketType.SERVO, QUESTION, 1, flags=1))
+    bench.host.sent(f"wire {flagged.hex()}")
+    assert bus(bench) == b""
+
+
+def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> None:
+    bench.set("bus_takes 0")
+    bench.send((PacketType.SERVO, b"a" * 100))
+    bench.send((PacketType.SERVO, b"b" * 29), (PacketType.SERVO, b"c" * 28), (PacketType.SERVO, b"d"))
+    bench.run(100 * MS)
+    assert bench.state("dropped_servo") == 2
+    bench.set("bus_takes 4096")
+    bench.run(10 * MS)
+    assert bus(bench) == b"a" * 100 + b"c" * 28
+    bench.send((PacketType.SERVO, QUESTION))
+    assert bus(bench) == QUESTION
+
+
+def test_a_boot_in_the_middle_of_a_packet_forgets_both_sides(bench: Bench) -> None:
+    bench.set("bus_takes 3")
+    bench.send((PacketType.SERVO, QUESTION))
+    bus(bench, b"half an ans")
+    bench.run(0)
+    cut = encode_packet(Packet(PacketType.SERVO, b"of before", 1))
+    bench.host.sent(f"wire {cut[:12].hex()}")
+    bus(bench)
+    bench.set("bus_takes 4096")
+    bench.now += 100
+    bench.host.sent(f"boot {bench.now}")
+    bench.host.sent(f"wire {cut[12:].hex()}")
+    assert told(bench.run(10 * MS)) == []
+    assert bus(bench) == b""
+    ask_servos(bench)
+    bus(bench, b"answer")
+    assert told(bench.run(10 * MS)) == [b"answer"]
+
+
+def test_speed_is_set_at_boot_and_by_command(bench: Bench) -> None:
+    assert bench.state("servo_speed") == 1_000_000
+    assert set_speed(bench, 57_600) == 0
+    assert bench.state("servo_speed") == 57_600
+    bench.host.sent(f"boot {bench.now}")
+    assert bench.state("servo_speed") == 1_000_000
+
+
+@pytest.mark.parametrize("speed", [0, 1, 9_599, 4_500_001, 2**32 - 1])
+def test_a_speed_that_the_board_does_not_have_is_refused_and_changes_nothing(bench: Bench, speed: int) -> None:
+    ask_servos(bench)
+    bus(bench, b"ans")
+    bench.run(100)
+    assert set_speed(bench, speed) == AckError.BAD_PAYLOAD
+    assert bench.state("servo_speed") == 1_000_000
+    bus(bench, b"wer")
+    assert told(bench.run(200)) == [b"answer"]
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0\0\1", struct.pack("<Q", 57_600)])
+def test_a_speed_of_a_wrong_size_is_refused(bench: Bench, payload: bytes) -> None:
+    assert bench.ask(PacketType.SERVO_SPEED, payload).error == AckError.BAD_PAYLOAD
+    assert bench.state("servo_speed") == 1_000_000
+
+
+def test_a_new_speed_forgets_what_was_under_way(bench: Bench) -> None:
+    ask_servos(bench)
+    bench.set("bus_takes 0")
+    bench.send((PacketType.SERVO, b"old"))
+    bus(bench, b"old")
+    bench.run(0)
+    assert set_speed(bench, 57_600) == 0
+    bench.set("bus_takes 4096")
+    assert told(bench.run(100 * MS)) == []
+    assert bus(bench) == b""
+
+
+def cycle(bench: Bench, answer: bytes) -> list[bytes]:
+    """10 ms of a host that asks the servos, which answer."""
+    bench.send((PacketType.SERVO, QUESTION))
+    bench.run(1 * MS)
+    bus(bench, answer)
+    return told(bench.run(9 * MS))
+
+
+def test_100_hz_of_servos_and_120_hz_of_frames_share_the_wire_without_loss(new_bench: NewBench) -> None:
+    bench = new_bench(servos=1, baud=1_000_000, scan_time=2000)
+    bench.send((PacketType.START, b""))
+    answer = bytes(range(90))
+    for _ in range(500):
+        assert b"".join(cycle(bench, answer)) == answer
+    sequences = [packet.sequence for packet in tactile(bench.packets)]
+    assert sequences == list(range(len(sequences)))
+    assert len(sequences) == pytest.approx(600, abs=2)
+
+
+def test_the_heartbeat_and_the_contactor_keep_their_deadlines_beside_a_busy_bus(new_bench: NewBench) -> None:
+    bench = new_bench(servos=1, baud=1_000_000)
+    bench.charge()
+    bench.send((PacketType.START, b""))
+    for _ in range(100):
+        cycle(bench, bytes(300))
+    assert bench.state("contactor") == 1
+    bench.beating = False
+    bench.send((PacketType.HEARTBEAT, b""))
+    for _ in range(9):
+        cycle(bench, bytes(300))
+    bench.send((PacketType.SERVO, QUESTION))
+    bus(bench, bytes(900))
+    bench.run(10 * MS - 1)
+    assert bench.state("contactor") == 1
+    bench.run(1)
+    assert (bench.state("contactor"), bench.state("fault")) == (0, BoardFault.HEARTBEAT_LOST)
+
+
+def test_on_a_full_wire_frames_give_way_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
+    """A bus that never falls silent fills every gap of the wire, and keeps neither POWER nor an answer back."""
+    bench = new_bench(servos=1, baud=115_200)
+    assert set_speed(bench, 115_200) == 0
+    bench.send((PacketType.START, b""))
+    ask_servos(bench)
+    bench.run(100 * MS)
+    asked = 0
+    start = len(bench.packets)
+    for turn in range(2000):
+        bus(bench, bytes(10))
+        if turn % 100 == 0:
+            bench.send((PacketType.START, b""))
+            asked += 1
+        bench.run(1 * MS)
+    bench.run(200 * MS)
+    packets = bench.packets[start:]
+    state = bench.host.state()
+    assert state["dropped_power"] == state["dropped_answers"] == 0
+    assert len(acks(packets)) == asked
+    times = [packet.device_time_us for packet in packets if packet.type == PacketType.POWER]
+    assert np.diff(times).max() == 50 * MS
+    carried = sum(map(len, told(packets)))
+    assert carried + 128 * state["dropped_servo"] == pytest.approx(20_000, abs=128)
+    assert state["dropped_tactile"] > 200
+    full = 2 * S * 115_200 / 10 / S  # bytes of the wire
+    assert carried > 0.7 * full
+
+
+def test_a_wire_that_takes_nothing_loses_servo_packets_whole(bench: Bench) -> None:
+    ask_servos(bench)
+    bench.set("baud 1")
+    for _ in range(30):
+        bus(bench, bytes(range(100)))
+        bench.run(1 * MS)
+    lost = int(bench.state("dropped_servo"))
+    assert 20 < lost < 30
+    bench.set("baud 0")
+    assert told(bench.run(10 * MS)) == [bytes(range(100))] * (30 - lost)
