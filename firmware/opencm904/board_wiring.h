@@ -17,7 +17,8 @@ const uint8_t UNWIRED = 255;
 const uint32_t LINK_BAUD = 1000000; /* exact with the core's 36 and 72 MHz peripheral clocks */
 
 /* The servos' bus, where it hangs on this board's connector: 1 = one cable serves servos and pads, 0 = the servos have an
- * adapter of their own. Serial1 is the UART of the connector, channel 0 its driver. Supply the servos by 12 V. */
+ * adapter of their own. Serial1 is the UART of the connector, channel 0 the driver's direction. Supply the servos by
+ * 12 V. */
 #define SERVOS_ON_BOARD 0
 #define SERVO_UART Serial1
 #define SERVO_CHANNEL 0
@@ -67,8 +68,8 @@ const float CURRENT_LIMIT = 18.0f;
 const float LOWEST_TARGET = 10.0f;  /* V */
 const float HIGHEST_TARGET = 30.0f;
 
-/* Longest time between two polls, us: three scans of both pads (two of a tare, one of a frame) and the arithmetic.
- * Measure it on the board. */
+/* Longest time between two polls, us: three scans of both pads (two of a tare, one of a frame), the arithmetic and half a
+ * millisecond of sending to the servos. Measure it on the board. */
 const uint32_t POLL_PERIOD_US = 12000;
 
 /* Counts of a 40 kHz / 32 clock that is good to about half: 24 to 48 ms without a poll reset the board. */

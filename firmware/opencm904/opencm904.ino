@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The board's end of the board link on a ROBOTIS OpenCM 9.04 (STM32F103CB).
  *
- * NOT RUN ON HARDWARE: compiled against the core of the board package 1.5.1, nothing more. Fill in board_wiring.h, then
+ * NOT RUN ON HARDWARE: linked with the core of the board package 1.5.1, nothing more. Fill in board_wiring.h, then
  * follow "First start" of docs/firmware.md before anything carries current. */
 #include <dc_board.h>
 #include <dc_crc32.h>

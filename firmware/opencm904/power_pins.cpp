@@ -86,7 +86,8 @@ void probe_start(void *)
 
 bool probe_poll(void *, float *resistance, float *target)
 {
-  if (!probing || micros() - probe_began < PROBE_SETTLE_US)
+  /* Signed, since micros() can fall back by a millisecond: that is no end of a wait that has just begun. */
+  if (!probing || (int32_t)(micros() - probe_began) < (int32_t)PROBE_SETTLE_US)
     return false;
   const float current = value_of(PROBE_CURRENT);
   const float voltage = value_of(PROBE_VOLTAGE);

@@ -7,13 +7,13 @@
 
 #if SERVOS_ON_BOARD
 
-static const uint32_t LONGEST_SENDING_US = 1000;
-static const size_t UART_ROOM = 100; /* bytes; the core's buffer holds 127 */
+static const uint32_t LONGEST_SENDING_US = 500; /* the host can send 50 bytes meanwhile, and a poll reads 64 */
+static const size_t UART_ROOM = 100;            /* bytes; the core's buffer holds 127 */
 static size_t longest = UART_ROOM;
 
 void servos_begin()
 {
-  SERVO_UART.setDxlMode(true); /* pins of the connector; before begin */
+  SERVO_UART.setDxlMode(true); /* the connector's pins, from the next begin on */
   drv_dxl_begin(SERVO_CHANNEL);
   drv_dxl_tx_enable(SERVO_CHANNEL, FALSE);
 }
@@ -36,7 +36,8 @@ size_t servos_read(void *, uint8_t *bytes, size_t size)
   return count;
 }
 
-/* A servo answers some microseconds after the last bit, so the line is let go as soon as that is out. */
+/* A servo answers some microseconds after the last bit, so the line is let go as soon as that is out: flush waits until
+ * the transmitter itself is empty. A longer packet goes in pieces; on the line that is a pause. */
 size_t servos_write(void *, const uint8_t *bytes, size_t size)
 {
   const size_t count = size < longest ? size : longest;
