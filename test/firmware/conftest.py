@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The firmware's host programs, built once per run with every warning an error and with sanitizers."""
+"""The firmware's host programs, built once per run with every warning an error: for this computer with sanitizers, and
+for the board's processor, which QEMU emulates."""
 
 from __future__ import annotations
 
@@ -15,6 +16,15 @@ from .bench import Bench
 from .board_host import FirmwareBoard
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+ARM_PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+
+
+def make(folder: Path, *arguments: str) -> str:
+    """Build the firmware in a folder and return what make printed."""
+    command = ["make", "-C", str(FIRMWARE), f"BUILD={folder}", *arguments]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return built.stdout
 
 
 @pytest.fixture(scope="session")
@@ -30,16 +40,55 @@ def compiler() -> str:
 def programs(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of board_host, codec and fuzz."""
     folder = tmp_path_factory.mktemp("firmware")
-    command = ["make", "-C", str(FIRMWARE), f"CC={compiler}", f"BUILD={folder}", "sanitize"]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stdout + built.stderr
+    make(folder, f"CC={compiler}", "sanitize")
     return folder / "sanitize"
 
 
+@pytest.fixture(scope="session")
+def arm_compiler() -> None:
+    """The compiler for the board's processor and its C library."""
+    try:
+        library = ["arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-print-file-name=rdimon.specs"]
+        found = Path(subprocess.run(library, capture_output=True, text=True, check=True).stdout.strip()).exists()
+    except FileNotFoundError:
+        found = False
+    if not found:
+        pytest.skip(f"no compiler for the Cortex-M3 with its C library: apt-get install {ARM_PACKAGES}")
+
+
+@pytest.fixture(scope="session")
+def arm_programs(arm_compiler: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of board_host (which knows no --pty), codec and fuzz for the board's processor, each run by QEMU."""
+    if shutil.which("qemu-system-arm") is None:
+        pytest.skip(f"no qemu-system-arm that emulates the Cortex-M3: apt-get install {ARM_PACKAGES}")
+    folder = tmp_path_factory.mktemp("firmware")
+    make(folder, "cortex-m3")
+    return folder / "cortex-m3"
+
+
+ON_THE_BOARD = pytest.param("arm_programs", id="cortex-m3", marks=pytest.mark.slow)
+
+
+@pytest.fixture(scope="session", params=[pytest.param("programs", id="here"), ON_THE_BOARD])
+def core(request: pytest.FixtureRequest) -> Path:
+    """The folder of board_host, codec and fuzz: the core on this computer's processor, then on the board's."""
+    return request.getfixturevalue(request.param)
+
+
 @pytest.fixture
-def firmware_boards(programs: Path) -> Iterator[None]:
+def firmware_boards(core: Path) -> Iterator[None]:
     """Let `FirmwareBoard` find its program, and end every board that the test started."""
-    FirmwareBoard.program = programs / "board_host"
+    yield from _boards(core)
+
+
+@pytest.fixture
+def fast_firmware_boards(programs: Path) -> Iterator[None]:
+    """The same where real time judges: on this computer's processor alone."""
+    yield from _boards(programs)
+
+
+def _boards(folder: Path) -> Iterator[None]:
+    FirmwareBoard.program = folder / "board_host"
     FirmwareBoard.started.clear()
     yield
     for board in FirmwareBoard.started:
@@ -47,12 +96,12 @@ def firmware_boards(programs: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def new_bench(programs: Path) -> Iterator[Callable[..., Bench]]:
+def new_bench(core: Path) -> Iterator[Callable[..., Bench]]:
     """Make benches that end with the test, each with a healthy end."""
     benches: list[Bench] = []
 
     def make(start: int = 0, **settings: float) -> Bench:
-        benches.append(Bench(programs / "board_host", start, **settings))
+        benches.append(Bench(core / "board_host", start, **settings))
         return benches[-1]
 
     yield make

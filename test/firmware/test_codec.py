@@ -51,8 +51,8 @@ packets = st.builds(
 
 
 @pytest.fixture(scope="module")
-def codec(programs: Path) -> Iterator[CodecProcess]:
-    codec = CodecProcess(programs / "codec")
+def codec(core: Path) -> Iterator[CodecProcess]:
+    codec = CodecProcess(core / "codec")
     yield codec
     codec.close()
 

@@ -63,9 +63,19 @@ def test_every_header_stands_alone_in_c_and_in_cpp(compiler: str, tmp_path: Path
 
 
 def test_fuzzing_finds_nothing(programs: Path) -> None:
-    ended = subprocess.run([programs / "fuzz", "200000", "11"], capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stderr == ""
-    accepted, closes = (int(number) for number in re.findall(r"(\d+) (?:accepted|closes)", ended.stdout))
+    accepted, closes = (int(number) for number in re.findall(r"(\d+) (?:accepted|closes)", fuzz(programs, 200_000)))
     assert accepted > 20_000
     assert closes > 500
+
+
+@pytest.mark.slow
+def test_fuzzing_finds_the_same_on_the_boards_processor(programs: Path, arm_programs: Path) -> None:
+    assert fuzz(arm_programs, 50_000) == fuzz(programs, 50_000)
+
+
+def fuzz(folder: Path, packets: int) -> str:
+    """Send damaged packets and return the findings."""
+    ended = subprocess.run([folder / "fuzz", str(packets), "11"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    return ended.stdout
