@@ -42,7 +42,7 @@ CMAKE_ARGS := -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python"
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := -n 2 --dist loadfile
 
-.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation transforms optional bench clean
+.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation transforms optional cross bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -112,6 +112,14 @@ $(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
 
 optional: trainers navigation transforms  ## every optional library, else the tests that need it are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
+
+# What no pip has. Every name is one of Debian's packages; as root, without a terminal.
+CROSS := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
+APT := DEBIAN_FRONTEND=noninteractive apt-get -q -o APT::Update::Error-Mode=any -o Acquire::Retries=3 -o DPkg::Lock::Timeout=300
+
+cross:  ## compiler and emulator of the board's processor by apt-get, else tests of the firmware on it are skipped
+	@dpkg -s $(CROSS) > /dev/null 2>&1 || { $(APT) update && $(APT) -y --no-install-recommends install $(CROSS); } || { \
+	  echo 'apt-get cannot install $(CROSS): it takes root and Debian'"'"'s archive within reach' >&2; exit 1; }
 
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.
 bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5

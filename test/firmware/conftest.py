@@ -16,7 +16,6 @@ from .bench import Bench
 from .board_host import FirmwareBoard
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
-ARM_PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
 
 
 def make(folder: Path, *arguments: str) -> str:
@@ -53,14 +52,14 @@ def arm_compiler() -> None:
     except FileNotFoundError:
         found = False
     if not found:
-        pytest.skip(f"no compiler for the Cortex-M3 with its C library: apt-get install {ARM_PACKAGES}")
+        pytest.skip("no arm-none-eabi-gcc with newlib for the board's Cortex-M3: make cross")
 
 
 @pytest.fixture(scope="session")
 def arm_programs(arm_compiler: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of board_host (which knows no --pty), codec and fuzz for the board's processor, each run by QEMU."""
     if shutil.which("qemu-system-arm") is None:
-        pytest.skip(f"no qemu-system-arm that emulates the Cortex-M3: apt-get install {ARM_PACKAGES}")
+        pytest.skip("no qemu-system-arm that emulates the board's Cortex-M3: make cross")
     folder = tmp_path_factory.mktemp("firmware")
     make(folder, "cortex-m3")
     return folder / "cortex-m3"
