@@ -77,17 +77,7 @@ def core(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def firmware_boards(core: Path) -> Iterator[None]:
     """Let `FirmwareBoard` find its program, and end every board that the test started."""
-    yield from _boards(core)
-
-
-@pytest.fixture
-def fast_firmware_boards(programs: Path) -> Iterator[None]:
-    """The same where real time judges: on this computer's processor alone."""
-    yield from _boards(programs)
-
-
-def _boards(folder: Path) -> Iterator[None]:
-    FirmwareBoard.program = folder / "board_host"
+    FirmwareBoard.program = core / "board_host"
     FirmwareBoard.started.clear()
     yield
     for board in FirmwareBoard.started:
