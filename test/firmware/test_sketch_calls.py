@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sketch asks of the Arduino core, call by call: pins, probe, the servos' line, the link, the watchdog."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .conftest import FIRMWARE, make
+
+FORM = "arm/wired-servos1-usb0"
+LOW, HIGH = 0, 1
+OUTPUT = 1
+
+
+class Sketch:
+    """The sketch on a core that writes down every call."""
+
+    def __init__(self, program: Path, wiring: str) -> None:
+        self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.pins = {name: int(pin) for name, pin in re.findall(r"PIN_(\w+) = (\d+);", wiring)}
+
+    def ask(self, line: str) -> tuple[int, list[str]]:
+        """Carry out a command and return its result and the calls that it caused."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        calls: list[str] = []
+        while not (told := self._process.stdout.readline()).startswith("done"):
+            assert told, f"the sketch died of '{line}'"
+            calls.append(told.strip())
+        result = int(told.split()[1])
+        assert result >= 0, f"'{line}' is no command"
+        return result, calls
+
+    def calls(self, line: str) -> list[str]:
+        """Carry out a command and return the calls that it caused."""
+        return self.ask(line)[1]
+
+    def close(self) -> None:
+        self._process.communicate(timeout=10.0)
+        assert self._process.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def form(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the sketch with everything wired, and its program."""
+    cpp = "c++"
+    if shutil.which(cpp) is None:
+        pytest.skip("no C++ compiler to compile the sketch")
+    build = tmp_path_factory.mktemp("sketch")
+    make(build, f"{build}/{FORM}/opencm904.ino")
+    folder = build / FORM
+    flags = ["-g", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    includes = [f"-I{path}" for path in (FIRMWARE / "stub", FIRMWARE / "deltacharger_board" / "src", folder)]
+    core = sorted((FIRMWARE / "deltacharger_board" / "src").glob("*.c"))
+    subprocess.run([compiler, "-std=c99", *flags, "-c", *core], cwd=build, check=True)
+    sources = [*folder.glob("*.cpp"), Path(__file__).with_name("pins.cpp"), "-x", "c++", folder / "opencm904.ino"]
+    cpp_flags = ["-std=gnu++11", *flags, *includes, "-include", "Arduino.h"]
+    output = ["-x", "none", *build.glob("*.o"), "-o", folder / "sketch"]
+    subprocess.run([cpp, *cpp_flags, *sources, *output], check=True)
+    return folder
+
+
+@pytest.fixture
+def sketch(form: Path) -> Iterator[Sketch]:
+    sketch = Sketch(form / "sketch", (form / "board_wiring.h").read_text())
+    yield sketch
+    sketch.close()
+
+
+def test_every_output_is_off_before_it_drives_and_stays_off(sketch: Sketch) -> None:
+    calls = sketch.calls("setup")
+    for name in ("CONTACTOR", "PRECHARGE", "PROBE"):
+        pin = sketch.pins[name]
+        assert calls.index(f"pin {pin} {LOW}") < calls.index(f"mode {pin} {OUTPUT}")
+        assert f"pin {pin} {HIGH}" not in calls
+    assert {call for call in calls if call.startswith("pwm")} == {f"pwm {sketch.pins['LIMIT']} 0"}
+    assert calls[0] == f"pin {sketch.pins['CONTACTOR']} {LOW}"
+    assert not [call for _ in range(50) for call in sketch.calls("loop") if call.endswith(f" {HIGH}") and "pin" in call]
+
+
+def test_what_goes_off_goes_first_and_the_contactor_comes_on_last(sketch: Sketch) -> None:
+    contactor, precharge = sketch.pins["CONTACTOR"], sketch.pins["PRECHARGE"]
+    assert sketch.calls("drive 1 1 0")[-2:] == [f"pin {precharge} {HIGH}", f"pin {contactor} {HIGH}"]
+    calls = sketch.calls("drive 0 0 0")
+    assert calls[:2] == [f"pin {contactor} {LOW}", f"pin {precharge} {LOW}"]
+    assert f"pin {contactor} {HIGH}" not in calls
+
+
+def test_the_probe_waits_though_the_clock_falls_back(sketch: Sketch) -> None:
+    """micros() can fall back by a millisecond where a tick interrupts it."""
+    settle = 100_000
+    sketch.calls("counts 100")
+    sketch.calls("now 5000")
+    assert sketch.calls("probe") == [f"pin {sketch.pins['PROBE']} {HIGH}"]
+    for now in (5000, 4000, 4999, 5000 + settle - 1):
+        sketch.calls(f"now {now}")
+        assert sketch.ask("probed") == (0, [])
+    sketch.calls(f"now {5000 + settle}")
+    assert sketch.ask("probed") == (1, [f"pin {sketch.pins['PROBE']} {LOW}"])
+
+
+def test_the_servos_line_is_let_go_when_the_last_bit_is_out(sketch: Sketch) -> None:
+    calls = sketch.calls("setup")
+    assert calls.index("bus connector 1") < calls.index("bus begin 1000000")
+    assert calls.index("listen") < calls.index("bus begin 1000000")
+    assert "speak" not in calls
+    assert sketch.ask("send 20") == (20, ["speak", "bus write 20", "bus flush", "listen"])
+
+
+@pytest.mark.parametrize(("speed", "most"), [(9_600, 1), (57_600, 2), (1_000_000, 50), (4_500_000, 100)])
+def test_sending_to_the_servos_takes_half_a_millisecond_at_most(sketch: Sketch, speed: int, most: int) -> None:
+    assert sketch.ask(f"speed {speed}") == (1, [f"bus begin {speed}"])
+    assert sketch.ask("send 128")[0] == most
+    assert most == 1 or most * 10 / speed <= 0.5e-3
+
+
+@pytest.mark.parametrize("speed", [0, 9_599, 4_500_001, 2**32 - 1])
+def test_a_speed_that_the_uart_does_not_have_touches_nothing(sketch: Sketch, speed: int) -> None:
+    assert sketch.ask(f"speed {speed}") == (0, [])
+
+
+def test_the_link_is_never_offered_more_than_fits(sketch: Sketch) -> None:
+    sketch.calls("setup")
+    for room in (0, 1, 5, 127):
+        sketch.calls(f"room {room}")
+        written = [int(call.split()[2]) for call in sketch.calls("loop") if call.startswith("link write")]
+        assert all(1 <= size <= room for size in written)
+        assert bool(written) == (room > 0)
+
+
+def test_the_watchdog_is_fed_until_the_bootloader_wants_it_to_bite(sketch: Sketch) -> None:
+    sketch.calls("setup")
+    sketch.calls("loop")
+    assert sketch.ask("fed")[0] == 1
+    sketch.calls("watchdog 10")
+    sketch.calls("loop")
+    assert sketch.ask("fed")[0] == 0
