@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,9 +23,9 @@ pytestmark = pytest.mark.realtime
 class Program:
     """`board_host --pty` and a link to it."""
 
-    def __init__(self, program: Path, port: Path) -> None:
+    def __init__(self, program: Path, port: Path, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [program, "--pty", str(port)],
+            [program, *arguments, "--pty", str(port)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -65,6 +68,24 @@ def test_a_reboot_is_noticed(program: Program) -> None:
         assert program.command("boot") == "ok"
         wait_until(lambda: program.boots)
         assert link.counters.reboots == 1
+
+
+def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: Path) -> None:
+    """A port that has hung up is always ready to be read; that must not keep a processor busy."""
+    master, slave = pty.openpty()
+    program = Program(programs / "board_host", tmp_path / "board", "--servos", os.ttyname(slave))
+    with program.link as link:
+        assert link.hello().carries_servos
+        os.close(slave)
+        os.close(master)
+        link.send_to_servos(b"anybody?")
+        link.start()
+        stat = Path(f"/proc/{program.process.pid}/stat")
+        before, began = sum(map(int, stat.read_text().split()[13:15])), time.monotonic()
+        wait_until(lambda: len(program.frames) >= 60)
+        used = (sum(map(int, stat.read_text().split()[13:15])) - before) / os.sysconf("SC_CLK_TCK")
+        assert used < 0.5 * (time.monotonic() - began)
+    program.end()
 
 
 def test_a_command_it_does_not_know_is_named(program: Program) -> None:
