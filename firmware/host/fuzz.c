@@ -134,7 +134,7 @@ static void check_board(const struct console *console, uint64_t heartbeat)
         fail("contactor on without a command");
     if (console->board.output.used > DC_OUTPUT_SIZE)
         fail("output overflows");
-    if (console->board.servos.in_size > DC_LONGEST_SERVO || console->board.servos.out_size > DC_LONGEST_SERVO)
+    if (console->board.servos.in_size > DC_LONGEST_SERVO || console->board.servos.out_size > DC_SERVO_ROOM)
         fail("more bytes of the servos than there is room for");
 }
 

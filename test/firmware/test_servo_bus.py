@@ -145,15 +145,27 @@ def test_servo_of_a_wrong_size_is_ignored(bench: Bench, payload: bytes) -> None:
     assert bus(bench) == b""
 
 
+def test_packets_that_come_together_lose_nothing(bench: Bench) -> None:
+    payloads = [bytes(range(128)), b"x", bytes(100), bytes(range(128)), b"yz"]
+    bench.send(*[(PacketType.SERVO, payload) for payload in payloads])
+    assert bus(bench) == b"".join(payloads)
+    bench.set("bus_takes 50")
+    bench.send(*[(PacketType.SERVO, payload) for payload in payloads[:3]])
+    bench.run(10 * MS)
+    assert bus(bench) == b"".join(payloads[:3])
+    assert bench.state("dropped_servo") == 0
+
+
 def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> None:
     bench.set("bus_takes 0")
-    bench.send((PacketType.SERVO, b"a" * 100))
-    bench.send((PacketType.SERVO, b"b" * 29), (PacketType.SERVO, b"c" * 28), (PacketType.SERVO, b"d"))
+    held = [bytes([each]) * 119 for each in (1, 2, 3)]
+    bench.send(*[(PacketType.SERVO, payload) for payload in held])
+    bench.send((PacketType.SERVO, b"b" * 28), (PacketType.SERVO, b"c" * 27), (PacketType.SERVO, b"d"))
     bench.run(100 * MS)
     assert bench.state("dropped_servo") == 2
     bench.set("bus_takes 4096")
     bench.run(10 * MS)
-    assert bus(bench) == b"a" * 100 + b"c" * 28
+    assert bus(bench) == b"".join(held) + b"c" * 27
     bench.send((PacketType.SERVO, QUESTION))
     assert bus(bench) == QUESTION
 

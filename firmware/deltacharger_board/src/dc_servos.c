@@ -30,7 +30,7 @@ bool dc_servos_set_speed(dc_servos *servos, const dc_hardware *hardware, uint32_
 
 bool dc_servos_put(dc_servos *servos, const uint8_t *bytes, size_t size)
 {
-    if (size > DC_LONGEST_SERVO - (size_t)servos->out_size)
+    if (size > DC_LONGEST_SERVO || size > DC_SERVO_ROOM - (size_t)servos->out_size)
         return false;
     servos->asked = true;
     memcpy(servos->out + servos->out_size, bytes, size);

@@ -15,6 +15,7 @@ extern "C" {
 #endif
 
 #define DC_LONGEST_SERVO 128u /* bytes of the bus in one packet */
+#define DC_SERVO_ROOM 384u    /* bytes that may wait for the bus: three packets can come while pads are sampled */
 #define DC_SERVO_SPEED_SIZE 4u
 #define DC_BAUD_RATE 1000000u /* bit/s of the bus after every boot */
 
@@ -24,7 +25,7 @@ typedef struct {
     uint16_t in_size;  /* bytes that wait for the link */
     uint32_t quiet_us; /* without a byte, after which those that came make a packet */
     uint64_t came_us;  /* when the last byte came */
-    uint8_t out[DC_LONGEST_SERVO];
+    uint8_t out[DC_SERVO_ROOM];
     uint8_t in[DC_LONGEST_SERVO];
 } dc_servos;
 
