@@ -17,6 +17,7 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
+from deltacharger_driver.pseudo_terminal import ByteDevice
 
 from ..borrowed import anew
 
@@ -132,6 +133,9 @@ class FirmwareBoard:
     """The firmware behind `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
 
     Thread-safe. Time is the caller's, in s.
+
+    Attributes:
+        servos: the bus behind the board.
     """
 
     program: ClassVar[Path]
@@ -143,11 +147,13 @@ class FirmwareBoard:
         sample_format: SampleFormat = SampleFormat.U12,
         probe_time: float = 0.150,
         seed: int | None = None,
+        servos: ByteDevice | None = None,
     ) -> None:
         plant.board = self
         self.host = BoardHost(self.program, seed=1 if seed is None else seed)
         self.started.append(self)
         self.faults = WireFaults(seed)
+        self.servos = FirmwareBus(self.host, servos)
         self._plant = plant
         self._known: dict[str, str] = {}
         self._lock = threading.RLock()
@@ -193,7 +199,10 @@ class FirmwareBoard:
         """Take bytes from the host at `now` and return what the board sends."""
         with self._lock:
             sent = self.poll(now)
-            return sent if self.faults.deaf else sent + self._damaged(self.host.sent(f"wire {data.hex()}"))
+            if not self.faults.deaf:
+                sent += self._damaged(self.host.sent(f"wire {data.hex()}"))
+                self.servos.serve(now)
+            return sent
 
     def poll(self, now: float) -> bytes:
         """Return what the board sends unasked at `now`."""
@@ -202,14 +211,16 @@ class FirmwareBoard:
             self._polled = round(now * 1e6)
             line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
             self._boot_wanted = False
-            return self._damaged(self.host.sent(line))
+            sent = self._damaged(self.host.sent(line))
+            self.servos.serve(now)
+            return sent
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `poll` has something to do."""
         with self._lock:
             if self._boot_wanted:
                 return 0.0
-            return max((self._polled + self.host.idle) * 1e-6 - now, 0.0)
+            return max(min((self._polled + self.host.idle) * 1e-6 - now, self.servos.next_event(now)), 0.0)
 
     def _tell_plant(self) -> None:
         for name, value in self._plant.settings().items():
@@ -221,6 +232,41 @@ class FirmwareBoard:
         """Apply the wire's faults packet by packet; the firmware sends whole ones."""
         pieces = [piece for piece in data.split(b"\0") if piece]
         return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs.decode(piece)[1]) for piece in pieces)
+
+
+class FirmwareBus:
+    """The servos' bus of the host program.
+
+    Args:
+        host: the host program, not booted yet.
+        device: what hangs on the bus; None = the board has none.
+    """
+
+    def __init__(self, host: BoardHost, device: ByteDevice | None) -> None:
+        self._host = host
+        self._device = device
+        host.command(f"servos {int(device is not None)}")
+
+    @property
+    def speed(self) -> int:
+        """The speed of the bus, bit/s."""
+        return int(self._host.state()["servo_speed"])
+
+    def serve(self, now: float) -> None:
+        """Carry bytes both ways at `now`, s; the board looks at those from the servos when it is polled next."""
+        if self._device is None:
+            return
+        came = self._device.poll(now)
+        heard = bytes.fromhex(self._host.command(f"bus {came.hex()}").removeprefix("bus").strip())
+        answer = self._device.receive(heard, now) if heard else b""
+        if answer:
+            self._host.command(f"bus {answer.hex()}")
+        if came or answer:
+            self._host.idle = 0
+
+    def next_event(self, now: float) -> float:
+        """Return the seconds until the servos have something to say; inf for never."""
+        return math.inf if self._device is None else self._device.next_event(now)
 
 
 class Counters:

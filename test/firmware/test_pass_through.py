@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tests of servos behind the emulated board, run on the firmware."""
+
+from __future__ import annotations
+
+import pytest
+
+from ..borrowed import borrowed_tests
+from .board_host import on_firmware
+
+NOT_OF_THE_BOARD = {
+    # A boot of the firmware takes no time here, so that few of them meet a packet; in steps: test_servo_bus.py.
+    "test_a_board_that_is_reset_amid_a_packet_costs_some_cycles",
+}
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.usefixtures("firmware_boards")]
+
+globals().update(borrowed_tests(on_firmware("test_pass_through"), NOT_OF_THE_BOARD))
