@@ -50,7 +50,7 @@ class BoardServos:
         """Speak at another speed, bit/s, where the board has it."""
         if not SLOWEST <= speed <= FASTEST:
             return AckError.BAD_PAYLOAD
-        self.speed = speed
+        self.speed, self._came = speed, b""
         return AckError.DONE
 
     def send(self, data: bytes, now: float) -> None:
