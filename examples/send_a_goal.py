@@ -64,8 +64,9 @@ def main() -> int:
         ended = sent.result().get_result_async()  # every goal is accepted; what cannot be served ends with its code
         rclpy.spin_until_future_complete(node, ended)
         result = ended.result().result
-        if result.success:
-            print(f"charging with {result.charge_current:.1f} A after {result.alignments} alignments")
+        if result.success:  # whose message says what a charger without a contactor does not know
+            charging = f"charging with {result.charge_current:.1f} A after {result.alignments} alignments"
+            print(result.error_message or charging)
         else:
             print(f"failed with {result.error_code}: {result.error_message}")
         return 0 if result.success else 1

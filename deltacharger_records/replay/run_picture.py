@@ -220,7 +220,10 @@ def charge(axes: Axes, run: Run) -> None:
     power = run.power.arrays()
     axes.plot(power["time"], power["current"], color=GREEN, linewidth=1.6)
     axes.fill_between(power["time"], 0.0, np.nan_to_num(power["current"]), color=GREEN, alpha=0.25, linewidth=0)
-    highest = np.nanmax(power["current"]) if np.isfinite(power["current"]).any() else 0.0
+    measured = np.isfinite(power["current"]).any()
+    highest = np.nanmax(power["current"]) if measured else 0.0
+    if not measured:
+        axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", va="center", color="#51606e")
     axes.set_ylim(-0.04 * max(highest, 1.0), 1.15 * max(highest, 1.0))
     axes.set_ylabel("charge\ncurrent, A")
 
@@ -309,15 +312,22 @@ def _figure(value: Any, scale: float, unit: str, digits: int) -> str:
     return f"{scale * value:.{digits}f} {unit}"
 
 
-def _title(figure: Figure, run: Run) -> None:
+def headline(run: Run) -> tuple[str, str]:
+    """Return how the run ended, and in small what its result says of that, else what the run is about."""
     outcome = run.outcome
     if outcome is None:
-        headline, colour = "Docking", INK
+        title = "Docking"
     elif outcome.success:
-        headline, colour = "Docked and charging" if outcome.details.get("energy") else "Docked", "#20703f"
+        title = "Docked and charging" if outcome.details.get("energy", 0.0) > 0.0 else "Docked"
     else:
-        headline, colour = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}", RED
-    figure.text(0.075, 0.960, headline, fontsize=17, fontweight="bold", color=colour, va="center")
-    about = outcome.error_message if outcome is not None and not outcome.success else run.notes.get("about", "")
-    short = about if len(about) < 150 else about[:147] + "…"
+        title = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}"
+    said = outcome.error_message if outcome is not None else ""
+    return title, said or run.notes.get("about", "")
+
+
+def _title(figure: Figure, run: Run) -> None:
+    title, about = headline(run)
+    colour = INK if run.outcome is None else "#20703f" if run.outcome.success else RED
+    figure.text(0.075, 0.960, title, fontsize=17, fontweight="bold", color=colour, va="center")
+    short = about if len(about) < 160 else about[:157] + "…"
     figure.text(0.075, 0.928, short, fontsize=9.5, color="#51606e", va="center")

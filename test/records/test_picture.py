@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deltacharger_records.replay.run_picture import PictureError, draw
+from deltacharger_records.replay.run_picture import PictureError, draw, headline
 from deltacharger_records.replay.run_record import Run, Series
 from deltacharger_ros.outcomes import Outcome
 
@@ -64,6 +65,14 @@ def test_it_is_drawn(run: Run, tmp_path: Path) -> None:
     draw(run, path)
     assert path.read_bytes()[:4] == PNG
     assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(("energy", "title"), [(109.0, "Docked and charging"), (0.0, "Docked"), (math.nan, "Docked")])
+def test_only_a_measured_charge_is_in_the_title(energy: float, title: str) -> None:
+    run = full_run()
+    assert run.outcome is not None
+    run.outcome = replace(run.outcome, error_message="power: none", details=DETAILS | {"energy": energy})
+    assert headline(run) == (title, "power: none")
 
 
 def test_where_it_cannot_be_written_the_reason_is_told(tmp_path: Path) -> None:
