@@ -23,6 +23,9 @@ from deltacharger_core.parameters import Bounded, ParameterError, number, number
 REPLY_MARGIN = 0.02
 """s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
 this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
+BOARD_MARGIN = 0.03
+"""s more where the servos hang on the board: a sampling of the pads and a tactile frame go first, and on a busy
+computer bytes wait for tactile_node, too."""
 
 
 SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}

@@ -38,7 +38,7 @@ from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import BEHIND_BOARD, JOINTS
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard
-from deltacharger_driver.parameters import SERVOS_FOLLOW, ServoNodeParameters
+from deltacharger_driver.parameters import BOARD_MARGIN, SERVOS_FOLLOW, ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry, servo_entry
@@ -122,7 +122,7 @@ class ServoNode(Node):
                 given.ids,
                 given.zero_ticks,
                 given.direction,
-                reply_margin=given.reply_margin,
+                reply_margin=given.reply_margin + BOARD_MARGIN * self._is_behind_board,
                 current_max=given.current_max,
                 gains=(given.position_p_gain, given.position_i_gain, given.position_d_gain),
             )
