@@ -67,6 +67,15 @@ class Spinner:
     def close(self, *waitables: Any) -> None:
         """Close the node while its callbacks still work, then stop serving and release it, its `waitables` first."""
         try:
+            self.stop()
+        finally:
+            for waitable in waitables:
+                waitable.destroy()
+            self.node.destroy_node()
+
+    def stop(self) -> None:
+        """Close the node while its callbacks still work, then stop serving; other nodes still see it."""
+        try:
             closer = getattr(self.node, "close", None)
             if closer is not None:
                 closer()
@@ -79,9 +88,6 @@ class Spinner:
             wait(jobs, _LAST)
             for pool in pools:
                 pool.shutdown(wait=False, cancel_futures=True)
-            for waitable in waitables:
-                waitable.destroy()
-            self.node.destroy_node()
 
     def wake(self) -> None:
         """Look anew at what there is to serve; rclpy calls it where entities come and go."""

@@ -12,7 +12,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core import environment, signals, streams
+from deltacharger_core.exit_timer import exit_within
 from deltacharger_ros.executor import Spinner
+
+_LEAVING = 5.0  # s for a node to leave the network: Fast DDS of Jazzy may wait for itself without end
 
 
 class StartupError(RuntimeError):
@@ -74,7 +77,11 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
             while not stop.wait(0.5) and spinner.is_alive():
                 pass
         finally:
-            spinner.close()
+            try:
+                spinner.stop()
+            finally:
+                exit_within(_LEAVING, 0 if stop.is_set() else 1)  # the hardware is safe by now
+                node.destroy_node()
         return 0 if stop.is_set() else 1
     finally:
         rclpy.try_shutdown()
