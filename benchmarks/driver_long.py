@@ -21,7 +21,9 @@ import argparse
 import contextlib
 import os
 import sys
+import threading
 import time
+import tty
 from array import array
 from pathlib import Path
 from typing import Any
@@ -38,6 +40,7 @@ environment.isolate()
 
 SETTLE = 5.0  # s between docking and measuring
 LOOK = 0.5  # s between two looks at the contactor
+LINE = 0.01  # s between two bytes that show how late a pseudo-terminal is
 TELL = 10.0  # s between two lines
 ATTEMPTS = 3  # to dock
 
@@ -68,7 +71,8 @@ def emulate(folder: Path) -> None:
         on_sample=lambda *sample: samples.extend(sample),
         on_heartbeat=lambda at: beats.extend((at, board.contactor_commanded)),
     )
-    record = {"samples": samples, "beats": beats, "openings": openings}
+    record = {"samples": samples, "beats": beats, "openings": openings, "line": array("d")}
+    threading.Thread(target=watch_line, args=(record["line"],), daemon=True).start()
     servos = ServoBusEmulator(plant, seed=seed)
     with PseudoTerminal(servos, folder / "servo") as cable, PseudoTerminal(board, folder / "board"):
         servos.line_speed = cable.speed
@@ -78,6 +82,19 @@ def emulate(folder: Path) -> None:
                 "record": lambda: {name: values.tolist() for name, values in record.items()},
             }
         )
+
+
+def watch_line(record: array[float]) -> None:
+    """Note for ever when a byte came through a pseudo-terminal and how late: the kernel's doing, which no board has."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    while True:
+        time.sleep(LINE)
+        sent = time.monotonic()
+        os.write(master, b"x")
+        os.read(slave, 1)
+        now = time.monotonic()
+        record.extend((now, now - sent))
 
 
 class Listener:

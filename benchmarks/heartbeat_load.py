@@ -9,9 +9,9 @@ it run the nodes of the simulated scene, docked and charging, and 0, 1, 2 or 4 p
   real time: all threads of the nodes have, as with `chrt -f 1` before them.
 
 Counted are ends of charging that nobody asked for; the charger then docks again without the load. Each end is told
-apart by its cause: the emulated board itself came late to look (own), the lease was not renewed in time (lease), else
-the heartbeat (host). Unsafe is a contactor that opens more than 100 ms after the last heartbeat, though the emulated
-board came in time.
+apart by its cause: the emulated hardware came late, the board to look or a byte through a pseudo-terminal (own); the
+lease was not renewed in time (lease); else the heartbeat (host). Unsafe is a contactor that opens more than 100 ms
+after the last heartbeat, though the emulated board was on time.
 
 Leave the computer alone meanwhile: other programs are load, too. All of it takes 4 hours with --seconds 600; choose.
 
@@ -160,11 +160,16 @@ def judge(cell: Cell, record: dict[str, Any], span: tuple[float, float], lapsed:
     at, live = np.array(record["beats"]).reshape(-1, 2).T
     _, due, taken = np.array(record["samples"]).reshape(-1, 3).T
     last = at[(live > 0.0) & (at < span[1])].max(initial=span[0])
-    near = (taken > last - STALE) & (taken < span[1])
-    late = float((taken - due)[near].max(initial=0.0))
+    came, line = np.array(record["line"]).reshape(-1, 2).T
+    board = _worst(taken, taken - due, last, span[1])
+    late = max(board, _worst(came, line, last, span[1]))
     cell.ends["own" if late > LATE_BOARD else "lease" if lapsed else "host"] += 1
     opened = [each for each in record["openings"] if each >= last]
-    cell.unsafe += bool(opened) and bool(opened[0] - last > LIMIT) and late <= LATE_BOARD
+    cell.unsafe += bool(opened) and bool(opened[0] - last > LIMIT) and board <= LATE_BOARD
+
+
+def _worst(at: np.ndarray, late: np.ndarray, last: float, end: float) -> float:
+    return float(late[(at > last - STALE) & (at < end)].max(initial=0.0))
 
 
 def main() -> int:
