@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the simulated world costs and how far it can be trusted; the figures of docs/simulation.md.
 
-    python benchmarks/world.py [--json | --parameters]
+    python benchmarks/world.py [--json]
 
 Everything is measured through the public World: cost of a step, statics, magnets, settled force over contact stiffness
 and step, and a docking's path over the step. Takes a few seconds.
@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import (
@@ -276,22 +275,10 @@ def table(corner: str, rows: dict[str, dict[str, float]], form: str) -> None:
         print("| " + " | ".join([name, *(form.format(row[column]) for column in columns)]) + " |")
 
 
-def show_parameters() -> None:
-    """Print the table of every number that a scene may set under simulation.world."""
-    print("| key | default | range | unit | meaning |\n|---|---|---|---|---|")
-    for each in declared(WorldParameters):
-        if each.kind is float:
-            print(f"| {each.name} | {each.default:.4g} | {each.low:g} to {each.high:g} | {each.unit} | {each.text} |")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
-    parser.add_argument("--parameters", action="store_true", help="the table of parameters instead of figures")
     options = parser.parse_args()
-    if options.parameters:
-        show_parameters()
-        return 0
     figures = measure()
     if options.json:
         print(json.dumps(figures))

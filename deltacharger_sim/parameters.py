@@ -44,13 +44,13 @@ class ServoParameters(Bounded):
     backlash: float = number(0.0, 0.0, 0.05, "rad", "play between encoder and arm, from stop to stop")
     inertia: float = number(0.004, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
     current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
-    supply_voltage: float = number(NOMINAL_VOLTAGE, 9.5, 16.0, "V", "regulator's output")
-    supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "of regulator and cable, common to the servos")
-    stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that goes with the voltage below 12 V")
-    command_latency: float = number(0.0, 0.0, 0.2, "s", "from a command to the servo's obeying it")
-    reading_latency: float = number(0.0, 0.0, 0.2, "s", "age of what a servo tells")
-    ambient_temperature: float = number(28.0, -20.0, 60.0, "°C", "of the room")
-    heating: float = number(9.0, 0.0, 100.0, "K/A²", "temperature rise at rest per squared current")
+    supply_voltage: float = number(NOMINAL_VOLTAGE, 9.5, 16.0, "V", "output of the regulator")
+    supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "resistance of regulator and cable, shared by the servos")
+    stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that follows the supply voltage below 12 V")
+    command_latency: float = number(0.0, 0.0, 0.2, "s", "delay until a servo obeys a command")
+    reading_latency: float = number(0.0, 0.0, 0.2, "s", "age of a servo's readings")
+    ambient_temperature: float = number(28.0, -20.0, 60.0, "°C", "room temperature")
+    heating: float = number(9.0, 0.0, 100.0, "K/A²", "final temperature rise per squared current")
     heating_time: float = number(600.0, 10.0, 10000.0, "s", "time constant of that rise")
 
 
@@ -60,10 +60,14 @@ class ContactParameters(Bounded):
 
     stiffness: float = number(1e5, 1e3, 1e9, "N/m", "normal stiffness of each electrode")
     friction: float = number(0.3, 0.0, 10.0, "", "coefficient of Coulomb friction")
-    hard_stop: float = number(0.002, 0.0005, 0.02, "m", "travel at which the electrode's spring bottoms")
+    hard_stop: float = number(0.002, 0.0005, 0.02, "m", "travel at which the electrode reaches its stop")
     hard_stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness behind the stop")
     pad_stiffness: float = number(
-        1.5e5, 1e4, 1e7, "N/m", "of each pad against yaw of the platform; slope of the tactile contact model at 78 N"
+        1.5e5,
+        1e4,
+        1e7,
+        "N/m",
+        "stiffness of each pad against yaw of the platform; slope of the tactile contact model at 78 N",
     )
 
 
@@ -71,19 +75,19 @@ class ContactParameters(Bounded):
 class MagnetParameters(Bounded):
     """Six magnets together: F = force/(1 + g/range)² · max(floor, 1/(1 + (r/width)²)), gap g, lateral offset r."""
 
-    force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "at contact, without lateral offset")
+    force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of all magnets at contact, without lateral offset")
     range: float = number(0.002, 0.0002, 0.02, "m", "gap at which the pull has fallen to a quarter")
     width: float = number(MAGNET_WIDTH, 0.001, 0.1, "m", "lateral offset at which the pull has fallen to a half")
-    floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "share of the pull that remains far off")
+    floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "smallest share of the pull, at a large lateral offset")
 
 
 @dataclass(frozen=True)
 class TerminalParameters(Bounded):
     """The two bars of charger and target alike."""
 
-    length: float = number(BAR_LENGTH, 0.01, 0.2, "m", "of a bar, along x")
-    height: float = number(BAR_HEIGHT, 0.002, 0.05, "m", "of a bar, along y")
-    gap: float = number(BAR_GAP, 0.001, 0.05, "m", "between the bars")
+    length: float = number(BAR_LENGTH, 0.01, 0.2, "m", "length of a bar, along x")
+    height: float = number(BAR_HEIGHT, 0.002, 0.05, "m", "height of a bar, along y")
+    gap: float = number(BAR_GAP, 0.001, 0.05, "m", "gap between the bars")
 
 
 @dataclass(frozen=True)
@@ -91,43 +95,53 @@ class PlatformParameters(Bounded):
     """How the platform yields to an off-centre or tilted contact; rigid by default."""
 
     compliance: float = number(0.0, 0.0, 0.1, "rad/(N·m)", "tilt about x and y per moment; 0 = rigid")
-    lever: float = number(0.02, 0.0, 0.1, "m", "from the point it tilts about to its touched faces")
+    lever: float = number(0.02, 0.0, 0.1, "m", "distance from the point it tilts about to its contact faces")
 
 
 @dataclass(frozen=True)
 class TargetParameters(Bounded):
     """Where the target's electrodes are, in charger_base."""
 
-    present: bool = flag(True, "whether there is a target")
-    x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
-    y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
-    z: float = number(DOCK_DISTANCE, 0.0, 1.0, "m", "touched faces")
-    roll: float = number(0.0, -0.8, 0.8, "rad", "about z, from +x to +y")
-    tilt_x: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about x, relative to the platform")
-    tilt_y: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about y, relative to the platform")
+    present: bool = flag(True, "false = no target to dock to")
+    x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the target's electrodes, along x of charger_base")
+    y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the target's electrodes, along y")
+    z: float = number(DOCK_DISTANCE, 0.0, 1.0, "m", "contact faces of the target, along z")
+    roll: float = number(0.0, -0.8, 0.8, "rad", "turn of the target about z, from +x to +y")
+    tilt_x: float = number(0.0, -0.1, 0.1, "rad", "tilt of the contact faces about x, relative to the platform")
+    tilt_y: float = number(0.0, -0.1, 0.1, "rad", "tilt of the contact faces about y, relative to the platform")
 
 
 @dataclass(frozen=True)
 class CircuitParameters(Bounded):
     """Charger's battery and power stage, target's battery."""
 
-    wired: bool = flag(False, "whether the electrodes hang on the battery, without power stage (power: none)")
-    battery_voltage: float = number(26.0, BATTERY_MIN, BATTERY_MAX, "V", "charger's battery (paper: 22.7–29.8 V)")
-    battery_resistance: float = number(0.13, 0.001, 10.0, "Ω", "of that battery and its wires; counts where wired")
+    wired: bool = flag(False, "true = no power stage: the electrodes are wired to the battery (power: none)")
+    battery_voltage: float = number(
+        26.0, BATTERY_MIN, BATTERY_MAX, "V", "voltage of the charger's battery (paper: 22.7–29.8 V)"
+    )
+    battery_resistance: float = number(
+        0.13, 0.001, 10.0, "Ω", "resistance of that battery and its wires; used if wired"
+    )
     current_limit: float = number(10.0, 0.5, 18.0, "A", "constant-current limit of the stage (electrodes: 18 A)")
     voltage_limit: float = number(29.0, 10.0, 60.0, "V", "constant-voltage limit of the stage")
     ramp_up: float = number(40.0, 1.0, 1000.0, "A/s", "rise of the current after closing")
     ramp_down: float = number(500.0, 50.0, 5000.0, "A/s", "fall of the current before a wanted opening")
-    precharge_time: float = number(0.1, 0.0, 1.0, "s", "until both sides match within 1 V")
+    precharge_time: float = number(0.1, 0.0, 1.0, "s", "pre-charge until both sides match within 1 V")
     target_voltage: float = number(24.0, -60.0, 60.0, "V", "open-circuit voltage of the target; negative = swapped")
-    target_capacity: float = number(0.0, 0.0, 1e9, "C/V", "charge that lifts that voltage by a volt; 0 = none does")
+    target_capacity: float = number(
+        0.0, 0.0, 1e9, "C/V", "charge that raises that voltage by 1 V; 0 = it stays constant"
+    )
     target_resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the target")
-    target_leakage: float = number(2000.0, 0.0, 1e6, "Ω", "what the probe sees of a healthy target; < 1 is a short")
-    target_accepts: bool = flag(True, "whether the target takes current")
-    contact_resistance: float = number(0.01, 0.0, 10.0, "Ω", "both electrodes fully overlapped, at 80 N")
+    target_leakage: float = number(
+        2000.0, 0.0, 1e6, "Ω", "resistance that the probe measures at a healthy target; < 1 is a short"
+    )
+    target_accepts: bool = flag(True, "false = the target takes no current")
+    contact_resistance: float = number(
+        0.01, 0.0, 10.0, "Ω", "resistance of both contacts in series, fully overlapped, at 80 N"
+    )
     voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest target voltage that the stage feeds")
     voltage_max: float = number(30.0, 1.0, 80.0, "V", "highest target voltage that the stage feeds")
-    welded: bool = flag(False, "whether the contactor stays closed once it has closed")
+    welded: bool = flag(False, "true = the contactor stays closed once it has closed")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ _LOOK = 0.5  # s that an estimate and what follows it take at most
 class Taxels:
     """What taxels do that no tare takes away."""
 
-    high_row: float = number(0.0, 0.0, 5.0, "N", "what ten taxels in a row of one pad read too much after each tare")
+    high_row: float = number(0.0, 0.0, 5.0, "N", "excess reading of one row of ten taxels of one pad, after each tare")
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Parked:
     """How the robot stands before the target."""
 
     heading: float = number(
-        0.0, -0.1, 0.1, "rad", "of the robot too far about +y, from +z to +x; the faces are turned back by it"
+        0.0, -0.1, 0.1, "rad", "turn of the robot about +y, from +z to +x; the target's faces appear turned back by it"
     )
 
 
@@ -39,10 +39,10 @@ class Parked:
 class Nudge:
     """How the target is moved while it is charged."""
 
-    x: float = number(0.0, -0.02, 0.02, "m", "by which the target is moved while it charges, charger_base")
-    y: float = number(0.0, -0.02, 0.02, "m", "the same along y")
-    roll: float = number(0.0, -0.2, 0.2, "rad", "the same about z, from +x to +y")
-    after: float = number(2.0, 0.0, 60.0, "s", "after closing of the contactor")
+    x: float = number(0.0, -0.02, 0.02, "m", "movement of the target during charging, along x of charger_base")
+    y: float = number(0.0, -0.02, 0.02, "m", "movement along y")
+    roll: float = number(0.0, -0.2, 0.2, "rad", "turn of the target during charging about z, from +x to +y")
+    after: float = number(2.0, 0.0, 60.0, "s", "time from the closing of the contactor to the nudge")
 
     @property
     def moves(self) -> bool:

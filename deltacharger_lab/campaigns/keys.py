@@ -21,29 +21,35 @@ from deltacharger_tactile.second.parameters import SecondParameters
 class _Target:
     """Where the target stands, seen by the camera."""
 
-    x: float = number(0.0, -0.06, 0.06, "m", "where the target stands, from (0, 0, 80 mm) of charger_base")
-    y: float = number(0.0, -0.06, 0.06, "m", "the same along y, +y up")
-    z: float = number(0.0, -0.04, 0.03, "m", "the same along z, away from the robot")
-    roll: float = number(0.0, -0.6, 0.6, "rad", "about z, from +x to +y")
+    x: float = number(
+        0.0, -0.06, 0.06, "m", "place of the target when the camera looks, along x from (0, 0, 80 mm) of charger_base"
+    )
+    y: float = number(0.0, -0.06, 0.06, "m", "place of the target along y; +y is up")
+    z: float = number(0.0, -0.04, 0.03, "m", "place of the target along z, away from the robot")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "turn of the target about z, from +x to +y")
 
 
 @dataclass(frozen=True)
 class _Shift:
     """How the target stands elsewhere at contact than the camera saw it."""
 
-    x: float = number(0.0, -0.03, 0.03, "m", "how far the target has moved at contact, unseen by the camera")
-    y: float = number(0.0, -0.03, 0.03, "m", "the same along y")
-    z: float = number(0.0, -0.03, 0.03, "m", "the same along z")
-    roll: float = number(0.0, -0.6, 0.6, "rad", "the same about z")
+    x: float = number(0.0, -0.03, 0.03, "m", "movement of the target between camera and contact, along x")
+    y: float = number(0.0, -0.03, 0.03, "m", "movement along y")
+    z: float = number(0.0, -0.03, 0.03, "m", "movement along z")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "turn of the target between camera and contact, about z")
     limit: float | None = number(
         None,
         0.001,
         0.06,
         "m",
-        "largest offset from goal to target along x and along y; errors of vision beyond are redrawn",
+        "largest offset from goal to target along x and along y; larger errors of vision are drawn again",
     )
     beyond_zero: float | None = number(
-        None, -0.2, 0.2, "rad", "roll of the target beyond that of no clearance at its vertical offset, either sign"
+        None,
+        -0.2,
+        0.2,
+        "rad",
+        "roll beyond the one without clearance at the vertical offset, either sign; replaces shift.roll",
     )
 
 
@@ -58,48 +64,60 @@ class _Electrode:
 class _Camera:
     """Errors of the camera, drawn for each docking."""
 
-    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of a detection, per axis, drawn for each docking")
-    roll_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of its roll")
-    lean_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of its yaw and of its pitch; 0 = it tells neither")
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of a detection, per axis")
+    roll_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of the detected roll")
+    lean_stddev: float = number(
+        0.0,
+        0.0,
+        0.2,
+        "rad",
+        "error of the detected yaw and pitch, to which the mount's is added; 0 = neither is reported",
+    )
 
 
 @dataclass(frozen=True)
 class _HandEye:
     """Errors of where the camera is believed to be."""
 
-    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of the camera's believed place, per axis")
-    rotation_stddev: float = number(0.0, 0.0, 0.1, "rad", "error of its believed orientation, per axis")
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of the camera's assumed place, per axis")
+    rotation_stddev: float = number(
+        0.0, 0.0, 0.1, "rad", "error of its assumed orientation, per axis; moves the target about the usual mount"
+    )
 
 
 @dataclass(frozen=True)
 class _Gravity:
     """How the robot stands."""
 
-    tilt: float = number(0.0, 0.0, math.pi, "rad", "of the robot: angle between gravity and −y of charger_base")
-    azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that tilt about −y: 0 = toward +z")
-    anywhere: bool = flag(False, "whether gravity points anywhere, each direction as likely")
-    known: bool = flag(False, "whether docking is told the tilt")
+    tilt: float = number(0.0, 0.0, math.pi, "rad", "tilt of the robot: angle between gravity and −y of charger_base")
+    azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that tilt about −y; 0 = toward +z")
+    anywhere: bool = flag(False, "true = gravity in any direction, all equally likely; replaces tilt and azimuth")
+    known: bool = flag(False, "true = docking knows the tilt")
 
 
 @dataclass(frozen=True)
 class EstimatorErrors:
     """What is wrong with every estimate of the misalignment besides what pads and model do."""
 
-    position_stddev: float = number(0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y")
+    position_stddev: float = number(
+        0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y, unknown to its standard deviations"
+    )
     angle_stddev: float = number(0.0, 0.0, 0.2, "rad", "noise added to each estimate's angle")
     bias_horizontal: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along x")
     bias_vertical: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along y")
     bias_angle: float = number(0.0, -0.2, 0.2, "rad", "added to each estimate's angle")
-    stddev_scale: float = number(1.0, 0.1, 10.0, "", "by which each estimate's standard deviations are multiplied")
+    stddev_scale: float = number(1.0, 0.1, 10.0, "", "factor on each estimate's standard deviations")
     tail: float | None = number(
         None,
         2.1,
         1e6,
         "",
-        "errors are Student's t of so many degrees, as wide as the standard deviations, not the pads' own",
+        "degrees of freedom of Student's t with the estimate's variance, in place of the pads' errors; 1e6 = normal",
     )
-    paper: bool = flag(False, "whether estimates are the classes of the paper's CNN, taken as sure")
-    model: str = choice(PACKAGED, POSE_MODELS, "pose model: packaged, or that for sensors that tell nothing below 1 N")
+    paper: bool = flag(
+        False, "true = estimates are classes of the paper's CNN (0–5°, steps of 5 mm) with standard deviations of 0"
+    )
+    model: str = choice(PACKAGED, POSE_MODELS, "pose model; 1N = for sensors that read nothing below 1 N")
 
 
 @dataclass(frozen=True)
@@ -117,7 +135,7 @@ class _Campaign:
     taxels: Taxels = field(default_factory=Taxels)
     parked: Parked = field(default_factory=Parked)
     nudge: Nudge = field(default_factory=Nudge)
-    pads: str = choice(FIRST, PADS, "contact physics of the pads: first, by which pose models were trained, or second")
+    pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
 
 
 TAKEN = {
@@ -133,21 +151,23 @@ TAKEN = {
 """Keys of the parts that a campaign sets itself, and what to write instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
 """Keys that draw others, which then are not given."""
-_FACTS = ("second.dimensions.", "second.docking.")  # of the product, the same in both physics
+FACTS = ("second.dimensions.", "second.docking.")
+"""Beginnings of keys that are facts of the product, the same in both physics, and not settable."""
+PARTS = {
+    "": _Campaign,
+    "world": WorldParameters,
+    "tactile": TactileParameters,
+    "second": SecondParameters,
+    "docking": DockingParameters,
+}
+"""Parameter classes by the section of a campaign's scene; '' = keys of the campaign's own."""
 _WORDS = ("pads", "estimator.model")  # the keys that are text
 
 
 @functools.cache
 def known_keys() -> dict[str, Declaration]:
     """Return every key by its dotted name."""
-    parts = {
-        "": _Campaign,
-        "world": WorldParameters,
-        "tactile": TactileParameters,
-        "second": SecondParameters,
-        "docking": DockingParameters,
-    }
-    keys = {key.name: key for section, part in parts.items() for key in declared(part, section)}
+    keys = {key.name: key for section, part in PARTS.items() for key in declared(part, section)}
     numbers = {name for name, key in keys.items() if key.kind in (bool, int, float)}
     settable = numbers.union(_WORDS).difference(TAKEN)
-    return {name: key for name, key in keys.items() if name in settable and not name.startswith(_FACTS)}
+    return {name: key for name, key in keys.items() if name in settable and not name.startswith(FACTS)}

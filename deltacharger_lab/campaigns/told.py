@@ -28,14 +28,16 @@ class ToldLimb:
     height_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of its motor axis, toward +z")
     arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this arm")
     rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this rod")
-    angle_offset: float = number(0.0, -_TURNED, _TURNED, "rad", "error of this arm's zero: angle told less true angle")
+    angle_offset: float = number(0.0, -_TURNED, _TURNED, "rad", "error of this arm's zero: assumed less true angle")
 
 
 @dataclass(frozen=True)
 class ToldGeometry:
     """How docking's dimensions of the arm differ from the true ones: told less true."""
 
-    base_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the base radius; less platform_radius's it counts")
+    base_radius: float = number(
+        0.0, -_WRONG, _WRONG, "m", "error of the base radius; only its difference to platform_radius's error counts"
+    )
     arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all arms")
     rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all rods")
     platform_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the platform's radius")
@@ -49,12 +51,14 @@ class ToldGeometry:
 class Told:
     """What docking takes arm and gravity for."""
 
-    servo_stiffness: float = number(1.0, 0.25, 4.0, "", "servo stiffness that docking is told, over the true one")
+    servo_stiffness: float = number(1.0, 0.25, 4.0, "", "servo stiffness that docking assumes, over the true one")
     torque_constant: float = number(
-        1.0, 0.5, 2.0, "", "torque constant that docking and servo_node are told, over the true one"
+        1.0, 0.5, 2.0, "", "torque constant that docking and servo_node assume, over the true one"
     )
-    gravity_tilt: float = number(0.0, 0.0, math.pi, "rad", "angle from true gravity to that which docking is told")
-    gravity_azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that angle, as of gravity.azimuth")
+    gravity_tilt: float = number(
+        0.0, 0.0, math.pi, "rad", "angle from true gravity to the gravity that docking assumes"
+    )
+    gravity_azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that angle, as gravity.azimuth")
     geometry: ToldGeometry = field(default_factory=ToldGeometry)
 
 

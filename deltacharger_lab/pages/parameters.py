@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core import environment, streams
+from deltacharger_lab.pages import model_parameters
 from deltacharger_ros.node_support import ros_problem
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
@@ -23,10 +24,18 @@ _PER_SCENE = ("port", "file")
 _PORT = "set per scene"
 _HEAD = """# Parameters
 
-Every parameter of every node, from their declarations. A value outside its bounds and an unknown name stop the node at
-start with exit code 2 and the parameter's name.
+Every parameter of every node, model and campaign, from their declarations. An unknown name or a value outside its
+bounds is refused. A node then stops at start with exit code 2 and names the parameter.
 
-Those with * can be set while the node runs ([tuning](bringup.md#tuning)); all others are fixed then.
+Node parameters marked * can be set while the node runs ([tuning](bringup.md#tuning)). All others are fixed.
+
+| section | where its keys stand |
+|---|---|
+| names of nodes | `parameters: {node: {name: value}}` of a scene |
+| [Simulated world](#simulated-world) | `simulation.world` of a scene; `world` of a campaign's scene |
+| [First contact physics](#first-contact-physics) | `tactile` of a campaign's scene |
+| [Second contact physics](#second-contact-physics) | `second` of a campaign's scene |
+| [Campaign scenes](#campaign-scenes) | top level of a campaign's scene |
 """
 
 
@@ -37,25 +46,16 @@ def table(node: Node) -> str:
         if name in _OWN or name.startswith("qos_overrides."):
             continue
         descriptor = node.describe_parameter(name)
-        default = _PORT if name in _PER_SCENE else _text(node.get_parameter(name).value)
+        default = _PORT if name in _PER_SCENE else model_parameters.text(node.get_parameter(name).value)
         live = "" if descriptor.read_only else " *"
         lines.append(f"| {name}{live} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
     return "\n".join([*lines, ""])
 
 
 def document(nodes: Iterable[Node]) -> str:
-    """Return the whole page for running nodes, in the order of their names."""
-    return "\n".join([_HEAD, *(table(node) for node in sorted(nodes, key=lambda node: node.get_name()))])
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, str):
-        return value or "(empty)"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, bool | int):
-        return str(value).lower()
-    return ", ".join(_text(item) for item in value)
+    """Return the page: running nodes in the order of their names, then models and campaigns."""
+    tables = [table(node) for node in sorted(nodes, key=lambda node: node.get_name())]
+    return "\n".join([_HEAD, *tables, model_parameters.sections()])
 
 
 def _allowed(descriptor: Any) -> str:

@@ -25,13 +25,13 @@ class FoundationParameters(Bounded):
 
     sub_samples: int = number(6, 1, 20, "", "points per taxel along y; half as many along x")
     modulus: float = number(0.8e6, 1e5, 1e8, "Pa", "Young's modulus of the skin (silicone of Shore A 20–30, handbook)")
-    thickness: float = number(2.0e-3, 2e-4, 1e-2, "m", "of the skin (assumed)")
+    thickness: float = number(2.0e-3, 2e-4, 1e-2, "m", "thickness of the skin (assumed)")
     confinement: float = number(
         2.0, 1.0, 10.0, "", "stiffening of a bonded strip, 1 + 2 S² (Gent and Lindley; S = 0.7 of a 6 mm ridge)"
     )
     base_stiffness: float = number(2.0e9, 1e8, 1e12, "Pa/m", "pressure per deflection of the layer below (assumed)")
     shear_length: float = number(
-        1.0e-3, 1e-4, 5e-3, "m", "√(G/k) of that layer, over which its shear carries load aside (Pasternak; assumed)"
+        1.0e-3, 1e-4, 5e-3, "m", "√(G/k) of that layer: how far its shear spreads load (Pasternak; assumed)"
     )
     bow: float = number(2e-5, 0.0, 2e-4, "m", "spread of a ridge's sagitta, per rig (moulded part of 46 mm; assumed)")
     skew: float = number(2e-5, 0.0, 2e-4, "m", "spread of the height between a ridge's ends, per rig (assumed)")
@@ -46,12 +46,14 @@ class FoundationParameters(Bounded):
 class BarParameters(Bounded):
     """The electrode bars as spring strips beside the pads; every number is of one bar of the full length."""
 
-    rate: float = number(1e4, 0.0, 1e6, "N/m", "of the springs behind a bar (contact springs of 2–20 N/mm; assumed)")
-    preload: float = number(2.0, 0.0, 20.0, "N", "with which the springs hold a bar to its stop (assumed)")
+    rate: float = number(
+        1e4, 0.0, 1e6, "N/m", "stiffness of the springs behind a bar (contact springs of 2–20 N/mm; assumed)"
+    )
+    preload: float = number(2.0, 0.0, 20.0, "N", "force of the springs that hold a bar at its stop (assumed)")
     seat: float = number(2e-5, 1e-6, 1e-3, "m", "approach over which a bar takes its preload (assumed: roughness)")
-    travel: float = number(1.5e-3, 1e-4, 1e-2, "m", "after which a bar is solid (assumed)")
-    stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "of a bar that is solid (assumed)")
-    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "by which bars touch before ridges do (assumed: after)")
+    travel: float = number(1.5e-3, 1e-4, 1e-2, "m", "travel after which a bar is solid (assumed)")
+    stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness of a solid bar (assumed)")
+    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "how far bars touch before ridges; negative = after (assumed)")
 
 
 @dataclass(frozen=True)
@@ -83,18 +85,18 @@ class SheetParameters(Bounded):
     matrix: float = number(
         0.015, 0.0, 0.1, "", "share of its row's and its column's mean that a taxel picks up (assumed)"
     )
-    dead_band: float = number(1.0, 0.0, 5.0, "N", "below which a taxel tells nothing (paper: 1–9 N)")
-    dead_band_spread: float = number(0.1, 0.0, 1.0, "N", "spread of that, per taxel; cut at two of them (assumed)")
+    dead_band: float = number(1.0, 0.0, 5.0, "N", "force below which a taxel reads 0 (paper: 1–9 N)")
+    dead_band_spread: float = number(0.1, 0.0, 1.0, "N", "spread of the dead band, per taxel; cut at two σ (assumed)")
     fixed_offset: float = number(0.1, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig (assumed)")
     gain_drift: float = number(
         0.03, 0.0, 0.3, "", "spread of a pad's gain when warm (0.36 %/K of that class; 8 K assumed)"
     )
     offset_drift: float = number(0.06, 0.0, 1.0, "N", "spread of a taxel's offset after warming up (assumed)")
     drift_time: float = number(600.0, 1.0, 1e5, "s", "time constant of warming up (assumed)")
-    noise: float = number(0.02, 0.0, 0.5, "N", "of one sample of an unloaded taxel (assumed: two codes)")
+    noise: float = number(0.02, 0.0, 0.5, "N", "noise of one sample of an unloaded taxel (assumed: two codes)")
     noise_gain: float = number(0.015, 0.0, 0.2, "", "noise of one sample relative to its force (assumed)")
     pedestal: float = number(0.5, 0.0, 2.0, "N", "reading of an unloaded taxel; the board's")
-    full_scale: float = number(9.0, 1.0, 50.0, "N", "largest force that is told (paper)")
+    full_scale: float = number(9.0, 1.0, 50.0, "N", "largest force that is reported (paper)")
     bits: int = number(10, 4, 16, "bit", "resolution over pedestal plus full scale; the board's")
     dead_taxels: int = number(1, 0, 20, "", "taxels of a rig that read nothing (NaN); as of the first physics")
 
