@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import math
 import re
 from collections.abc import Callable
+from urllib.parse import urlsplit
+
+from deltacharger_bringup.cli.web_viewer import WebAddress
 
 
 def between(low: float, high: float) -> Callable[[str], float]:
@@ -45,6 +49,20 @@ def namespace(text: str) -> str:
     if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
         raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
     return name
+
+
+def web_address(text: str) -> WebAddress:
+    """Return an address of this computer, ADDRESS or ADDRESS:PORT."""
+    try:
+        parts = urlsplit(f"//{text}")
+        address = WebAddress(str(ipaddress.ip_address(parts.hostname or "")), parts.port or WebAddress.port)
+        if parts.port == 0 or address.port > 65534:
+            raise ValueError
+        return address
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not an IP address with or without a port, such as 0.0.0.0 or 127.0.0.1:9090"
+        ) from None
 
 
 POSITIVE = between(0.0, 2e9)  # what a Duration's seconds hold

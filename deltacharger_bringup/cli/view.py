@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger view`: a charger at work in Rerun, live or from a recording, on a screen or into a file."""
+"""`deltacharger view`: a charger at work in Rerun, live or recorded, on a screen, in a browser or in a file."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import time
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +30,8 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_bringup.cli.types import POSITIVE
+from deltacharger_bringup.cli.types import POSITIVE, web_address
+from deltacharger_bringup.cli.web_viewer import WebAddress, WebViewer
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
 from deltacharger_docking.parameters import DockingParameters
@@ -54,6 +57,14 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--save", metavar="FILE.rrd", help="write a file for later instead of opening a window")
+    where.add_argument(
+        "--web",
+        metavar="ADDRESS[:PORT]",
+        type=web_address,
+        nargs="?",
+        const=WebAddress(),
+        help="serve it to a browser, at 127.0.0.1:9090 unless told otherwise; the data take the next port",
+    )
     where.add_argument("--connect", metavar="URL", help="show it in a viewer that runs, rerun+http://HOST:9876/proxy")
     parser.add_argument("--camera", action="store_true", help="the camera's image too, at 5 Hz; it is taken for it")
     parser.add_argument(
@@ -66,9 +77,14 @@ def view(options: argparse.Namespace) -> int:
     """Show a running charger until it is interrupted, or a recording."""
     rr = _rerun()
     _check_places(options)
-    if options.recording is None:
-        return _show_charger(rr, options)
-    return _show_recording(rr, options)
+    with contextlib.ExitStack() as stack:
+        if options.web is not None:
+            stack.enter_context(WebViewer(_program(), options.web))
+            options.connect = options.web.sink
+            say(f"open {options.web.page}")
+        if options.recording is None:
+            return _show_charger(rr, options)
+        return _show_recording(rr, options)
 
 
 def _rerun() -> Any:
@@ -94,10 +110,10 @@ def _check_places(options: argparse.Namespace) -> None:
     if options.save is not None:
         file_to_write("--save", options.save, ".rrd")
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if options.save is None and options.connect is None and not has_screen:
+    if not (options.save or options.connect or options.web or has_screen):
         raise CommandError(
-            "there is no screen here: give --save FILE.rrd and open the file elsewhere with `rerun FILE.rrd`, "
-            "or --connect to a viewer that runs on another computer",
+            "there is no screen here: give --web and open its page in a browser, --save FILE.rrd and open the file "
+            "elsewhere with `rerun FILE.rrd`, or --connect to a viewer that runs on another computer",
             WRONG_INPUT,
         )
 
@@ -129,6 +145,14 @@ def _open(rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings
     except (OSError, RuntimeError, ValueError) as error:
         raise CommandError(f"Rerun cannot start: {error}", FAILED) from error
     return recording, ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters)
+
+
+def _program() -> Path:
+    """Return Rerun's executable, which its package brings along."""
+    package = find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise CommandError(f"Rerun's viewer is not installed: {_EXTRA}", WRONG_INPUT)
+    return Path(package.origin).with_name("rerun")
 
 
 def _find_viewer() -> None:
@@ -227,6 +251,9 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
             recording, feed = _open(rr, options, scene, own)
             try:
                 recorded.play(feed, interrupts.event.is_set)
+                if options.web is not None:
+                    say("shown; Ctrl-C ends the viewer")
+                    interrupts.event.wait()
             finally:
                 _close(recording)
     _report(options, feed, time.monotonic() - began)
@@ -236,7 +263,7 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Sequence[str] = ()) -> None:
     """Tell what was shown."""
     counts = dict(sorted(feed.counts.items()))
-    place = options.save or options.connect
+    place = options.save or (options.web.page if options.web else options.connect)
     if options.json:
         told = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
         write_json(told)
