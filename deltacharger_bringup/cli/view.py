@@ -8,7 +8,8 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,7 @@ from deltacharger_scenes.scene import Scene
 from deltacharger_vision.mount import Mount
 
 if TYPE_CHECKING:
+    from deltacharger_records.view.animation import Animation
     from deltacharger_records.view.feed import ViewFeed
 
 Settings = tuple[DockingParameters, DeltaGeometry]
@@ -56,7 +58,8 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         "--scene", metavar="NAME|FILE", help="whose geometry and camera mount are drawn (default: the usual ones)"
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--save", metavar="FILE.rrd", help="write a file for later instead of opening a window")
+    text = "write a file for later, or an animated picture, instead of opening a window"
+    where.add_argument("--save", metavar="FILE.rrd|FILE.gif", help=text)
     where.add_argument(
         "--web",
         metavar="ADDRESS[:PORT]",
@@ -75,8 +78,8 @@ def add_view(parser: argparse.ArgumentParser) -> None:
 
 def view(options: argparse.Namespace) -> int:
     """Show a running charger until it is interrupted, or a recording."""
-    rr = _rerun()
     _check_places(options)
+    rr = None if _is_animation(options) else _rerun()
     with contextlib.ExitStack() as stack:
         if options.web is not None:
             stack.enter_context(WebViewer(_program(), options.web))
@@ -108,7 +111,7 @@ def _check_places(options: argparse.Namespace) -> None:
             f"--connect {options.connect}: give an address such as rerun+http://HOST:9876/proxy", WRONG_INPUT
         )
     if options.save is not None:
-        file_to_write("--save", options.save, ".rrd")
+        file_to_write("--save", options.save, ".gif" if _is_animation(options) else ".rrd")
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (options.save or options.connect or options.web or has_screen):
         raise CommandError(
@@ -118,20 +121,32 @@ def _check_places(options: argparse.Namespace) -> None:
         )
 
 
-def _open(rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings | None = None) -> tuple[Any, ViewFeed]:
-    """Return a recording that goes where the options say, and the feed that fills it.
+def _is_animation(options: argparse.Namespace) -> bool:
+    return options.save is not None and options.save.endswith(".gif")
+
+
+def _open(
+    rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings | None = None
+) -> tuple[ViewFeed, Callable[[], None]]:
+    """Return the feed of what goes where the options say, and what completes it.
 
     Args:
-        rr: the module rerun.
+        rr: the module rerun; None for an animated picture.
         options: of the command.
         scene: whose camera is drawn, and whose arm where there are no `settings`.
         settings: what the charger itself decides by, and its arm.
     """
-    from deltacharger_records.view.blueprint import blueprint
     from deltacharger_records.view.feed import ViewFeed
-    from deltacharger_records.view.log import ViewLog
 
     (parameters, geometry), camera = settings or settings_of(scene), mount_of(scene)
+    if rr is None:
+        from deltacharger_records.view.animation import Animation
+
+        animation = Animation(geometry)
+        return ViewFeed(animation, geometry, parameters), partial(_draw, animation, Path(options.save))
+    from deltacharger_records.view.blueprint import blueprint
+    from deltacharger_records.view.log import ViewLog
+
     recording = rr.RecordingStream("deltacharger")
     layout = blueprint(live=options.recording is None and options.save is None)
     try:
@@ -144,7 +159,7 @@ def _open(rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings
             recording.spawn(default_blueprint=layout)
     except (OSError, RuntimeError, ValueError) as error:
         raise CommandError(f"Rerun cannot start: {error}", FAILED) from error
-    return recording, ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters)
+    return ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters), partial(_close, recording)
 
 
 def _program() -> Path:
@@ -159,6 +174,21 @@ def _find_viewer() -> None:
     """Let Rerun find the viewer that was installed with it, also where nobody has activated this environment."""
     beside = str(Path(sys.executable).parent)
     os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", os.defpath)])
+
+
+def _draw(animation: Animation, path: Path) -> None:
+    """Write the animated picture."""
+
+    def progress(done: int, of: int) -> None:
+        if done % 40 == 0:
+            say(f"{done} of {of} pictures are drawn")
+
+    try:
+        animation.save(path, progress)
+    except ImportError as error:
+        raise CommandError(f"{error.name} is not installed; install deltacharger[report]", WRONG_INPUT) from error
+    except (OSError, ValueError) as error:
+        raise CommandError(f"cannot draw {path}: {error}", FAILED) from error
 
 
 def _close(recording: Any) -> None:
@@ -203,7 +233,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
         from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS
         from deltacharger_records.view.sources import Listener
 
-        recording, feed = _open(rr, options, scene)
+        feed, complete = _open(rr, options, scene)
         topics = [topic for topic in TOPICS if options.camera or topic.name != COLOR_IMAGE]
         listener = Listener(context, options.namespace, topics)
         began = time.monotonic()
@@ -219,7 +249,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
                     break
         finally:
             listener.close()
-            _close(recording)
+            complete()
     _report(options, feed, time.monotonic() - began, silent or ())
     return interrupts.exit_code(DONE)
 
@@ -248,14 +278,14 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
         recorded = ShownRecording(Path(options.recording), options.namespace)
         with Interrupts() as interrupts:
             own = recorded.settings if options.scene is None else None
-            recording, feed = _open(rr, options, scene, own)
+            feed, complete = _open(rr, options, scene, own)
             try:
                 recorded.play(feed, interrupts.event.is_set)
                 if options.web is not None:
                     say("shown; Ctrl-C ends the viewer")
                     interrupts.event.wait()
             finally:
-                _close(recording)
+                complete()
     _report(options, feed, time.monotonic() - began)
     return interrupts.exit_code(DONE)
 
@@ -269,5 +299,5 @@ def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Se
         write_json(told)
         return
     say(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
-    if options.save is not None:
+    if options.save is not None and not _is_animation(options):
         say(f"open it with: rerun {options.save}")

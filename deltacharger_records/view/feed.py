@@ -17,6 +17,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.quantities import numbers
 from deltacharger_records.recording.docking_topics import DECISION, STATE
 from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
+from deltacharger_records.view.animation import Animation
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.pictures import pad_picture
 from deltacharger_ros import qos
@@ -46,10 +47,10 @@ _ENERGY_STEP = 0.2  # s between two charger_power at most, as docking_node count
 
 
 class ViewFeed:
-    """Takes messages and fills a `ViewLog`.
+    """Takes messages and fills a view.
 
     Args:
-        log: is filled.
+        log: what is filled: a `ViewLog` or an `Animation`.
         geometry: of the arm.
         parameters: what docking_node decides by, of which gravity tells the contact current; None = the defaults.
 
@@ -58,7 +59,9 @@ class ViewFeed:
         refused: what is wrong with the first message of a topic that could not be shown.
     """
 
-    def __init__(self, log: ViewLog, geometry: DeltaGeometry, parameters: DockingParameters | None = None) -> None:
+    def __init__(
+        self, log: ViewLog | Animation, geometry: DeltaGeometry, parameters: DockingParameters | None = None
+    ) -> None:
         self.counts: Counter[str] = Counter()
         self.refused: dict[str, str] = {}
         self._log = log

@@ -256,6 +256,7 @@ def write(path: Path, topics: dict[str, int]) -> None:
     ("words", "complaint"),
     [
         (("--save", "view.png"), "end it in .rrd"),
+        (("--save", "/no/such/folder/a.gif"), "does not exist"),
         (("--save", "/no/such/folder/a.rrd"), "does not exist"),
         (("--connect", "localhost"), "rerun+http"),
         (("--save", "a.rrd", "--connect", "rerun+http://h:1/proxy"), "not allowed with"),
@@ -296,6 +297,25 @@ def test_the_viewer_beside_this_python_is_found(
     code, _, err = view(capsys, "--recording", docking)
     assert code == 0, err
     assert told == [os.pathsep.join([str(Path(sys.executable).parent), "/nowhere"])]
+
+
+def test_a_docking_is_drawn_as_an_animated_picture(
+    docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = pytest.importorskip("PIL.Image", reason="comes with matplotlib, deltacharger[report]")
+    path = tmp_path / "docking.gif"
+    code, _, err = view(capsys, "--recording", docking, "--save", path)
+    assert code == 0, err
+    assert path.stat().st_size <= 1_000_000
+    with image.open(path) as picture:
+        assert picture.size == (900, 430)
+        assert picture.n_frames > 10
+        first = np.asarray(picture.convert("RGB")).astype(int)
+        picture.seek(picture.n_frames - 1)
+        last = np.asarray(picture.convert("RGB")).astype(int)
+    left, right = np.s_[60:, :500], np.s_[60:200, 560:]
+    assert (abs(last - first)[left].max(axis=2) > 40).mean() > 0.01, "the arm moves"
+    assert (abs(last - first)[right].max(axis=2) > 40).mean() > 0.01, "the pads measure"
 
 
 @pytest.mark.slow
