@@ -21,7 +21,7 @@ endif
 BIN := $(VENV)/bin
 SCENE ?= simulated
 INSTALLED := $(VENV)/.installed
-SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt cmake/python_includes.cmake \
+SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt cmake/python_includes.cmake cmake/build_venv.py \
   $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := $(BUILD)/colcon
 # Whether modules are there, and not from this venv.
@@ -139,15 +139,9 @@ bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; 
 	-$(BIN)/python benchmarks/files_fuzz.py --files $(if $(QUICK),1000,5000)
 
 $(INSTALLED): $(SOURCES)
-	python3 -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -c 'from pip._vendor import tomli; print(*tomli.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
-	  $(if $(PINS),| grep -v '^ros-') > $(VENV)/build-requirements.txt
-	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt $(if $(PINS),-r $(PINS))
-	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[calibrate,dev,record,report,vision]'
-	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
-	touch $@
+	@command -v python3 > /dev/null || { echo 'cannot build: there is no python3: apt install python3-venv python3-dev' >&2; exit 1; }
+	@python3 cmake/build_venv.py $(VENV) $(PINS)
+	@touch $@
 
 clean:
 	rm -rf .venv $(addprefix .venv-,$(VERSIONS)) build install log *.egg-info dock.png
