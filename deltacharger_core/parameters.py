@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.picklable import Picklable
+from deltacharger_core.renamed import RENAMED
 
 T = TypeVar("T")
 
@@ -189,7 +190,9 @@ class Bounded:
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """Return "; did you mean '…'?" with the nearest known name, '' where none is near."""
+    """Return "; did you mean '…'?" with the nearest known name, or what replaced `word`; '' if there is neither."""
+    if str(word) in RENAMED:
+        return f"; since version 1.0.0 it is {RENAMED[str(word)]}"
     near = difflib.get_close_matches(str(word), list(known), 1)
     return f"; did you mean '{near[0]}'?" if near else ""
 

@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of earlier versions, so that a file that still has one is refused by the name that replaces it."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+RENAMED = MappingProxyType(
+    {
+        "contact_speed": "search_speed and press_speed",
+        "landing_felt_sigmas": "aligned_risk_max",
+        "landing_sigmas": "aligned_risk_max",
+        "load_max": "pad_force_min",
+        "redockings_max": "restarts_max",
+        "unmeasured": "told_stiffness",
+    }
+)
+"""Parameters of docking_node and packaged campaigns before 1.0.0, and what replaces each."""
