@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import sys
 import threading
@@ -88,8 +89,9 @@ def watch_line(record: array[float]) -> None:
     """Note for ever when a byte came through a pseudo-terminal and how late: the kernel's doing, which no board has."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    while True:
+    for processor in itertools.cycle(sorted(os.sched_getaffinity(0))):  # each has workers of its own for that
         time.sleep(LINE)
+        os.sched_setaffinity(0, {processor})  # of this thread
         sent = time.monotonic()
         os.write(master, b"x")
         os.read(slave, 1)
