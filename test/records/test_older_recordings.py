@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from .docking_tapes import KINDS, NAMES, docking, raw, refused, result, write
+from .docking_tapes import KINDS, NAMES, decision, docking, raw, refused, result, write
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 pytest.importorskip("mcap_ros2", reason="replays older recordings with deltacharger[record]")
@@ -24,11 +24,13 @@ from deltacharger.msg import DockingState, Misalignment
 from mcap_ros2._dynamic import serialize_dynamic
 
 from deltacharger_core.mcap_file import Raw, RecordingError
-from deltacharger_docking.codes import Code
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.older import fields, is_older, older_decoder
 from deltacharger_records.replay.record import replay
+from deltacharger_records.replay.words import story, why
 
 pytestmark = pytest.mark.ros
 
@@ -168,3 +170,18 @@ def test_feedback_of_before_the_lean_is_replayed(tmp_path: Path) -> None:
     (feedback,) = found
     assert (feedback.misalignment.angle, feedback.waiting_for) == (0.02, "nobody")
     assert all(math.isnan(getattr(feedback.misalignment, name)) for name in NEWER)
+
+
+def test_a_record_with_names_of_an_earlier_version_is_replayed(tmp_path: Path) -> None:
+    earlier = {"contact_speed": 0.01, "landing_sigmas": 3.0, "redockings_max": 2, "travel_speed": 0.2}
+    again = decision(2.9, State.MEASURE, "redock", "docking begins again, 1 more times at most", code=302.0)
+    tape = docking(again, *refused(Code.NO_CONTACT, "nothing is there"))
+    # The first results of a docking told the alignments, and no redockings.
+    path = write(
+        tmp_path / "a.mcap", tape, result(Code.NO_CONTACT, "nothing is there", alignments=1), parameters=earlier
+    )
+    found = replay(path)
+    assert found.parameters == DockingParameters(travel_speed=0.2)  # what has no parameter of its name has no effect
+    assert found.outcome()["name"] == "NO_CONTACT"
+    assert any("redock: docking begins again" in line for line in story(found))
+    assert "nothing is there" in why(found)
