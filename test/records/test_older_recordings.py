@@ -8,7 +8,7 @@ import re
 from array import array
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -129,6 +129,11 @@ def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
     assert "defined otherwise" in Recording(path).unreadable["charger_power"]
 
 
+def test_without_a_definition_in_the_file_messages_are_read_as_they_are_now(tmp_path: Path) -> None:
+    path = older(tmp_path / "a.mcap", DockingState, "")
+    assert replay(path).phases[1].state == "approach"
+
+
 def before_lean(kind: Any) -> str:
     """Return the schema of a type that holds a Misalignment, or is one, with Misalignment as it was."""
     head, *parts = re.split(r"(?m)^=+\nMSG: ", mcap_recording.schema_text(kind))
@@ -185,3 +190,39 @@ def test_a_record_with_names_of_an_earlier_version_is_replayed(tmp_path: Path) -
     assert found.outcome()["name"] == "NO_CONTACT"
     assert any("redock: docking begins again" in line for line in story(found))
     assert "nothing is there" in why(found)
+
+
+def test_an_older_recording_is_shown_by_its_own_definitions(tmp_path: Path) -> None:
+    from deltacharger_records.view.sources import ShownRecording
+
+    old = as_before(felt(yaw=0.3), before_lean(Misalignment))
+    message = raw(2.2, "misalignment", felt())._replace(data=old)
+    path = older(tmp_path / "a.mcap", Misalignment, before_lean(Misalignment), message)
+    found: list[Any] = []
+
+    class Feed:
+        def take(self, topic: str, received: int, decode: Any) -> None:
+            found.extend([decode()] if topic == "misalignment" else [])
+
+    ShownRecording(path).play(cast(Any, Feed()), lambda: False)
+    (told,) = found
+    assert (told.angle, told.vertical, told.model) == (0.02, -0.001, "pose")
+    assert math.isnan(told.across)
+
+
+def test_a_topic_that_was_defined_in_another_way_is_not_shown_and_named(tmp_path: Path) -> None:
+    from deltacharger_records.view.sources import ShownRecording
+
+    kind = KINDS[NAMES["charger_power"]]
+    path = older(tmp_path / "a.mcap", kind, mcap_recording.schema_text(kind).replace("float32", "float64"))
+    refusals: list[str] = []
+
+    class Feed:
+        def take(self, topic: str, received: int, decode: Any) -> None:
+            if topic == "charger_power":
+                with pytest.raises(ValueError, match="defined otherwise"):
+                    decode()
+                refusals.append(topic)
+
+    ShownRecording(path).play(cast(Any, Feed()), lambda: False)
+    assert refusals
