@@ -9,7 +9,7 @@ from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 
-__all__ = ["MODELS", "MODEL_PATH", "MODEL_PATHS", "Estimate", "PoseEstimator", "default_model"]
+__all__ = ["MODELS", "MODEL_PATH", "MODEL_PATHS", "Estimate", "PoseEstimator", "default_model", "model_path"]
 
 MODELS = Path(__file__).parent / "models"
 """Folder of everything packaged that was trained."""
@@ -21,4 +21,9 @@ MODEL_PATH = MODEL_PATHS[THRESHOLD]
 
 def default_model(threshold: float = THRESHOLD) -> PoseEstimator:
     """Load the packaged model for readings from `threshold` (N) on; `deltacharger_tactile.training` makes it."""
-    return PoseEstimator.load(MODEL_PATHS[CONTACT_FORCE if threshold >= CONTACT_FORCE else THRESHOLD])
+    return PoseEstimator.load(model_path(threshold))
+
+
+def model_path(threshold: float) -> Path:
+    """Return the file of the packaged model for readings from `threshold` (N) on."""
+    return MODEL_PATHS[CONTACT_FORCE if threshold >= CONTACT_FORCE else THRESHOLD]

@@ -158,13 +158,16 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
     """Yield the named columns of each file of a campaign.
 
     Raises:
-        CampaignError: a file is damaged or lacks a column.
+        CampaignError: a file is damaged.
+        CampaignRefused: a file lacks a column, because an earlier version wrote it.
     """
     pyarrow = require_pyarrow()
     for path in sorted(folder.glob("part-*.parquet")):
         try:
             with open_file(path, _LARGEST_PART) as stream:
                 yield _read_part(pyarrow, stream, list(names))
+        except CampaignRefused as error:
+            raise CampaignRefused(f"{path} {error}") from error
         except Exception as error:  # of damaged files pyarrow raises whatever it stumbles over
             problem = f"{error}"[:_LONGEST_PROBLEM]
             raise CampaignError(
@@ -179,6 +182,10 @@ def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, li
     """
     file = pyarrow.parquet.ParquetFile(stream, **_LIMITS)
     meta, kinds = file.metadata, file.schema_arrow
+    if missing := [name for name in names if name not in kinds.names]:
+        raise CampaignRefused(
+            f"has no column {', '.join(missing)}; an earlier version wrote it. Run the campaign with another --out"
+        )
     texts = [name for name in names if kinds.field(name).type == pyarrow.string()]
     numbers = (pyarrow.int64(), pyarrow.float64(), pyarrow.bool_(), pyarrow.string())
     if any(kinds.field(name).type not in numbers for name in names) or meta.num_rows * meta.num_columns > _MOST_VALUES:

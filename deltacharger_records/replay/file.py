@@ -53,7 +53,7 @@ class Recording:
             name = topic.removeprefix(head)
             if topic.startswith(head) and name in _TYPES:
                 try:
-                    self._decoders[name] = _decoder(self.file, topic, _KINDS[name])
+                    self._decoders[name] = message_decoder(self.file, topic, _KINDS[name])
                 except RecordingError as error:
                     self.unreadable[name] = str(error)
                     continue
@@ -116,7 +116,7 @@ def _charger(file: McapFile, namespace: str | None) -> str:
     return found[0]
 
 
-def _decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], Any]:
+def message_decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], Any]:
     """Return what decodes a topic's messages, of this version or an older one.
 
     Raises:
@@ -126,7 +126,7 @@ def _decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], Any]:
     if file.types[topic] != wanted:
         raise RecordingError(f"is {file.types[topic] or 'untyped'}, not {wanted}")
     then, now = fields(definition), fields(schema_text(kind))
-    if then == now:
+    if then == now or not definition:  # ros2 bag writes none where it does not find the .msg file
         return partial(decode, kind=kind)
     if not is_older(then, now):
         raise RecordingError(f"{wanted} was defined otherwise when this was recorded; replay with that version")

@@ -6,13 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.serialization import deserialize_message
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_records.node_parameters import recorded_settings
+from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
 from deltacharger_records.recording.mcap_recording import decode, type_name
+from deltacharger_records.replay.file import message_decoder
 from deltacharger_records.view.feed import TOPICS, ViewFeed
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.raw_topics import PolledTopics, Topic
@@ -75,6 +78,7 @@ class ShownRecording:
             names = ", ".join(f"/{name}" for name in sorted(chargers))
             raise RecordingError(f"{path} holds several chargers, {names}: choose one with --namespace")
         self._topics = next(iter(chargers.values()))
+        self._decoders = {full: self._decoder(full, topic) for full, topic in self._topics.items()}
 
     def play(self, feed: ViewFeed, stop: Callable[[], bool]) -> None:
         """Hand every message to `feed` as fast as it takes them, until `stop`.
@@ -86,4 +90,18 @@ class ShownRecording:
             if stop():
                 return
             topic = self._topics[raw.topic]
-            feed.take(topic.name, raw.received, partial(decode, raw.data, topic.kind))
+            feed.take(topic.name, raw.received, partial(self._decoders[raw.topic], raw.data))
+
+    def _decoder(self, full: str, topic: Topic) -> Callable[[bytes], Any]:
+        """Return what decodes a topic's messages; it raises ValueError if another version defined them otherwise."""
+        if topic not in RECORDED:  # an image, which no version of this package defines
+            return partial(decode, kind=topic.kind)
+        try:
+            return message_decoder(self._file, full, topic.kind)
+        except RecordingError as error:
+            problem = str(error)
+
+            def refuse(data: bytes) -> Any:
+                raise ValueError(problem)
+
+            return refuse

@@ -56,6 +56,7 @@ NAMES: dict[str, tuple[str, str]] = {
 """The module that trains each, and what it sees: all taxels, features, or features and what `pretrained` tells."""
 DEFAULT = "pose"
 """The best of them on the frozen data."""
+_PRETRAINED = "pretrained"  # of a file's description: digest of the packaged models that were asked in training
 
 
 class Classifier:
@@ -196,6 +197,8 @@ class Classifier:
         }
         if self.reliability is not None:
             about["reliability"] = self.reliability.to_dict()
+        if NAMES[self.name][1] == "pose":
+            about[_PRETRAINED] = pretrained.digest(self.target, self.threshold)
         files.write(path, about, self._stored or self._arrays)
 
     @staticmethod
@@ -204,12 +207,14 @@ class Classifier:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ModelError: it is no classifier, or one that does not work.
+            ModelError: it is no classifier, does not work, or was trained on packaged models of another version.
         """
         about, arrays = files.read(path)
         try:
             model = Classifier(about.pop("name"), about.pop("target"), about.pop("threshold"))
             model._kind, model._arrays = about.pop("kind"), arrays
+            if NAMES[model.name][1] == "pose":
+                model._check_pretrained(about.pop(_PRETRAINED, ""))
             known = about.pop("reliability", None)
             model.reliability = Reliability.from_dict(known) if known else None
             shares = model.predict_proba(np.ones((1, PADS, ROWS, COLUMNS)))
@@ -221,6 +226,10 @@ class Classifier:
             raise ModelError(str(path), "it does not give probabilities")
         model.about = about
         return model
+
+    def _check_pretrained(self, trained_on: str) -> None:
+        if trained_on != pretrained.digest(self.target, self.threshold):
+            raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
 
     def _inputs(self, frames: ArrayLike) -> Array:
         """Return what the model sees: (N, 200) N, (N, F) features, or features and pretrained inputs, NaN unknown."""

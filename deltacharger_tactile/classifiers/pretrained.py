@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_tactile import MODELS, PoseEstimator, default_model, features
+from deltacharger_tactile import MODELS, PoseEstimator, default_model, features, model_path
 from deltacharger_tactile.classifiers import files, runtime
 
 POSE = 3
@@ -45,10 +47,26 @@ def inputs(frames: Array, target: str, threshold: float) -> Array:
 
 
 @functools.cache
+def digest(target: str, threshold: float) -> str:
+    """Return 16 hexadecimal digits that change with the packaged models that `inputs` asks."""
+    paths = [model_path(threshold)]
+    if threshold >= CONTACT_FORCE:
+        paths.append(_network_path(target))
+    found = hashlib.sha256()
+    for path in paths:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+@functools.cache
 def _estimator(threshold: float) -> PoseEstimator:
     return default_model(threshold)
 
 
 @functools.cache
 def _network(target: str) -> Mapping[str, NDArray[Any]]:
-    return files.read(MODELS / f"nn-{target}.npz")[1]
+    return files.read(_network_path(target))[1]
+
+
+def _network_path(target: str) -> Path:
+    return MODELS / f"nn-{target}.npz"

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import yaml
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns import batch, docking
 from deltacharger_lab.campaigns.batch import batches, run_batch
+from deltacharger_lab.campaigns.compare import compare_campaigns
 from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.runner import run_missing
@@ -205,6 +207,31 @@ def test_one_folder_has_one_writer_and_no_row_twice(tmp_path: Path) -> None:
     (tmp_path / "s" / "part-000000009.parquet").write_bytes(b"no parquet")
     with pytest.raises(CampaignError, match=r"part-000000009\.parquet cannot be read"):
         read_results(tmp_path / "s")
+
+
+def test_results_of_an_earlier_version_are_compared_and_not_continued(tmp_path: Path) -> None:
+    import pyarrow.parquet as parquet
+
+    earlier = replace(settings(2), versions={**settings(2).versions, "deltacharger": "0.0.1"})
+    for name, told in (("old", earlier), ("new", settings(2))):
+        with Store(tmp_path / name, told) as store:
+            store.add(run_batch(settings(2).to_json(), [0, 1]))
+    (part,) = (tmp_path / "old").glob("part-*.parquet")
+    parquet.write_table(parquet.read_table(part).drop_columns(["bar_heat"]), part)
+    with pytest.raises(CampaignRefused, match=r"has no column bar_heat; an earlier version wrote it\. .*another --out"):
+        read_results(tmp_path / "old")
+    now = settings(2).versions["deltacharger"]
+    with pytest.raises(CampaignRefused, match=rf"version of deltacharger is {now}, was 0\.0\.1"):
+        Store(tmp_path / "old", settings(2)).__enter__()
+    found = compare_campaigns(tmp_path / "old", tmp_path / "new")
+    assert (found["pairs"], found["differs"]) == (2, [f"version of deltacharger: 0.0.1 → {now}"])
+
+
+def test_results_of_a_renamed_key_are_refused_by_the_new_name(tmp_path: Path) -> None:
+    earlier = settings(2, content={**QUICK, "docking": {"contact_speed": 0.01}})
+    (tmp_path / "_campaign.json").write_text(earlier.to_json())
+    with pytest.raises(CampaignError, match=r"_campaign\.json.*docking\.contact_speed.*search_speed and press_speed"):
+        read_results(tmp_path)
 
 
 def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:

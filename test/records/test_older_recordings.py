@@ -8,12 +8,12 @@ import re
 from array import array
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from .docking_tapes import KINDS, NAMES, docking, raw, refused, result, write
+from .docking_tapes import KINDS, NAMES, decision, docking, raw, refused, result, write
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 pytest.importorskip("mcap_ros2", reason="replays older recordings with deltacharger[record]")
@@ -24,11 +24,13 @@ from deltacharger.msg import DockingState, Misalignment
 from mcap_ros2._dynamic import serialize_dynamic
 
 from deltacharger_core.mcap_file import Raw, RecordingError
-from deltacharger_docking.codes import Code
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.older import fields, is_older, older_decoder
 from deltacharger_records.replay.record import replay
+from deltacharger_records.replay.words import story, why
 
 pytestmark = pytest.mark.ros
 
@@ -127,6 +129,11 @@ def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
     assert "defined otherwise" in Recording(path).unreadable["charger_power"]
 
 
+def test_without_a_definition_in_the_file_messages_are_read_as_they_are_now(tmp_path: Path) -> None:
+    path = older(tmp_path / "a.mcap", DockingState, "")
+    assert replay(path).phases[1].state == "approach"
+
+
 def before_lean(kind: Any) -> str:
     """Return the schema of a type that holds a Misalignment, or is one, with Misalignment as it was."""
     head, *parts = re.split(r"(?m)^=+\nMSG: ", mcap_recording.schema_text(kind))
@@ -168,3 +175,54 @@ def test_feedback_of_before_the_lean_is_replayed(tmp_path: Path) -> None:
     (feedback,) = found
     assert (feedback.misalignment.angle, feedback.waiting_for) == (0.02, "nobody")
     assert all(math.isnan(getattr(feedback.misalignment, name)) for name in NEWER)
+
+
+def test_a_record_with_names_of_an_earlier_version_is_replayed(tmp_path: Path) -> None:
+    earlier = {"contact_speed": 0.01, "landing_sigmas": 3.0, "redockings_max": 2, "travel_speed": 0.2}
+    again = decision(2.9, State.MEASURE, "redock", "docking begins again, 1 more times at most", code=302.0)
+    tape = docking(again, *refused(Code.NO_CONTACT, "nothing is there"))
+    # The first results of a docking told the alignments, and no redockings.
+    path = write(
+        tmp_path / "a.mcap", tape, result(Code.NO_CONTACT, "nothing is there", alignments=1), parameters=earlier
+    )
+    found = replay(path)
+    assert found.parameters == DockingParameters(travel_speed=0.2)  # what has no parameter of its name has no effect
+    assert found.outcome()["name"] == "NO_CONTACT"
+    assert any("redock: docking begins again" in line for line in story(found))
+    assert "nothing is there" in why(found)
+
+
+def test_an_older_recording_is_shown_by_its_own_definitions(tmp_path: Path) -> None:
+    from deltacharger_records.view.sources import ShownRecording
+
+    old = as_before(felt(yaw=0.3), before_lean(Misalignment))
+    message = raw(2.2, "misalignment", felt())._replace(data=old)
+    path = older(tmp_path / "a.mcap", Misalignment, before_lean(Misalignment), message)
+    found: list[Any] = []
+
+    class Feed:
+        def take(self, topic: str, received: int, decode: Any) -> None:
+            found.extend([decode()] if topic == "misalignment" else [])
+
+    ShownRecording(path).play(cast(Any, Feed()), lambda: False)
+    (told,) = found
+    assert (told.angle, told.vertical, told.model) == (0.02, -0.001, "pose")
+    assert math.isnan(told.across)
+
+
+def test_a_topic_that_was_defined_in_another_way_is_not_shown_and_named(tmp_path: Path) -> None:
+    from deltacharger_records.view.sources import ShownRecording
+
+    kind = KINDS[NAMES["charger_power"]]
+    path = older(tmp_path / "a.mcap", kind, mcap_recording.schema_text(kind).replace("float32", "float64"))
+    refusals: list[str] = []
+
+    class Feed:
+        def take(self, topic: str, received: int, decode: Any) -> None:
+            if topic == "charger_power":
+                with pytest.raises(ValueError, match="defined otherwise"):
+                    decode()
+                refusals.append(topic)
+
+    ShownRecording(path).play(cast(Any, Feed()), lambda: False)
+    assert refusals

@@ -76,6 +76,16 @@ def test_one_process_at_a_time_and_nothing_else_goes_into_a_folder(tmp_path: Pat
         Journal(out)
 
 
+def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -> None:
+    out = tmp_path / "F.npz"
+    with Journal(out) as journal:
+        journal.store(docking(0), PART, SETTINGS, {}, [])
+    header = tmp_path / "F.recording" / "recording.json"
+    header.write_text(json.dumps(json.loads(header.read_text()) | {"version": 0}))
+    with pytest.raises(RecordingError, match=r"recording\.json is of version 0: give another --out"):
+        Journal(out)
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

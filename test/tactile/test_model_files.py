@@ -108,6 +108,19 @@ def test_a_description_that_does_not_fit_is_refused(data: Dataset, tmp_path: Pat
         Classifier.load(tmp_path / "bad.npz")
 
 
+def test_a_classifier_trained_on_packaged_models_of_an_earlier_version_is_refused(
+    data: Dataset, tmp_path: Path
+) -> None:
+    good = saved("pose", data, tmp_path / "good.npz")
+    assert Classifier.load(tmp_path / "good.npz").name == "pose"
+    about = json.loads(str(good["about"]))
+    earlier = {key: value for key, value in about.items() if key != "pretrained"}  # files had none before 1.0.0
+    for changed in (earlier, about | {"pretrained": "0" * 16}):
+        np.savez(tmp_path / "bad.npz", **{**good, "about": np.array(json.dumps(changed))})
+        with pytest.raises(ModelError, match=r"bad\.npz.*packaged models of another version; train it again"):
+            Classifier.load(tmp_path / "bad.npz")
+
+
 def test_a_pose_model_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     with np.load(MODEL_PATH) as file:
         good = {name: file[name] for name in file.files}

@@ -21,6 +21,7 @@ from deltacharger_tactile.errors import FrameError, SensorCalibrationError
 from deltacharger_tactile.estimate import Limits
 from deltacharger_tactile.generator import generate_continuous, measure
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.perception import Perception
 from deltacharger_tactile.sensor import Rig
 
 RIG = 655
@@ -268,6 +269,16 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     got = TactileCalibration.load(path)
     for name, value in vars(made).items():
         assert np.array_equal(getattr(got, name), value), name
+
+
+def test_a_calibration_made_for_an_earlier_model_is_used_and_warned_of(tmp_path: Path) -> None:
+    path = tmp_path / "pads.yaml"
+    for model, warned in ((default_model().name, False), ("pose-1", True)):
+        dataclasses.replace(full(), model=model).save(path)
+        perception = Perception.load(calibration=str(path))
+        assert perception.calibration is not None
+        assert bool(perception.doubt) == warned
+        assert ("pose-1" in perception.doubt) == warned
 
 
 DAMAGE: list[tuple[dict[str, Any], str]] = [
