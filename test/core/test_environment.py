@@ -29,8 +29,8 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
         ({RANGE: "LOCALHOTS"}, "every program on this computer"),
         ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program on this computer"),
         ({RANGE: "OFF"}, "this process alone"),
-        ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "whom the profile of the middleware lets in"),
-        (ENFORCED, "nodes with a key of this keystore alone"),
+        ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program that the middleware's profile admits"),
+        (ENFORCED, "only nodes with a key of this keystore"),
         ({**ENFORCED, "ROS_SECURITY_STRATEGY": "Permissive"}, "every computer of this network"),
     ],
 )
