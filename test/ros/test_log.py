@@ -82,4 +82,4 @@ def test_lines_that_standard_error_does_not_take_are_left_out_and_counted() -> N
     )
     assert ended.returncode == 0, ended.stderr
     told = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
-    assert told == ["2 lines of this log are missing here: standard error took none", "heard again"]
+    assert told == ["2 lines of this log are missing here: standard error was blocked", "heard again"]

@@ -84,7 +84,7 @@ def test_without_it_all_is_as_usual(context: Any, emulator: tuple[ServoBusEmulat
     ("kind", "beside", "reason"),
     [
         (ServoNode, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* says 300"),
-        (ServoNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'.* says 1\.31"),
+        (ServoNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'.* has 1\.31"),
         (KinematicsNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'"),
         (DockingNode, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15\.0, .*'servos_file'.* says 9\.5"),
     ],
