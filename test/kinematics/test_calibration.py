@@ -215,7 +215,7 @@ def test_poses_that_do_not_span_the_workspace_are_refused(points: np.ndarray, wh
 
 def test_four_poses_measured_again_and_again_are_refused_with_what_they_leave_open() -> None:
     corners = POINTS[[0, 2, 8, 26]]
-    with pytest.raises(CalibrationError, match=r"say nothing about .* of limb"):
+    with pytest.raises(CalibrationError, match=r"do not determine .* of limb"):
         calibrate(replace(measured(NOMINAL, np.repeat(corners, 8, axis=0)), held_out=None), NOMINAL, STATED)
 
 
@@ -227,7 +227,7 @@ def test_too_few_rows_are_refused(count: int) -> None:
         fit(measured(NOMINAL, BOX[:5]), NOMINAL, STATED)
 
 
-@pytest.mark.parametrize(("factor", "hint"), [(1e3, "millimetres in columns that say metres"), (1e-3, "say mm")])
+@pytest.mark.parametrize(("factor", "hint"), [(1e3, "millimetres in columns of metres"), (1e-3, "columns of mm")])
 def test_positions_in_the_wrong_unit_are_refused(factor: float, hint: str) -> None:
     rows = measured(drawn_arm(1))
     with pytest.raises(CalibrationError, match=hint):

@@ -253,7 +253,7 @@ def test_a_geometry_file_decides_limb_by_limb(context: Any, geometry_file: Path)
 def test_a_dimension_that_contradicts_the_geometry_file_stops_the_node_with_both_names(
     kind: type[Node], context: Any, geometry_file: Path
 ) -> None:
-    with pytest.raises(StartupError, match=r"'z_offset' is 0\.095, .*'geometry_file'.* says 0\.096"):
+    with pytest.raises(StartupError, match=r"'z_offset' is 0\.095, .*'geometry_file'.* has 0\.096"):
         kind(**options(context, new_namespace(), geometry_file=str(geometry_file), z_offset=0.095))
     with pytest.raises(StartupError, match=r"'workspace_max' is .*'geometry_file'"):
         kind(**options(context, new_namespace(), geometry_file=str(geometry_file), workspace_max=[0.06, 0.06, 0.11]))

@@ -212,7 +212,7 @@ class TestBadArms:
 
         loose = Rattling(WorldParameters(servo=SERVO, target=ALONE), 1, None, (1.0, 1.0, 1.0), TORQUE_CONSTANT)
         found = measure_servos(loose, QUICK)
-        assert "look for a platform, rod or horn that is loose" in doubts(found, QUICK, Gains())[0]
+        assert "check for a loose platform, rod or horn" in doubts(found, QUICK, Gains())[0]
 
     def test_something_in_the_way_ends_it(self) -> None:
         with pytest.raises(ServoTrouble, match="block"):
