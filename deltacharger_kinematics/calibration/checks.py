@@ -36,7 +36,7 @@ def check_reached(errors: Array, measurements: Measurements, geometry: DeltaGeom
     if lost.any():
         lines = _lines(measurements, lost)
         raise CalibrationError(
-            f"{named(lines)}: the arm cannot have these angles: its rods would not meet; check the order of the columns",
+            f"{named(lines)}: the arm cannot have these angles: its rods would not meet; check the column order",
             lines,
         )
 

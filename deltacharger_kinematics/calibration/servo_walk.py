@@ -157,7 +157,7 @@ class ArmWalk:
 
 
 def eased(begin: Vector, end: Vector, seconds: float) -> list[tuple[float, Vector]]:
-    """Return points of a decelerating move, 1 − (1 − t)³: an arm that overshot would rest on less than full friction."""
+    """Return points of a decelerating move, 1 − (1 − t)³: overshoot would leave less than full friction at rest."""
     points = []
     for share in np.linspace(0.0, 1.0, max(4, round(seconds / _POINTS)) + 1)[1:]:
         done = 1.0 - (1.0 - share) ** 3
