@@ -28,7 +28,7 @@ _REACHED = {  # rcl treats an unknown value as LOCALHOST
     "OFF": "this process alone",
     "LOCALHOST": "every program on this computer",
     "SUBNET": "every computer of this network",
-    "SYSTEM_DEFAULT": "every program that the middleware's profile admits",
+    "SYSTEM_DEFAULT": "programs that the middleware's profile admits",
 }
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 _PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS also reads this file from the working directory

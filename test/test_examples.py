@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file in examples/ runs as it stands and prints what its docstring promises."""
+"""Every file in examples/ runs unchanged and prints what its docstring promises."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from deltacharger_core.environment import LARGEST_DOMAIN
 pytestmark = pytest.mark.ros
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-DEADLINE = 110.0  # s; far longer than any takes, and inside of the suite's own limit
+DEADLINE = 110.0  # s; far longer than any needs, and below the suite's limit
 DOMAIN = (int(os.environ["ROS_DOMAIN_ID"]) + 5) % (LARGEST_DOMAIN + 1)
-"""Of no other test: those of two workers are ten apart (workers.py)."""
+"""Used by no other test: domains of two workers are ten apart (workers.py)."""
 
-# File, options, module without which it is skipped, and what it prints: regular expressions in their order.
+# File, options, module without which it is skipped, and its output: regular expressions in order.
 RUNS: tuple[tuple[str, Sequence[str], str, Sequence[str]], ...] = (
     (
         "ik_in_ten_lines.py",
@@ -75,11 +75,11 @@ RUNS: tuple[tuple[str, Sequence[str], str, Sequence[str]], ...] = (
     ),
 )
 ELSEWHERE: dict[str, str] = {"charge_robot.py": "test/bringup/test_fleet_page.py"}
-"""Files that another test runs: name, and which."""
+"""Files that another test runs: name and test."""
 
 
 @pytest.mark.parametrize(("name", "options", "module", "printed"), RUNS, ids=[run[0] for run in RUNS])
-def test_it_prints_what_it_promises(
+def test_each_example_prints_its_promised_output(
     name: str, options: Sequence[str], module: str, printed: Sequence[str], tmp_path: Path
 ) -> None:
     if module:
@@ -103,7 +103,7 @@ def test_it_prints_what_it_promises(
     assert len(list(tmp_path.iterdir())) == sum("{folder}" in option for option in options)
 
 
-def test_every_example_is_run_and_named_in_the_table() -> None:
+def test_every_example_is_tested_and_listed_in_the_table() -> None:
     files = {path.name for path in EXAMPLES.glob("*.py")}
     assert files == {run[0] for run in RUNS} | set(ELSEWHERE), "add the new one to RUNS, or to ELSEWHERE"
     table = (EXAMPLES / "README.md").read_text(encoding="utf-8")
