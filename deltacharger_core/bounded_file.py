@@ -83,7 +83,7 @@ def _check(path: str | Path, found: os.stat_result, largest: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise FileRefused(path, f"it is {kind_text(found.st_mode)}; give the path of a file")
     if found.st_size > largest:
-        raise FileRefused(path, f"its {size_text(found.st_size)} are more than the {size_text(largest)} of its kind")
+        raise FileRefused(path, f"it has {size_text(found.st_size)}, more than the {size_text(largest)} allowed")
 
 
 def kind_text(mode: int) -> str:
@@ -104,7 +104,7 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
         except OSError as error:  # it does not name the file
             raise FileRefused(path, f"cannot be read: {error.strerror}") from error
     if len(content) > largest:  # it grew meanwhile, or reports size 0 like files in /proc
-        raise FileRefused(path, f"it holds more than the {size_text(largest)} of its kind")
+        raise FileRefused(path, f"it holds more than the {size_text(largest)} allowed")
     return content
 
 

@@ -142,7 +142,7 @@ def _loader() -> Any:
             if isinstance(node, yaml.SequenceNode) and kind == "seq":
                 return [self.value(each) for each in node.value]
             if not isinstance(node, yaml.ScalarNode) or kind not in _SCALARS:
-                raise refused(node, f"the tag {brief(node.tag)} is not known; leave it out")
+                raise refused(node, f"the tag {brief(node.tag)} is unknown; remove it")
             try:
                 found = construct[node.tag](self, node)
             except (ValueError, LookupError) as error:
@@ -155,7 +155,7 @@ def _loader() -> Any:
             found: dict[str, Any] = {}
             for key_node, value_node in node.value:
                 key = self.value(key_node)
-                wrong = "is not a word" if not isinstance(key, str) else "is given twice" if key in found else ""
+                wrong = "is not text" if not isinstance(key, str) else "is given twice" if key in found else ""
                 wrong = wrong or ("is too long" if len(key) > _LONGEST_KEY else "")
                 if wrong:
                     raise refused(key_node, f"the key {brief(key)} {wrong}")

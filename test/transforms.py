@@ -42,14 +42,14 @@ class Robot(Node):
 
     def fix(self, parent: str, child: str, pose: Sequence[float]) -> None:
         """Publish once the fixed pose of a frame in its parent (7 numbers)."""
-        self._fixed.publish(self._kind(transforms=[self._told(parent, child, pose, time.time())]))
+        self._fixed.publish(self._kind(transforms=[self._message(parent, child, pose, time.time())]))
 
     def move(self, *links: tuple[str, str, Sequence[float]], when: float | None = None) -> None:
         """Publish poses of frames (parent, child, pose), now or at another time (s since 1970)."""
         at = time.time() if when is None else when
-        self._moving.publish(self._kind(transforms=[self._told(*link, at) for link in links]))
+        self._moving.publish(self._kind(transforms=[self._message(*link, at) for link in links]))
 
-    def _told(self, parent: str, child: str, pose: Sequence[float], when: float) -> TransformStamped:
+    def _message(self, parent: str, child: str, pose: Sequence[float], when: float) -> TransformStamped:
         message = TransformStamped(child_frame_id=child)
         message.header.frame_id, message.header.stamp = parent, stamp(when)
         place, turn = message.transform.translation, message.transform.rotation

@@ -39,8 +39,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     [
         ("a: 1\nb: {c: 1}\na: 2\n", "line 3, column 1: the key 'a' is given twice"),
         ("a:\n  b: 1\n  b: 1\n", "line 3, column 3: the key 'b' is given twice"),
-        ("1: a\n", "line 1, column 1: the key 1 is not a word"),
-        ("[a]: 1\n", "the key ['a'] is not a word"),
+        ("1: a\n", "line 1, column 1: the key 1 is not text"),
+        ("[a]: 1\n", "the key ['a'] is not text"),
         ("a: [", "not valid YAML: line"),
         ("a: !!timestamp 2026-02-01", "line 1, column 4: the tag 'tag:yaml.org,2002:timestamp' is not known"),
         ("a: &b [1]\nc: *b\n", "line 1, column 4: is used again by an alias"),

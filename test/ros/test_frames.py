@@ -71,10 +71,10 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
         use_sim_time: bool = False,
         **given: Any,
     ) -> Frames:
-        given: dict[str, Any] = {"use_sim_time": use_sim_time}
+        parameters: dict[str, Any] = {"use_sim_time": use_sim_time}
         if base_pose is not None:
-            given["base_pose"] = list(base_pose)
-        node = Node(f"asker_{len(nodes)}", **options(context, namespace, **given))
+            parameters["base_pose"] = list(base_pose)
+        node = Node(f"asker_{len(nodes)}", **options(context, namespace, **parameters))
         nodes.append(node)
         transform = TransformParameters(prefix, transform_timeout=timeout, **given)
         found = Frames(node, transform, "base_link", base_pose or USUAL)
@@ -322,7 +322,7 @@ def test_a_transform_with_an_invalid_stamp_hides_no_other(robot: Robot, make: Ma
     frames = make(timeout=0.1)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.move(("map", "base_link", MOUNT), when=time.time() + 3600.0)
-    ancient = robot._told("map", "base_link", MOUNT, 0.0)
+    ancient = robot._message("map", "base_link", MOUNT, 0.0)
     ancient.header.stamp.sec = -1
     for publisher in (robot._moving, robot._fixed):
         publisher.publish(transforms().TFMessage(transforms=[ancient]))
