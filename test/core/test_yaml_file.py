@@ -42,7 +42,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
         ("1: a\n", "line 1, column 1: the key 1 is not text"),
         ("[a]: 1\n", "the key ['a'] is not text"),
         ("a: [", "not valid YAML: line"),
-        ("a: !!timestamp 2026-02-01", "line 1, column 4: the tag 'tag:yaml.org,2002:timestamp' is not known"),
+        ("a: !!timestamp 2026-02-01", "line 1, column 4: the tag 'tag:yaml.org,2002:timestamp' is unknown"),
         ("a: &b [1]\nc: *b\n", "line 1, column 4: is used again by an alias"),
         ("a: 9223372036854775808", "the whole number '9223372036854775808' has more than 64 bits"),
     ],
