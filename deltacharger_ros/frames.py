@@ -20,10 +20,7 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import was_given
 from deltacharger_ros.tf_tree import TfTree, TransformError, UnknownFrame, installed, quoted
 
-SAME = (
-    0.002,
-    math.radians(0.5),
-)  # m and rad, tolerance for one mount: rounding in a URDF, measuring by ruler
+SAME = (0.002, math.radians(0.5))  # m and rad, tolerance for one mount: rounding in a URDF, measuring by ruler
 _LOOK, _LOOKS = 1.0, 30  # s between comparisons of tf with base_pose after the start, and their maximum number
 
 

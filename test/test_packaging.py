@@ -134,12 +134,10 @@ def test_every_extra_has_its_reason() -> None:
 
 def test_the_readme_lists_the_purpose_and_extra_of_each_library() -> None:
     rows = re.findall(r"^\| (.+) \| .+ \| (.+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    listed = {
-        (library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")
-    }
+    have = {(library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")}
     extras = {**project()["optional-dependencies"], "always": project()["dependencies"]}
     del extras["dev"]
-    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - listed
+    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - have
     assert all(library.endswith("-msgs") or library in _INTERFACES for library, _ in missing), missing
 
 
