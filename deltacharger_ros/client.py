@@ -198,7 +198,7 @@ class ChargerClient(Guest):
                     "the board opens the contactor by itself"
                 )
         if running.error is not None:
-            raise ClientError(f"the charger did not take the goal '{action}': {running.error}")
+            raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
         return to_outcome(action, running.result)

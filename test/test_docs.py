@@ -161,7 +161,7 @@ def test_every_name_in_the_tour_exists() -> None:
                 missing.append(quoted)
         elif _DOTTED.fullmatch(quoted) and not is_defined(quoted):
             missing.append(quoted)
-    assert not missing, f"docs/tour.md names what does not exist: {', '.join(missing)}"
+    assert not missing, f"docs/tour.md has unknown names: {', '.join(missing)}"
 
 
 def threads() -> Iterator[tuple[Path, str]]:

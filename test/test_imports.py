@@ -49,7 +49,7 @@ def imported(path: Path, *, at_once: bool = False) -> frozenset[str]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{path}:{node.lineno}: write the whole name of what is imported"
+            assert not node.level, f"{path}:{node.lineno}: use an absolute import"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return frozenset(found)
 
@@ -82,7 +82,7 @@ def test_no_package_below_scenes_imports_the_node_of_another() -> None:
         others = {module_of(name) for name in imported(path)} - {""}
         foreign = {name for name in others if package_of(MODULES[name]) != package_of(path)}
         nodes = {name for name in foreign if name.endswith(("_node", "_node_io"))}
-        assert not nodes, f"{path}: what {sorted(nodes)} shares belongs into its package's ros/"
+        assert not nodes, f"{path}: move the shared part of {sorted(nodes)} to its package's ros/"
 
 
 def test_heavy_modules_are_imported_where_used() -> None:

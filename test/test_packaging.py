@@ -121,7 +121,7 @@ def test_without_extras_rosdep_installs_what_docking_by_coordinates_needs() -> N
     )
     modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # its key has another name
     assert {modules.get(library, library) for library in bench} <= asked_for()
-    assert rgbd - bench == {"cv2"}, "what DELTACHARGER_EXTRAS=vision brings"
+    assert rgbd - bench == {"cv2"}, "the packages of DELTACHARGER_EXTRAS=vision"
 
 
 def test_every_extra_has_its_reason() -> None:

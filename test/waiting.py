@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 DEADLINE = 60.0  # s; far longer than needed, so that a busy computer fails no test
 
 
-def wait_until(condition: Callable[[], Value], what: str = "what was waited for", deadline: float = DEADLINE) -> Value:
+def wait_until(condition: Callable[[], Value], what: str = "a condition", deadline: float = DEADLINE) -> Value:
     """Return the first true value of `condition`, or fail and name the awaited condition."""
     end = time.monotonic() + deadline
     while not (value := condition()):

@@ -185,7 +185,7 @@ def what_follows(bench: Bench, **fields: Any) -> tuple[int, int]:
     def arrived() -> bool:
         return all(seen and seen[-1].header.stamp.sec == 99 for seen in (bench.poses, bench.wrenches))
 
-    wait_until(arrived, "what follows from the next message")
+    wait_until(arrived, "the results of the next message")
     return len(bench.poses) - 1, len(bench.wrenches) - 1
 
 

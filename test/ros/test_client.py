@@ -92,5 +92,5 @@ def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(silent_charger:
     with ChargerClient(silent_charger, context) as client:
         assert client.wait_until_it_answers(DEADLINE)
         for _ in range(2):
-            with pytest.raises(ClientError, match="did not take the goal 'undock'"):
+            with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
                 client.undock("\udcff")

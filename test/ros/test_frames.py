@@ -162,7 +162,7 @@ def test_only_one_goal_waits_so_that_unknown_frames_block_no_other(robot: Robot,
     for asker in askers:
         asker.join(10.0)
     assert refused[3] - refused[0] > 1.0, "one waited"
-    assert refused[2] - refused[0] < 1.0, "the others did not"
+    assert refused[2] - refused[0] < 1.0, "the others did not wait"
 
 
 def test_an_unknown_frame_is_refused_with_its_name_those_known_and_the_remedy(robot: Robot, make: Make) -> None:
@@ -237,7 +237,7 @@ def _is_told(frames: Frames, frame: str) -> bool:
 
 def test_tf_is_used_if_no_base_pose_is_given(robot: Robot, make: Make) -> None:
     robot.fix("base_link", "charger_base", MOUNT)
-    assert close(make().base_pose(), MOUNT), "from the start: what is latched is waited for"
+    assert close(make().base_pose(), MOUNT), "from the start: latched messages are awaited"
 
 
 def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: Make) -> None:
