@@ -1,8 +1,8 @@
-# Everything starts from a bare clone with python3 (venv and headers), g++ and make.
+# All targets work from a bare clone with python3 (venv and headers), g++ and make.
 ROS ?= kilted
 VERSIONS := kilted jazzy
 ifeq ($(filter $(ROS),$(VERSIONS)),)
-  $(error ROS=$(ROS) is not known; this runs on: $(VERSIONS))
+  $(error ROS=$(ROS) is not supported; use one of: $(VERSIONS))
 endif
 ifeq ($(ROS),kilted)
   VENV := .venv
@@ -11,11 +11,11 @@ else
   VENV := .venv-$(ROS)
   BUILD := build/$(ROS)
   PINS := constraints/$(ROS).txt
-  # What does not speak ROS knows no version of it, and the dialogues of commands reach it by what other tests have.
+  # Tests without ROS do not depend on its version, and command dialogues use ROS in the same way as other tests.
   OF_ROS := ros and
   LEFT_OUT := --ignore-glob='test/bringup/test_cli_*' --ignore-glob='*/test_servos_behind_*' $(addprefix --ignore=test/,bringup/test_up_and_dock.py \
     scenes/test_camera_missing.py records/test_tactile_recording.py)
-  # For every pip below, so that nothing brings the newest ROS along.
+  # For every pip call below, so that no dependency installs the newest ROS.
   export PIP_CONSTRAINT := $(CURDIR)/$(PINS)
 endif
 BIN := $(VENV)/bin
@@ -24,15 +24,15 @@ INSTALLED := $(VENV)/.installed
 SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt cmake/python_includes.cmake cmake/build_venv.py \
   $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := $(BUILD)/colcon
-# Whether modules are there, and not from this venv.
+# Check whether modules exist outside this venv.
 ELSEWHERE := import importlib, sys; \
   sys.exit(any(importlib.import_module(name).__file__.startswith(sys.prefix) for name in sys.argv[1:]))
 WHEEL := $(BUILD)/wheel
 
-# Traffic stays on this machine, in a domain of its own.
+# ROS traffic stays on this computer, in a separate domain.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
-# Tests start hundreds of processes; none shall compile what another has.
+# Tests start hundreds of processes, which share compiled Python files.
 unexport PYTHONDONTWRITEBYTECODE
 
 IN_VENV := PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"
@@ -47,12 +47,12 @@ SIDE_BY_SIDE := -n 2 --dist loadfile
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
 
-# What is judged by real time mostly waits: two such tests take less than a core, so it runs apart from what computes.
+# Real-time tests mostly wait, and two of them need less than a core, so they run apart from tests that compute.
 test: $(INSTALLED)  ## what a change needs
 	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not slow and not realtime'
 	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not slow and realtime'
 
-test-rest: $(INSTALLED)  ## what `make test` leaves out
+test-rest: $(INSTALLED)  ## the tests that `make test` omits
 	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and not realtime'
 	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and realtime'
 
@@ -67,8 +67,8 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy
 
-# The second build finds everything compiled by the first. Of the tests one folder shows that colcon runs them.
-colcon: $(INSTALLED)  ## build as a ROS workspace package, the interfaces alone first; use what comes out, run a test by it
+# The second build reuses the first one's compiled files. Tests of one folder show that colcon runs them.
+colcon: $(INSTALLED)  ## build as a ROS workspace package, interfaces alone first; use the result and run a test with it
 	$(BUILD_BY_COLCON) --install-base $(COLCON)/interfaces --cmake-args $(CMAKE_ARGS) -DDELTACHARGER_PYTHON_PACKAGES=OFF
 	.ci/interfaces-alone $(COLCON)/interfaces $(BIN)/python
 	$(BUILD_BY_COLCON) --install-base $(COLCON)/install --cmake-args $(CMAKE_ARGS) -DDELTACHARGER_PYTHON_PACKAGES=ON
@@ -81,21 +81,21 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package, the interfaces alone 
 	$(COLCON_HERE) test-result --verbose --test-result-base $(COLCON)/build | tee /dev/stderr \
 	  | grep -qE '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
 
-# The interfaces are those that $(INSTALLED) has built, so this takes seconds and what pip downloads again.
-wheel: $(INSTALLED)  ## build a wheel, and dock with what it installs into a bare venv
+# $(INSTALLED) has already built the interfaces, so this takes seconds plus pip's downloads.
+wheel: $(INSTALLED)  ## build a wheel, install it into a bare venv and dock with it
 	rm -rf build/lib* build/bdist* $(WHEEL)
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir $(WHEEL) .
 	python3 -m venv $(WHEEL)/venv
 	$(WHEEL)/venv/bin/python -m pip install --quiet $(WHEEL)/*.whl
 	.ci/installed $(WHEEL)/venv
 
-# Of PyTorch the newest version that was tried; a build for the CPU is enough.
-trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
+# The newest tested version of PyTorch; a CPU build is enough.
+trainers: $(INSTALLED)  ## libraries for training the classifiers; without them their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
-# Neither Nav2's messages nor tf2, whose core is C++, are on PyPI. Nothing is built where a ROS installation has them.
-navigation: $(VENV)/.nav2_msgs  ## a stand-in for nav2_msgs with NavigateToPose alone, else tests of driving are skipped
-transforms: $(VENV)/.tf2  ## a stand-in for tf2_ros and tf2_msgs, else tests of goals in frames of tf are skipped
+# PyPI has neither Nav2's messages nor tf2, whose core is C++. Nothing is built if a ROS installation has them.
+navigation: $(VENV)/.nav2_msgs  ## a stand-in for nav2_msgs, only NavigateToPose; without it tests of driving are skipped
+transforms: $(VENV)/.tf2  ## a stand-in for tf2_ros and tf2_msgs; without it tests of goals in tf frames are skipped
 
 $(VENV)/.nav2_msgs: MODULES := nav2_msgs.action
 $(VENV)/.tf2: MODULES := tf2_ros tf2_msgs.msg
@@ -110,19 +110,19 @@ $(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
 	$(BIN)/python -c 'import importlib, sys; list(map(importlib.import_module, sys.argv[1:]))' $(MODULES)
 	touch $@
 
-optional: trainers navigation transforms  ## every optional library, else the tests that need it are skipped
+optional: trainers navigation transforms  ## every optional library; without one its tests are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
 
-# What no pip has. Every name is one of Debian's packages; as root, without a terminal.
+# Tools that are not on PyPI. All names are Debian packages; run as root, needs no terminal.
 CROSS := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
 APT := DEBIAN_FRONTEND=noninteractive apt-get -q -o APT::Update::Error-Mode=any -o Acquire::Retries=3 -o DPkg::Lock::Timeout=300
 
-cross:  ## compiler and emulator of the board's processor by apt-get, else tests of the firmware on it are skipped
+cross:  ## apt-get compiler and emulator of the board's processor; without them tests of firmware on it are skipped
 	@dpkg -s $(CROSS) > /dev/null 2>&1 || { $(APT) update && $(APT) -y --no-install-recommends install $(CROSS); } || { \
-	  echo 'apt-get cannot install $(CROSS): it takes root and Debian'"'"'s archive within reach' >&2; exit 1; }
+	  echo 'apt-get cannot install $(CROSS): run as root with access to Debian'"'"'s archive' >&2; exit 1; }
 
-# The last two judge by their exit status too: a target that is missed there must not hide the other figures.
-bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5
+# The last benchmarks fail if a target is missed; this must not hide the other figures.
+bench: $(INSTALLED)  ## limits of charger and driver, about 20 minutes; QUICK=1: 5 minutes
 	@echo '== the simulated charger in one process: 1 minute'
 	$(BIN)/python benchmarks/charger.py --seconds 10
 	@echo '== CPU of the driver: $(if $(QUICK),1 minute,2 minutes)'

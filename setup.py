@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge from pip to CMakeLists.txt: build the interfaces there and install its tree as data files.
+"""Connects pip to CMakeLists.txt: builds the interfaces with CMake and installs the result as data files.
 
-Name and version stand in package.xml, executables in setup.cfg; this file repeats neither.
+package.xml has name and version, setup.cfg the executables.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from setuptools.command.build import build
 from setuptools.dist import Distribution
 
 ROOT = Path(__file__).resolve().parent
-# Of each Python and of each environment, since those may differ in their ROS.
+# One build folder per Python and environment, because their ROS may differ.
 ENVIRONMENT = Path(sys.prefix).name.lstrip(".")
 BUILD = ROOT / "build" / f"pip-{sysconfig.get_platform()}-{sys.implementation.cache_tag}-{ENVIRONMENT}"
 STAGE = BUILD / "stage"
 
-# So that launch files and `ros2 run` find the executables of a venv under lib/deltacharger, wherever it lies.
+# Forwarders in lib/deltacharger let launch files and `ros2 run` find the executables of any venv.
 FORWARDER = '#!/bin/sh\nexec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"\n'
 
 
@@ -61,11 +61,11 @@ def run_cmake() -> None:
     install = ["cmake", "--build", str(BUILD), "--target", "install"]
     for step in (command, install):
         if subprocess.run(step, env=environment, stdout=sys.stderr).returncode:
-            sys.exit("deltacharger: CMake cannot build the ROS interfaces; the reason stands above")
+            sys.exit("deltacharger: CMake cannot build the ROS interfaces; see the reason above")
 
 
 def executables() -> list[str]:
-    """Return the names of the executables that setup.cfg lists."""
+    """Return the names of the executables in setup.cfg."""
     config = configparser.ConfigParser()
     config.read(ROOT / "setup.cfg")
     lines = config["options.entry_points"]["console_scripts"].strip().splitlines()
@@ -73,7 +73,7 @@ def executables() -> list[str]:
 
 
 def write_forwarders() -> None:
-    """Write a script for each executable under lib/deltacharger of the stage."""
+    """Write a script for each executable to lib/deltacharger of the stage."""
     folder = STAGE / "lib" / "deltacharger"
     folder.mkdir(parents=True, exist_ok=True)
     for name in executables():
@@ -86,7 +86,7 @@ def staged_files() -> list[tuple[str, list[str]]]:
     """Return the staged tree in the form of setuptools' data_files, relative to the prefix."""
     folders: dict[str, list[str]] = {}
     for path in sorted(STAGE.rglob("*")):
-        # The interfaces' own egg-info would be a second distribution of the same name.
+        # The interfaces' egg-info would be a second distribution of the same name.
         skipped = "__pycache__" in path.parts or any(part.endswith(".egg-info") for part in path.parts)
         if path.is_file() and not skipped:
             folders.setdefault(str(path.relative_to(STAGE).parent), []).append(os.path.relpath(path, ROOT))
@@ -94,17 +94,17 @@ def staged_files() -> list[tuple[str, list[str]]]:
 
 
 class BuildInterfaces(Command):
-    """Run CMake before the rest is built, so that its tree is known when data files are listed."""
+    """Run CMake first, so that its files exist when data files are listed."""
 
     description = "build the ROS interfaces and shared files with CMake"
     user_options: ClassVar[list[tuple[str, str, str]]] = []
     editable_mode = False
 
     def initialize_options(self) -> None:
-        """Nothing to set: CMakeLists.txt and package.xml say it all."""
+        """Do nothing: CMakeLists.txt and package.xml have all settings."""
 
     def finalize_options(self) -> None:
-        """Nothing to check."""
+        """Do nothing."""
 
     def run(self) -> None:
         """Build, stage and list the files."""
@@ -114,20 +114,20 @@ class BuildInterfaces(Command):
 
 
 class Build(build):
-    """The ordinary build, with the interfaces first."""
+    """The usual build, with the interfaces first."""
 
     sub_commands: ClassVar[list[Any]] = [("build_interfaces", None), *build.sub_commands]
 
 
 class InterfaceDistribution(Distribution):
-    """A platform wheel without an extension module, whose data files are installed in editable mode too."""
+    """A platform wheel without extension module; its data files are also installed in editable mode."""
 
     def has_ext_modules(self) -> bool:
-        """Say that the wheel belongs to this platform."""
+        """Mark the wheel as platform-specific."""
         return True
 
     def has_data(self) -> bool:
-        """Say yes where setuptools' editable wheel asks; without this name it leaves data files out."""
+        """Return True, because otherwise setuptools' editable wheel omits data files."""
         return True
 
 

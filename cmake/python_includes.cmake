@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# Include it after rosidl_generate_interfaces.
+# Include this file after rosidl_generate_interfaces.
 #
-# The message packages on PyPI export the include folders of the machine that built them, and CMake refuses a build folder
-# inside the source tree for our own: give both the folders of this Python. On a ROS installation this changes nothing.
+# Message packages from PyPI export include folders of the computer that built them, and for our own package CMake refuses
+# a build folder inside the source tree. Both get the folders of this Python. On a ROS installation nothing changes.
 find_package(Python3 REQUIRED COMPONENTS Interpreter Development NumPy)
 set(python_includes "$<BUILD_INTERFACE:${Python3_INCLUDE_DIRS}>" "$<BUILD_INTERFACE:${Python3_NumPy_INCLUDE_DIRS}>")
 get_property(imported DIRECTORY PROPERTY IMPORTED_TARGETS)

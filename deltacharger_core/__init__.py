@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What everybody may assume: environment, declared parameters, the machine's constants, files. No ROS."""
+"""Shared basis of all packages: environment, declared parameters, machine constants, files. No ROS."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays in the .npy format that somebody else may have written: looked at before memory is taken, never unpickled."""
+"""Reads .npy arrays from untrusted files: checks the header before allocating memory and never unpickles."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _BLOCK = 2**18
 
 
 class ArrayError(ValueError):
-    """A stream holds no array of numbers, truth values or text. Example: a header that claims 10 TB."""
+    """The stream holds no array of numbers, booleans or text. Example: a header that claims 10 TB."""
 
 
 def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
-    """Return the array that a stream holds from here to its end.
+    """Return the array stored from the current position to the end of a stream.
 
     Args:
-        stream: of bytes, read from where it stands; it may claim to be longer than it is.
-        size: bytes that it has left.
+        stream: byte stream; it may be shorter than it claims.
+        size: bytes left in the stream.
 
     Raises:
-        ArrayError: it is no .npy file, holds Python objects, or its header claims more or less than `size`.
+        ArrayError: this is no .npy file, it holds Python objects, or its header does not match `size`.
     """
     try:
         shape, by_columns, kind, header = _header(stream)
-    except Exception as error:  # numpy reads a header as a Python literal, and raises whatever that raises
+    except Exception as error:  # numpy parses the header as a Python literal, which may raise anything
         raise ArrayError(f"it has no header of an .npy file ({type(error).__name__})") from error
     plain = (kind.kind in "biuf" and kind.itemsize <= 8) or (kind.kind == "U" and kind.itemsize)
     if not plain or len(shape) > _MOST_AXES:
@@ -45,17 +45,17 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
             raise ArrayError("it ends early")
         content[start : start + len(block)] = np.frombuffer(block, dtype=np.uint8)
     if kind.kind == "b" and content.max(initial=0) > 1:
-        raise ArrayError("a truth value in it is neither true nor false")
+        raise ArrayError("a boolean in it is neither 0 nor 1")
     found = content.view(kind)
     return found.reshape(shape[::-1]).T if by_columns else found.reshape(shape)
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Return shape, whether columns stand together, type, and the bytes that the header took."""
-    begun = stream.tell()
-    if np.lib.format.read_magic(stream) != (1, 0):  # others have headers that are too long
+    """Return shape, whether the order is by columns, type, and the header's size in bytes."""
+    start = stream.tell()
+    if np.lib.format.read_magic(stream) != (1, 0):  # newer versions allow longer headers
         raise ValueError("version")
     shape, by_columns, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=_LONGEST_HEADER)
     if min(shape, default=0) < 0:
         raise ValueError("shape")
-    return shape, by_columns, kind, stream.tell() - begun
+    return shape, by_columns, kind, stream.tell() - start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names for the types of arrays; docstrings say their shapes, units and frames."""
+"""Type aliases of arrays. Docstrings state shapes, units and frames."""
 
 from __future__ import annotations
 

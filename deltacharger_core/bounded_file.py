@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a person, a robot or another program gives us: opened, read and told apart within bounds.
+"""Opens and reads files given by users, robots or other programs, within bounds.
 
-A path may name anything: a device without end, a pipe that nobody writes to, a folder, 10 GB of nothing. Every reader
-of such files begins here, so that none of them waits, fills the memory or takes long to say no.
+A path may name an endless device, a pipe without a writer, a folder or a huge file. Every reader of such files uses
+this module, so that none blocks, exhausts memory or takes long to refuse.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 MEGABYTE = 2**20
 LARGEST_TEXT = MEGABYTE
-"""Bytes of a file that people write, and of JSON."""
+"""Maximum bytes of a hand-written file and of JSON."""
 _DEEPEST, _LONGEST_KEY = 50, 300
 _BLOCK = MEGABYTE
 _KINDS = {
@@ -36,7 +36,7 @@ _brief.maxlist = _brief.maxtuple = _brief.maxdict = 8
 
 
 class FileRefused(OSError):
-    """A file is not read at all. Example: /dev/zero where a calibration belongs.
+    """A file is refused unread. Example: /dev/zero given as a calibration.
 
     Attributes:
         filename: its path.
@@ -54,22 +54,22 @@ class FileRefused(OSError):
 
 
 def given_path(text: str) -> Path:
-    """Return the path that a person gave; a `~user` whom this computer does not know stays as it is."""
+    """Return a path given by a user; expands `~`, but leaves an unknown `~user` unchanged."""
     return Path(os.path.expanduser(text))
 
 
 def open_file(path: str | Path, largest: int) -> BinaryIO:
-    """Open a regular file for reading, without waiting for anybody.
+    """Open a regular file for reading, without blocking.
 
     Args:
-        path: of the file; links are followed.
-        largest: bytes that it may have.
+        path: file; links are followed.
+        largest: maximum size in bytes.
 
     Raises:
-        FileRefused: it is a folder, pipe, socket or device, or larger.
-        OSError: there is no such file, or it may not be read.
+        FileRefused: it is a folder, pipe, socket or device, or too large.
+        OSError: the file is missing or not readable.
     """
-    _check(path, os.stat(path), largest)  # before it is opened: opening a serial port resets what is behind it
+    _check(path, os.stat(path), largest)  # before opening: opening a serial port resets the connected device
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     try:
         _check(path, os.fstat(descriptor), largest)
@@ -83,33 +83,33 @@ def _check(path: str | Path, found: os.stat_result, largest: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise FileRefused(path, f"it is {kind_text(found.st_mode)}; give the path of a file")
     if found.st_size > largest:
-        raise FileRefused(path, f"its {size_text(found.st_size)} are more than the {size_text(largest)} of its kind")
+        raise FileRefused(path, f"it has {size_text(found.st_size)}, more than the {size_text(largest)} allowed")
 
 
 def kind_text(mode: int) -> str:
-    """Return what a path leads to by its mode, where that is no regular file, for a message."""
+    """Return the name of a file type that is no regular file, for messages."""
     return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 
 def size_text(count: int) -> str:
-    """Return a number of bytes for a message."""
+    """Return a number of bytes as text for messages."""
     return f"{count / MEGABYTE:.0f} MB" if count >= MEGABYTE else f"{count / 2**10:.0f} kB"
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """Return what a regular file holds; arguments and errors as of `open_file`."""
+    """Return the content of a regular file; arguments and errors as in `open_file`."""
     with open_file(path, largest) as file:
         try:
             content = file.read(largest + 1)
-        except OSError as error:  # which does not name the file
+        except OSError as error:  # it does not name the file
             raise FileRefused(path, f"cannot be read: {error.strerror}") from error
-    if len(content) > largest:  # it grew while it was read, or says 0, as files of /proc do
-        raise FileRefused(path, f"it holds more than the {size_text(largest)} of its kind")
+    if len(content) > largest:  # it grew meanwhile, or reports size 0 like files in /proc
+        raise FileRefused(path, f"it holds more than the {size_text(largest)} allowed")
     return content
 
 
 def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
-    """Return the UTF-8 text of a regular file; arguments and errors as of `open_file`, and FileRefused for others."""
+    """Return the text of a regular file; as `open_file`, with FileRefused if the file is not UTF-8."""
     try:
         return read_bytes(path, largest).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -117,7 +117,7 @@ def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
 
 
 def sha256(path: str | Path) -> str:
-    """Return the digest of a regular file of any size in hexadecimal digits; errors as of `open_file`."""
+    """Return the SHA-256 of a regular file of any size as hexadecimal digits; errors as in `open_file`."""
     import hashlib
 
     digest = hashlib.sha256()
@@ -128,15 +128,15 @@ def sha256(path: str | Path) -> str:
 
 
 def parse_json(text: str, largest: int = LARGEST_TEXT) -> Any:
-    """Return what JSON tells that somebody else may have written.
+    """Parse JSON from an untrusted source.
 
     Args:
-        text: the JSON.
-        largest: characters that it may have.
+        text: JSON.
+        largest: maximum number of characters.
 
     Raises:
-        ValueError: it is not JSON, larger, nested deeper than 50 levels, or gives a key twice, one of more than 300
-            characters, or a number of more than 64 bits.
+        ValueError: the text is not JSON, too long, nested deeper than 50 levels, or holds a repeated key, a key of
+            more than 300 characters or an integer of more than 64 bits.
     """
     import json
 
@@ -173,5 +173,5 @@ def _deeper(value: Any, levels: int) -> bool:
 
 
 def brief(value: Any) -> str:
-    """Return repr(value) for a message, cut where it is long."""
+    """Return repr(value) for messages, shortened if long."""
     return _brief.repr(value)

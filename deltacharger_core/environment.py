@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The environment that the executables of a venv need, set by themselves where the user has set nothing."""
+"""Environment variables that the executables set for themselves unless the user has set them."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from typing import NoReturn
 from deltacharger_core import streams
 
 SIMULATION_DOMAIN = 87
-"""ROS_DOMAIN_ID of simulated scenes where the user has chosen none: no robot on the default domain 0 hears them."""
+"""Default ROS_DOMAIN_ID of simulated scenes: it keeps them apart from robots on the default domain 0."""
 
 RUNS_ON = "ROS 2 Jazzy with rclpy 7.1.4 or newer, or Kilted"
-"""Versions whose rclpy has what the nodes stand on, in words."""
+"""Supported ROS versions, as text."""
 
 LARGEST_DOMAIN = 232
-"""Above it the UDP ports of a domain pass 65535."""
+"""The UDP ports of a larger domain would exceed 65535."""
 
 _DOMAIN, _RANGE = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 CHOSEN = (_DOMAIN, _RANGE)
-"""The variables by which programs of one computer find each other."""
+"""Variables that decide which programs discover each other."""
 
-_REACHED = {  # rcl takes an unknown word as LOCALHOST
+_REACHED = {  # rcl treats an unknown value as LOCALHOST
     "OFF": "this process alone",
     "LOCALHOST": "every program on this computer",
     "SUBNET": "every computer of this network",
-    "SYSTEM_DEFAULT": "whom the profile of the middleware lets in",
+    "SYSTEM_DEFAULT": "programs that the middleware's profile admits",
 }
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
-_PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, where it is in the working directory
+_PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS also reads this file from the working directory
 
 
 class UnsupportedRos(SystemExit):
-    """This ROS lacks what the nodes stand on, as its text says; ends a program with code 2."""
+    """This ROS version is not supported. Ends the program with exit code 2."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -43,9 +43,9 @@ class UnsupportedRos(SystemExit):
 
 
 def refuse_ros(missing: ImportError) -> NoReturn:
-    """Say in one line which versions of ROS run, and end the program.
+    """Print the supported ROS versions in one line and end the program.
 
-    Executables get here while they import, before code of theirs can catch and tell an error.
+    Executables call this during imports, before their own code can report an error.
 
     Raises:
         UnsupportedRos: always.
@@ -56,7 +56,7 @@ def refuse_ros(missing: ImportError) -> NoReturn:
 
 
 def prepare() -> None:
-    """Let ROS find this installation; call before the first import of rclpy."""
+    """Make this installation visible to ROS; call before the first import of rclpy."""
     prefix = Path(sys.prefix)
     if not os.environ.get("AMENT_PREFIX_PATH") and (prefix / "share" / "ament_index").is_dir():
         os.environ["AMENT_PREFIX_PATH"] = str(prefix)
@@ -64,14 +64,14 @@ def prepare() -> None:
 
 
 def announce() -> None:
-    """Let nodes tell twice a second that they are there, unless the user has settings of Fast DDS."""
+    """Make nodes announce themselves twice a second, unless the user has Fast DDS settings."""
     if not any(os.environ.get(name) for name in _PROFILES) and not Path(_PROFILES_HERE).exists():
         for file in config("fastdds.xml")[:1]:
             os.environ[_PROFILES[0]] = str(file)
 
 
 def config(name: str) -> list[Path]:
-    """Return where a file or folder of config/ is: in the source tree, then in each installation."""
+    """Return the existing paths of a file or folder of config/: first the source tree, then each installation."""
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     found = [Path(__file__).resolve().parents[1] / "config" / name]
     found += [prefix / "share" / "deltacharger" / "config" / name for prefix in [*prefixes, Path(sys.prefix)]]
@@ -79,22 +79,22 @@ def config(name: str) -> list[Path]:
 
 
 def isolate(variables: MutableMapping[str, str] = os.environ) -> None:
-    """Keep a simulated scene's traffic on this machine and away from robots, unless the user chose otherwise."""
+    """Keep a simulated scene on this computer and away from robots, unless the user chose otherwise."""
     reach("localhost", variables)
     variables.setdefault(_DOMAIN, str(SIMULATION_DOMAIN))
 
 
 def reach(network: str, variables: MutableMapping[str, str] = os.environ) -> None:
-    """Let nodes of this environment reach what a scene's key `network` says, unless the user chose otherwise."""
+    """Set the discovery range from a scene's key `network`, unless the user chose one."""
     if not variables.get(_RANGE):
         variables[_RANGE] = network.upper()
 
 
 def openness(variables: Mapping[str, str] = os.environ) -> str:
-    """Return in words who can command the nodes of this environment."""
+    """Return as text who can command the nodes of this environment."""
     if variables.get("ROS_SECURITY_ENABLE") == "true" and variables.get("ROS_SECURITY_STRATEGY") == "Enforce":
-        return "nodes with a key of this keystore alone"
-    if variables.get("ROS_LOCALHOST_ONLY") == "1":  # rcl then leaves out the peers, too
+        return "only nodes with a key of this keystore"
+    if variables.get("ROS_LOCALHOST_ONLY") == "1":  # rcl then also ignores the peers
         return _REACHED["LOCALHOST"]
     chosen = variables.get(_RANGE) or "SUBNET"
     peers = variables.get("ROS_STATIC_PEERS", "")
@@ -103,7 +103,7 @@ def openness(variables: Mapping[str, str] = os.environ) -> str:
 
 
 def domain_problem() -> str:
-    """Return what is wrong with ROS_DOMAIN_ID, or ''; ROS itself takes some wrong ones and then hears nobody."""
+    """Return the error in ROS_DOMAIN_ID, or ''. ROS accepts some wrong values and then discovers no nodes."""
     text = os.environ.get(_DOMAIN, "")
     try:
         usable = not text or 0 <= int(text) <= LARGEST_DOMAIN
@@ -113,7 +113,7 @@ def domain_problem() -> str:
 
 
 def domain(variables: Mapping[str, str] = os.environ) -> int:
-    """Return the ROS domain that nodes of this environment join."""
+    """Return the ROS domain of this environment's nodes."""
     try:
         return int(variables.get(_DOMAIN, "") or 0)
     except ValueError:

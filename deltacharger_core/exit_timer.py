@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A time limit for the end of a process, which holds also where a library waits for ever with Python's lock."""
+"""Ends a process after a time limit, even if a library blocks for ever while it holds Python's lock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CALL = 2  # SIGEV_THREAD of Linux: a thread of the C library calls a function
 
 
 class _Event(ctypes.Structure):
-    """`struct sigevent` of Linux, which has 64 bytes."""
+    """`struct sigevent` of Linux, 64 bytes."""
 
     _fields_ = [
         ("value", ctypes.c_void_p),
@@ -31,14 +31,14 @@ class _Times(ctypes.Structure):
 
 
 def exit_within(limit: float, code: int) -> None:
-    """End this process with `code` after `limit` s at the latest.
+    """End this process with `code` after at most `limit` s.
 
-    Nothing is written or released then: call it when nothing but the network is left to leave. Does nothing where the
-    system has no such timers.
+    The timeout writes and releases nothing: call this when only leaving the network remains. Does nothing on systems
+    without such timers.
 
     Args:
         limit: s, above 0.
-        code: what the process ends with, where it has not ended by itself.
+        code: exit code if the process has not ended by itself.
     """
     with contextlib.suppress(OSError, AttributeError):
         library = ctypes.CDLL(None)

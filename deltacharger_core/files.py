@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, whatever happens while they are written."""
+"""Writes files atomically: complete or not at all."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.EROFS)  # file systems and devices
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give a name beside `path` to write to; at the end, what stands there is on the disk and becomes `path`.
+    """Yield a temporary path beside `path`; at the end sync that file to the disk and rename it to `path`.
 
-    Where the body raises, `path` stays as it was. A process killed meanwhile leaves only what `forget_unfinished` takes
-    away. What is no file, such as a pipe or /dev/stdout, is written to directly; a link is followed.
+    If the body raises, `path` stays unchanged. A killed process leaves only a file that `forget_unfinished` removes.
+    A pipe or device such as /dev/stdout is written directly. Links are followed.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: writing fails.
     """
     if path.exists() and not path.is_file():
         yield path
@@ -40,20 +40,20 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text, whole or not at all.
+    """Write UTF-8 text atomically.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: writing fails.
     """
     with whole(Path(path)) as beside:
         beside.write_text(text, encoding="utf-8", newline="")
 
 
 def append_text(path: Path, text: str) -> None:
-    """Add UTF-8 text to a file and wait until it is on the disk.
+    """Append UTF-8 text to a file and sync it to the disk.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: writing fails.
     """
     with path.open("a", encoding="utf-8", newline="") as file:
         file.write(text)
@@ -61,26 +61,26 @@ def append_text(path: Path, text: str) -> None:
 
 
 def flush(file: IO[Any]) -> None:
-    """Wait until what was written to a file is on the disk."""
+    """Sync a file to the disk."""
     file.flush()
     _sync(file.fileno())
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, where there is none, that outlives a power cut."""
+    """Create a folder if missing, safe against a power cut."""
     if not path.is_dir():
         path.mkdir()
         sync_folder(path.absolute().parent)
 
 
 def forget_unfinished(folder: Path) -> None:
-    """Remove what killed processes left half written in `folder`."""
+    """Remove unfinished files of killed processes from `folder`."""
     for path in folder.glob(f"{_UNFINISHED}*"):
         path.unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring a folder's list of names to the disk."""
+    """Sync a folder's directory entries to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         _sync(descriptor)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of the charger's coordinate frames, and the parameters of every node that writes or reads them."""
+"""Names of the charger's coordinate frames, and the parameters of the nodes that use them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _PREFIX_MAX = 64  # characters
 
 @dataclass(frozen=True)
 class FrameParameters(Bounded):
-    """What tells the frames of two chargers apart.
+    """Prefix that distinguishes the frames of two chargers.
 
     Raises:
-        ParameterError: the prefix begins with "/", which tf allows no frame, has white space or is too long.
+        ParameterError: the prefix begins with "/" (not allowed by tf), has white space or is too long.
     """
 
     frame_prefix: str = words(
-        "", "put before every frame name of the charger, as robot_state_publisher's parameter of that name, e.g. left/"
+        "", "prefix of every frame name of the charger, same as robot_state_publisher's frame_prefix, e.g. left/"
     )
 
     def __post_init__(self) -> None:
@@ -37,13 +37,13 @@ class FrameParameters(Bounded):
 
 @dataclass(frozen=True)
 class JointFrameParameters(FrameParameters):
-    """The same for the joints of two chargers in one URDF. robot_state_publisher puts no prefix before joints.
+    """Prefixes of frames and joints of two chargers in one URDF. robot_state_publisher does not prefix joints.
 
     Raises:
-        ParameterError: as of `FrameParameters`, of either prefix.
+        ParameterError: as in `FrameParameters`, for either prefix.
     """
 
-    joint_prefix: str = words("", "put before the names of joint_states: the prefix of the URDF's macro, e.g. left_")
+    joint_prefix: str = words("", "prefix of the names in joint_states: the prefix of the URDF's macro, e.g. left_")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,18 +52,16 @@ class JointFrameParameters(FrameParameters):
 
 @dataclass(frozen=True)
 class TransformParameters(FrameParameters):
-    """How transforms of tf are waited for and judged. They count only where tf2_ros is installed."""
+    """Timeout and maximum age of tf transforms. They take effect only if tf2_ros is installed."""
 
-    transform_timeout: float = number(
-        2.0, 0.0, 10.0, "s", "how long a transform that tf does not know yet, or no longer, is waited for"
-    )
+    transform_timeout: float = number(2.0, 0.0, 10.0, "s", "longest wait for a transform that tf does not provide")
     transform_age_max: float = number(
-        1.0, 0.05, 60.0, "s", "age of a moving transform, and of a stamped pose that needs one, that still counts"
+        1.0, 0.05, 60.0, "s", "maximum age of a moving transform and of a stamped pose that needs one"
     )
 
 
 def _check(name: str, prefix: str) -> None:
-    """Refuse a prefix that no name can have; `name` is that of its parameter."""
+    """Refuse an invalid prefix; `name` is its parameter."""
     if prefix.startswith("/") or len(prefix.split()) > 1 or prefix != prefix.strip() or len(prefix) > _PREFIX_MAX:
         problem = f"{prefix[:_PREFIX_MAX]!a}: give at most {_PREFIX_MAX} characters, no white space, no leading '/'"
         raise ParameterError(name, prefix, problem)

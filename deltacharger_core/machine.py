@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine in numbers: what every package may assume of it, each with its source. SI units.
+"""Constants of the machine, each with its source. SI units.
 
-Axes are those of `charger_base`: +z points at the target, +y is up. What somebody may want to change is a declared
-parameter; where its default is the machine's, it refers to here.
+Axes are those of `charger_base`: +z points at the target, +y is up. Values that users may change are declared
+parameters; their defaults refer to these constants.
 """
 
 from __future__ import annotations
@@ -10,59 +10,59 @@ from __future__ import annotations
 import math
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
-"""Names of the driven joints in the order of the limbs; those of the URDF and of every message."""
+"""Driven joints in the order of the limbs, as named in the URDF and in every message."""
 SERVO_IDS = (1, 2, 3)
-"""On the bus, of limbs 0, 1, 2; DYNAMIXEL's own default is 1 for every servo."""
+"""Bus ids of limbs 0, 1, 2. DYNAMIXEL's default is 1 for every servo."""
 BEHIND_BOARD = "board"
-"""In place of the port of the servos: they hang on the board."""
+"""Value of the servo port if the servos are connected to the board."""
 TICKS_PER_TURN, EXTENDED_TICKS = 4096, 1_048_575
-"""Counts of a servo's encoder in a turn, and the largest goal in modes 4 and 5, ±256 turns."""
+"""Encoder counts per turn, and the largest goal in modes 4 and 5 (±256 turns)."""
 BAUD_RATE = 1_000_000
-"""bit/s of the servos' bus and of a board on a UART."""
+"""bit/s of the servo bus and of a board on a UART."""
 
 STALL_TORQUE, STALL_CURRENT, NOMINAL_VOLTAGE = 6.0, 4.1, 12.0
-"""N·m and A of an MX-64 at that voltage, V (vendor's e-manual)."""
+"""N·m, A and V: MX-64 stall torque and current at 12 V (vendor's e-manual)."""
 TORQUE_CONSTANT = STALL_TORQUE / STALL_CURRENT
-"""N·m/A; ±5 %, and friction is extra."""
+"""N·m/A, ±5 %, without friction."""
 SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.91
-"""N·m/rad of a servo whose position P gain is `POSITION_P_GAIN`, and N·m·s/rad: stall torque over no-load speed, 63 rpm
-(both by the vendor's figures; `deltacharger calibrate servos` measures the first)."""
+"""N·m/rad at position P gain `POSITION_P_GAIN`, and N·m·s/rad: stall torque over no-load speed (63 rpm). Both follow
+the vendor's figures; `deltacharger calibrate servos` measures the stiffness."""
 STIFFNESS_PER_GAIN = STALL_TORQUE / 885 / 128 * TICKS_PER_TURN / (2.0 * math.pi)
-"""N·m/rad per count of the position P gain at 12 V: the vendor's e-manual divides the register by 128 and by that turns
-ticks of error into PWM, of which 885 is all of the supply and gives the stall torque. For mode 5 it gives no unit."""
+"""N·m/rad per count of the position P gain at 12 V. By the vendor's e-manual, register / 128 converts ticks of error to
+PWM, and PWM 885 is the full supply (stall torque). It states no unit for mode 5."""
 POSITION_P_GAIN = round(SERVO_STIFFNESS / STIFFNESS_PER_GAIN)
-"""Value of the position P gain that makes a servo as stiff as `SERVO_STIFFNESS`; the vendor's default is 850."""
+"""Position P gain that gives `SERVO_STIFFNESS`; the vendor's default is 850."""
 GAIN_MAX = 16383
-"""Largest value of a servo's gain registers (vendor's e-manual)."""
+"""Largest value of a gain register (vendor's e-manual)."""
 CURRENT_BOUND = 0.83
-"""A of a servo where a trajectory sets no bound."""
+"""A per servo, default if a trajectory sets no bound."""
 ZERO_CURRENT = 0.5
-"""A between charger and target below which none is said to flow."""
+"""A between charger and target; smaller currents count as zero."""
 BATTERY_MIN, BATTERY_MAX = 22.7, 29.8
-"""V of the charger's own battery, empty and full (paper)."""
+"""V of the charger's battery, empty and full (paper)."""
 GRAVITY_STRENGTH = 9.81
 """m/s²."""
 GRAVITY = (0.0, -GRAVITY_STRENGTH, 0.0)
-"""m/s² in `charger_base` where the robot stands level."""
+"""m/s² in `charger_base` of a level robot."""
 
 PADS, ROWS, COLUMNS = 2, 10, 10
-"""Tactile pads, and the taxels of each (paper)."""
+"""Number of tactile pads; rows and columns of taxels per pad (paper)."""
 FRAME_RATE = 120.0
-"""Hz at which both pads are sampled (paper)."""
+"""Hz, sampling of both pads (paper)."""
 CONTACT_FORCE = 1.0
-"""N; a taxel at or above it is in contact: the smallest force that the published sensor tells (1–9 N)."""
+"""N; a taxel at or above it is in contact. Smallest force of the published sensor's range (1–9 N)."""
 
 LONGEST_LEASE = 0.25
-"""s for which the contactor is held closed unless its holder asks again."""
+"""s that the contactor stays closed unless the lease is renewed."""
 DOCK_DISTANCE = 0.080
-"""m; z of the electrodes where the robot stands right (paper: (0, 0, 80) mm)."""
+"""m, z of the target's electrodes if the robot stands correctly (paper: (0, 0, 80) mm)."""
 BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074
-"""m; an electrode's bar along x and y, and the gap to the other bar (assumed: they short at the paper's 12°)."""
+"""m, a bar's size along x and y, and the gap between bars (assumed: they short at the paper's 12°)."""
 MAGNET_FORCE, MAGNET_WIDTH, MAGNET_FLOOR = 60.0, 0.008, 0.2
-"""All magnets together: N in contact at zero offset, m of lateral offset that halves it, least share (assumed)."""
+"""All magnets: N in contact at zero offset, m of lateral offset that halves the force, minimum share (assumed)."""
 PAD_DISTANCE = 0.048
-"""m from the middle of the platform to each pad, along x."""
+"""m from the platform's centre to each pad, along x."""
 PAD_YAW_STIFFNESS = 690.0
-"""N·m/rad, moment of both pads about y by the yaw that remains, at 78 N: slope of the tactile contact model."""
+"""N·m/rad, moment of both pads about y per remaining yaw at 78 N: slope of the tactile contact model."""
 DOCKING_JITTER = 1.0e-3
-"""m; standard deviation of where a docking lands, along x and along y (fitted; see docs/tactile.md)."""
+"""m, standard deviation of the docked position along x and y (fitted; see docs/tactile.md)."""

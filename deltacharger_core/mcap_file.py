@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in an MCAP file, whole, cut short or damaged: the one reader of recordings, without ROS.
+"""Reads MCAP recordings, complete, truncated or damaged, without ROS.
 
-Messages stay the bytes that came over the wire (CDR); who has ROS decodes them. Needs the package mcap,
-`deltacharger[record]`.
+Messages stay CDR bytes; callers that have ROS decode them. Needs the package mcap (`deltacharger[record]`).
 """
 
 from __future__ import annotations
@@ -29,21 +28,21 @@ from deltacharger_core.mcap_records import (
 from deltacharger_core.picklable import Picklable
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
-"""Why reading ended in a file that is whole as far as it goes."""
+"""Reason for a truncated but otherwise valid file."""
 
 _LONGEST = 300  # characters of a reason
 
 
 class RecordingError(Picklable, RuntimeError):
-    """A recording cannot be written or read; the message says why and what to do."""
+    """A recording cannot be written or read. The message states the reason and the remedy."""
 
 
 class DamagedRecording(RecordingError):
-    """A recording ends before its end.
+    """A recording is truncated or damaged.
 
     Args:
-        path: of the file.
-        reason: what is wrong with it, or CUT_SHORT.
+        path: file.
+        reason: the defect, or CUT_SHORT.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
@@ -52,12 +51,12 @@ class DamagedRecording(RecordingError):
 
 
 class Raw(NamedTuple):
-    """A message as it came.
+    """A message as received.
 
     Attributes:
-        topic: its name as the topic's owner and reader know it.
-        received: when, ns since 1970.
-        published: when by its publisher, ns since 1970; `received` where that is not known.
+        topic: name.
+        received: time of reception, ns since 1970.
+        published: publisher's time, ns since 1970; `received` if unknown.
         data: CDR.
     """
 
@@ -68,22 +67,22 @@ class Raw(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file: what its index tells, or a look through all of it where a kill or damage left none.
+    """An MCAP file, described by its index. Without an index (recorder killed, damage) the complete file is scanned.
 
     Args:
-        path: of the file.
+        path: file.
 
     Attributes:
-        types: name of each topic's message type, such as std_msgs/msg/Header; '' = untyped.
-        definitions: text of each topic's message definition.
-        counts: messages of each topic.
-        metadata: name and values, in the order of the file.
-        first, last: when the earliest and the latest message came, ns since 1970; 0 where there is none.
-        damage: why looking through it ended before the end; '' = it has an index, or is whole.
+        types: message type of each topic, such as std_msgs/msg/Header; '' = untyped.
+        definitions: message definition of each topic.
+        counts: number of messages of each topic.
+        metadata: names and values in file order.
+        first, last: reception of the earliest and latest message, ns since 1970; 0 if there is none.
+        damage: why the scan stopped early; '' = the file has an index or is complete.
 
     Raises:
         RecordingError: mcap is not installed, or this is no MCAP file.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -98,19 +97,19 @@ class McapFile:
         with open_file(path, LARGEST_FILE) as stream:
             empty = not os.fstat(stream.fileno()).st_size
         if empty:
-            raise RecordingError(f"{path} is empty: its recorder was stopped before it had written anything")
+            raise RecordingError(f"{path} is empty: its recorder stopped before it wrote anything")
         if not self._read_index():
-            self._look_through()
+            self._scan()
 
     def told(self, name: str) -> list[dict[str, str]]:
-        """Return the metadata of one name."""
+        """Return all metadata with this name."""
         return [values for each, values in self.metadata if each == name]
 
     def messages(self, *topics: str) -> Iterator[Raw]:
-        """Yield the messages of some topics, or of all, in the order of the file.
+        """Yield the messages of the given topics (none given = all) in file order.
 
         Raises:
-            DamagedRecording: the file ends early, or is damaged from here on.
+            DamagedRecording: the file is truncated or damaged from here on.
         """
         names: dict[int, str] = {}
         for opcode, record in self._walk():
@@ -120,7 +119,7 @@ class McapFile:
                 yield Raw(names[record.channel], record.received, record.published, bytes(record.data))
 
     def attachment(self, name: str) -> bytes:
-        """Return the attached file of a name.
+        """Return the attachment with this name.
 
         Raises:
             DamagedRecording: the file is damaged before it.
@@ -132,7 +131,7 @@ class McapFile:
         raise KeyError(name)
 
     def _read_index(self) -> bool:
-        """Take what stands at the end of a file that was ended; return whether it tells everything."""
+        """Read the index at the end of a complete file; return whether it is complete."""
         try:
             with open_file(self.path, LARGEST_FILE) as stream:
                 records = Records(stream)
@@ -147,17 +146,17 @@ class McapFile:
                 metadata = [records.read(each.offset, METADATA) for each in places]
         except OSError:
             raise
-        except Exception:  # cut short, damaged or no MCAP file, which looking through it tells
+        except Exception:  # truncated, damaged or no MCAP file: the scan finds out
             return False
         named = {schema.id: schema for schema in schemas}
         for channel in channels:
-            self._meet(channel, named.get(channel.schema_id))
+            self._add_channel(channel, named.get(channel.schema_id))
             self.counts[channel.topic] += counts.get(channel.id, 0)
         self.metadata = [(each.name, dict(each.metadata)) for each in metadata]
         self.first, self.last = statistics.message_start_time, statistics.message_end_time
         return True
 
-    def _look_through(self) -> None:
+    def _scan(self) -> None:
         schemas, topics, begun = dict[int, Any](), dict[int, str](), False
         try:
             for opcode, record in self._walk():
@@ -166,7 +165,7 @@ class McapFile:
                     schemas[record.id] = record
                 elif opcode == CHANNEL:
                     topics[record.id] = record.topic
-                    self._meet(record, schemas.get(record.schema_id))
+                    self._add_channel(record, schemas.get(record.schema_id))
                 elif opcode == METADATA:
                     self.metadata.append((record.name, dict(record.metadata)))
                 elif opcode == MESSAGE and record.channel in topics:
@@ -178,7 +177,7 @@ class McapFile:
                 raise RecordingError(f"{self.path} is no MCAP file") from error
             self.damage = error.reason
 
-    def _meet(self, channel: Any, schema: Any) -> None:
+    def _add_channel(self, channel: Any, schema: Any) -> None:
         self.types.setdefault(channel.topic, schema.name if schema else "")
         self.definitions.setdefault(channel.topic, schema.data.decode(errors="replace") if schema else "")
 
@@ -191,12 +190,12 @@ class McapFile:
                 raise DamagedRecording(self.path, CUT_SHORT) from error
             except OSError:
                 raise
-            except Exception as error:  # damage raises what zstandard, lz4, struct or mcap raise
+            except Exception as error:  # on damage zstandard, lz4, struct or mcap raise their own errors
                 raise DamagedRecording(self.path, f"the file is damaged from here on: {error}"[:_LONGEST]) from error
 
 
 def require_mcap() -> None:
-    """Raise RecordingError where the package mcap is missing, before anything moves."""
+    """Raise RecordingError if the package mcap is missing; call before anything moves."""
     try:
         import mcap.reader
         import mcap.writer  # noqa: F401

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records of an MCAP file, one by one and within bounds, whoever wrote it.
+"""Reads the records of an untrusted MCAP file one by one, within bounds.
 
-What a record claims is compared with what there is before memory is taken for it: its length, the size that a chunk
-unpacks to, how many messages a file of its size can hold. https://mcap.dev/spec tells the format.
+Before memory is allocated, a record's claims are checked: its length, the unpacked size of a chunk, and how many
+messages a file of this size can hold. Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ SCHEMA, CHANNEL, MESSAGE, ATTACHMENT, METADATA = 0x03, 0x04, 0x05, 0x09, 0x0C
 STATISTICS, METADATA_INDEX = 0x0B, 0x0D
 _FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
 LARGEST_FILE = 2**40
-"""Bytes of a recording."""
-_LARGEST_TOLD = 4 * 2**20  # bytes of all schemas, channels, metadata and of what tells where they are
-_LARGEST_SUMMARY = 16 * 2**20  # bytes; with 80 for a chunk, a recording of 200 000 chunks
-_LARGEST_RECORD = 48 * 2**20  # bytes, of a chunk also unpacked; an image of 4096 × 3072 px in colour has 38 MB
-_EACH = 200  # bytes that a record takes beside its content
-_DENSEST = 2000  # bytes that a byte of the file may unpack to; images of nothing are packed to a thousandth
+"""Maximum bytes of a recording."""
+_LARGEST_KEPT = 4 * 2**20  # bytes of all schemas, channels, metadata and their index records
+_LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
+_LARGEST_RECORD = 48 * 2**20  # bytes, also of an unpacked chunk; a colour image of 4096 × 3072 px has 38 MB
+_EACH = 200  # bytes of overhead of a record in memory
+_DENSEST = 2000  # maximum unpacked bytes per byte of file; blank images compress to a thousandth
 _MAGIC = b"\x89MCAP0\r\n"
 _CLASSES = {  # in mcap.records
     SCHEMA: "Schema",
@@ -33,13 +33,13 @@ _CLASSES = {  # in mcap.records
     METADATA_INDEX: "MetadataIndex",
 }
 _HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size and CRC-32; length of the compression's name
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size and CRC-32; length of the compression name
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, received, published
-_FOOT = struct.Struct("<BQQQI")  # opcode, length; start of summary and of its offsets, CRC-32 of both and of this
+_FOOT = struct.Struct("<BQQQI")  # opcode, length; start of summary and of its offsets, CRC-32 of both and of the footer
 
 
 class DamagedMcap(ValueError):
-    """A record is not as the format has it. Example: a chunk of 98 kB that unpacks to 3 GB."""
+    """A record violates the format. Example: a chunk of 98 kB that unpacks to 3 GB."""
 
 
 class EndsEarly(DamagedMcap):
@@ -50,9 +50,9 @@ class Message(NamedTuple):
     """A message.
 
     Attributes:
-        channel: number of its channel.
+        channel: channel number.
         received, published: ns since 1970.
-        data: as it came; of the memory of a chunk, so that who keeps it copies it.
+        data: bytes in the chunk's memory; copy them to keep them.
     """
 
     channel: int
@@ -62,34 +62,34 @@ class Message(NamedTuple):
 
 
 class Records:
-    """The records of a file: a Message, or what mcap names Schema, Channel, Metadata and so on; None = another kind.
+    """The records of a file: Message, or mcap's Schema, Channel, Metadata and so on; None for other kinds.
 
-    Damage may also raise what mcap, zstandard, lz4 or struct raise.
+    Damage may also raise errors of mcap, zstandard, lz4 or struct.
 
     Args:
-        stream: of the file, seekable.
+        stream: seekable file.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._size = stream.seek(0, io.SEEK_END)
         self._unpacked = self._count = 0
-        self._all_told = 0
-        self._told: dict[tuple[int, int], int] = {}  # bytes of what a reader keeps, by kind and number
+        self._kept_total = 0
+        self._kept: dict[tuple[int, int], int] = {}  # bytes that a reader keeps, by opcode and number
 
     def walk(self, wanted: Collection[int] = ()) -> Iterator[tuple[int, Any]]:
-        """Yield opcode and record from the beginning, those within chunks in place of the chunks.
+        """Yield opcode and record from the beginning; chunks are replaced by their records.
 
         Args:
-            wanted: opcodes of those that are yielded, none of which stands in chunks; empty = all.
+            wanted: opcodes to yield, only kinds outside chunks; empty = all.
 
         Raises:
-            DamagedMcap: from here on.
+            DamagedMcap: the file is damaged from here on.
         """
         self._stream.seek(0)
         if (magic := self._stream.read(len(_MAGIC))) != _MAGIC:
             raise EndsEarly("it does not begin as MCAP")
-        checksum, data = zlib.crc32(magic), True  # whether here stands data, and not the summary behind it
+        checksum, data = zlib.crc32(magic), True  # data section, as opposed to the summary behind it
         while (head := self._head())[0] != _FOOTER:
             opcode, length, start = head
             if not data or (wanted and opcode not in wanted):
@@ -109,10 +109,10 @@ class Records:
                 yield opcode, self._record(content, opcode)
 
     def read(self, offset: int, opcode: int) -> Any:
-        """Return the record of a kind that stands at an offset.
+        """Return the record at an offset.
 
         Raises:
-            DamagedMcap: there is none.
+            DamagedMcap: there is no record of this opcode.
         """
         self._stream.seek(min(offset, self._size))
         found, length, _ = self._head()
@@ -121,10 +121,10 @@ class Records:
         return self._record(self._content(length), opcode)
 
     def summary(self) -> dict[int, list[Any]]:
-        """Return the records of the summary at the end by their opcodes; none where there is no summary.
+        """Return the records of the summary by opcode; empty if the file has none.
 
         Raises:
-            DamagedMcap: it is not as its footer says, or too large.
+            DamagedMcap: the summary does not match its footer or is too large.
         """
         foot = self._size - _FOOT.size - len(_MAGIC)
         self._stream.seek(max(foot, 0))
@@ -183,18 +183,18 @@ class Records:
             raise DamagedMcap("a chunk does not unpack to what it states")
         for opcode, content in _split(data):
             self._count += 1
-            if self._count > self._size:  # each takes at least a byte of the file, packed too
+            if self._count > self._size:  # each takes at least one byte of the file, even packed
                 raise DamagedMcap("it holds more messages than bytes")
             if opcode in (SCHEMA, CHANNEL, MESSAGE):
                 yield opcode, self._record(content, opcode)
 
     def _record(self, content: memoryview, opcode: int) -> Any:
         if opcode in _CLASSES and opcode != ATTACHMENT:
-            number = int.from_bytes(content[:2], "little") if opcode in (SCHEMA, CHANNEL) else len(self._told)
+            number = int.from_bytes(content[:2], "little") if opcode in (SCHEMA, CHANNEL) else len(self._kept)
             size = len(content) + _EACH
-            self._all_told += size - self._told.get((opcode, number), 0)  # chunks tell schemas and channels again
-            self._told[opcode, number] = size
-            if self._all_told > _LARGEST_TOLD:
+            self._kept_total += size - self._kept.get((opcode, number), 0)  # chunks repeat schemas and channels
+            self._kept[opcode, number] = size
+            if self._kept_total > _LARGEST_KEPT:
                 raise DamagedMcap("its schemas, channels and metadata are too large")
         return _parsed(content, opcode)
 
@@ -211,7 +211,7 @@ def _split(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _unpack(packed: memoryview, method: str, size: int) -> memoryview:
-    """Return what a chunk holds, at most one byte more than `size`."""
+    """Return a chunk's content, at most `size` + 1 bytes."""
     if not method:
         return packed
     if method == "zstd":
@@ -223,7 +223,7 @@ def _unpack(packed: memoryview, method: str, size: int) -> memoryview:
         import lz4.frame  # type: ignore[import-untyped]
 
         return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
-    raise DamagedMcap(f"a chunk is packed as {method[:20]!r}, which nobody here unpacks")
+    raise DamagedMcap(f"a chunk has the unsupported compression {method[:20]!r}")
 
 
 def _parsed(content: memoryview, opcode: int) -> Any:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The declared parameter: a field of a frozen dataclass that states unit, bounds and meaning, and refuses all else.
+"""Declared parameters: fields of frozen dataclasses with unit, bounds and meaning, checked at construction.
 
-A package declares its parameters once, in its `parameters.py`. From there come the checks of its constructors, the keys
-of scenes and campaigns, the parameters of its nodes and docs/parameters.md.
+A package declares its parameters once, in its `parameters.py`. Constructor checks, scene and campaign keys, node
+parameters and docs/parameters.md follow from these declarations.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from deltacharger_core.renamed import RENAMED
 
 T = TypeVar("T")
 
-_LONGEST_KEY = 100  # characters that a message has of a key
+_LONGEST_KEY = 100  # characters of a key in a message
 _KEY = "declaration"  # in the metadata of a field
 _KINDS = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 
@@ -33,8 +33,8 @@ class ParameterError(Picklable, ValueError):
 
     Attributes:
         key: dotted path of the key.
-        value: what was given.
-        problem: what is wrong and what is allowed.
+        value: the given value.
+        problem: the error and the allowed values.
     """
 
     def __init__(self, key: str, value: Any, problem: str) -> None:
@@ -46,17 +46,17 @@ class ParameterError(Picklable, ValueError):
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is known of one parameter.
+    """Declaration of one parameter.
 
     Attributes:
-        name: of its field, with dots below groups.
+        name: field name, dotted below groups.
         kind: float, int, bool or str; object = parameter classes, which check themselves.
-        default: without a value; a tuple for several values, None where there may be none.
-        text: what it is; the unit may stand in it as {unit}.
-        unit: of value and bounds, '' for none.
-        low, high: bounds, inclusive; infinite = whatever is finite.
-        choices: the allowed texts; empty = any.
-        live: whether it may be set while its node runs; where the node serves goals, between them.
+        default: default value; a tuple for several values, None if the value is optional.
+        text: meaning; may contain the unit as {unit}.
+        unit: unit of value and bounds; '' = none.
+        low, high: inclusive bounds; infinite = any finite value.
+        choices: allowed texts; empty = any.
+        live: whether it may be set while its node runs (between goals if the node serves goals).
     """
 
     name: str
@@ -70,13 +70,13 @@ class Declaration:
     live: bool = False
 
     def description(self, form: str = "{text} ({unit})") -> str:
-        """Return the text with its unit, which follows in this form unless it stands in the text."""
+        """Return the text with its unit, appended in this form unless the text contains it."""
         if "{unit}" in self.text:
             return self.text.replace("{unit}", self.unit)
         return form.format(text=self.text, unit=self.unit) if self.unit else self.text
 
     def problem(self, value: Any) -> str:
-        """Return what is wrong with a value, '' where nothing is."""
+        """Return the error in a value; '' = none."""
         if self.kind is object or (value is None and self.default is None):
             return ""
         if not isinstance(self.default, tuple):
@@ -108,63 +108,63 @@ def _declared(kind: type, default: Any, text: str, **about: Any) -> Any:
 
 
 def number(default: float | None, low: float, high: float, unit: str, text: str) -> Any:
-    """Declare a field with bounds (inclusive), unit and meaning; whole numbers alone where the default is one."""
+    """Declare a number with inclusive bounds, unit and meaning; an int default allows integers only."""
     whole = isinstance(default, int)
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
 
 
 def tunable(default: float, low: float, high: float, unit: str, text: str) -> Any:
-    """Declare a field as `number` does, which may be set while its node runs."""
+    """Declare a number, as `number` does, that may be set while its node runs."""
     item = number(default, low, high, unit, text)
     return field(default=default, metadata={_KEY: replace(item.metadata[_KEY], live=True)})
 
 
 def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text: str) -> Any:
-    """Declare a field of several numbers, each within the bounds; whole ones where those of the default are."""
+    """Declare several numbers, each within the bounds; an all-int default allows integers only."""
     whole = all(isinstance(item, int) for item in default)
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
 
 
 def flag(default: bool, text: str, live: bool = False) -> Any:
-    """Declare a field that is true or false."""
+    """Declare a boolean."""
     return _declared(bool, default, text, live=live)
 
 
 def words(default: str | tuple[str, ...], text: str, live: bool = False) -> Any:
-    """Declare a field of text, or of several texts."""
+    """Declare a text or several texts."""
     return _declared(str, default, text, live=live)
 
 
 def choice(default: str, choices: tuple[str, ...], text: str, live: bool = False) -> Any:
-    """Declare a field that is one of some texts."""
+    """Declare a text with fixed choices."""
     return _declared(str, default, text, choices=choices, live=live)
 
 
 def entries(text: str) -> Any:
-    """Declare a field of several parameter classes, none by default, which check themselves."""
+    """Declare a tuple of parameter classes, empty by default, which check themselves."""
     return _declared(object, (), text)
 
 
 def like(cls: type[Any], name: str, **about: Any) -> Any:
-    """Declare a field as another class has it, but for what is given of the declaration, such as closer bounds."""
+    """Declare a field like another class's, with changes such as closer bounds."""
     item = cls.__dataclass_fields__[name]
     return field(default=item.default, metadata={_KEY: replace(item.metadata[_KEY], **about)})
 
 
 def declaration(item: dataclasses.Field[Any]) -> Declaration | None:
-    """Return the declaration of a field, None where it has none."""
+    """Return the declaration of a field; None = undeclared."""
     found = item.metadata.get(_KEY)
     return None if found is None else replace(found, name=item.name)
 
 
 @functools.cache
 def _hints(cls: type[Any]) -> Mapping[str, Any]:
-    """Return the types of a class's fields; what they are written as is compiled once."""
+    """Return the types of a class's fields, evaluated once."""
     return typing.get_type_hints(cls)
 
 
 def declared(cls: type[Any], path: str = "") -> Iterator[Declaration]:
-    """Yield the declaration of every parameter of a class, those of its groups with dotted names."""
+    """Yield the declaration of every parameter of a class; parameters of groups have dotted names."""
     hints = _hints(cls)  # type: ignore[arg-type]  # a class is hashable
     for item in dataclasses.fields(cls):
         name, found = f"{path}.{item.name}" if path else item.name, declaration(item)
@@ -176,7 +176,7 @@ def declared(cls: type[Any], path: str = "") -> Iterator[Declaration]:
 
 @dataclass(frozen=True)
 class Bounded:
-    """Base of parameter classes: each refuses what its declaration does not allow.
+    """Base of parameter classes: checks every field against its declaration.
 
     Raises:
         ParameterError: a value has the wrong type or lies outside its bounds.
@@ -206,7 +206,7 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
         path: dotted path of the mapping, for messages.
 
     Raises:
-        ParameterError: names the key, the value and what is allowed; for an unknown key the nearest known one.
+        ParameterError: states key, value and allowed values; for an unknown key the nearest known one.
     """
     if not isinstance(mapping, Mapping):
         raise ParameterError(path or "(top)", mapping, f"{brief(mapping)} is not a mapping of keys to values")
@@ -227,7 +227,7 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:
-    """Return a value in the type of its field where that is another's; the field's own check follows."""
+    """Convert a value to the type of its field; the field checks it afterwards."""
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return from_mapping(value, hint, where)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions that come out of another process as they were raised there."""
+"""Exceptions that keep their attributes when another process raises them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ E = TypeVar("E", bound=BaseException)
 
 
 class Picklable(Exception):
-    """Base of exceptions whose constructor takes something else than the message.
+    """Base of exceptions whose constructor takes other arguments than the message.
 
-    Unpickling other exceptions calls the constructor with the finished message.
+    By default, unpickling calls the constructor with the finished message.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:

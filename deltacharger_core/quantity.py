@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as people read them: in diagnostics by `quantity`, in lines and columns by `figure`."""
+"""Formats numbers for people: `quantity` in diagnostics, `figure` in lines and columns."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ UNKNOWN = "unknown"
 
 
 def quantity(value: float, form: str, unit: str) -> str:
-    """Return a number with its unit; "unknown" for NaN, "no limit" for an infinite one.
+    """Return a number with its unit; "unknown" for NaN, "no limit" for infinity.
 
     Args:
         value: in `unit`.
-        form: format of the number, such as ".1f".
-        unit: its symbol.
+        form: number format, such as ".1f".
+        unit: unit symbol.
     """
     if math.isnan(value):
         return UNKNOWN
@@ -22,6 +22,6 @@ def quantity(value: float, form: str, unit: str) -> str:
 
 
 def figure(value: float, unit: str, digits: int, width: int = 0) -> str:
-    """Return a number with its unit, – in its place where it is not known."""
+    """Return a number with its unit; – for NaN."""
     text = "–" if value != value else f"{value:.{digits}f}"
     return f"{text:>{width}} {unit}".rstrip()

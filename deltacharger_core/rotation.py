@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quaternions as messages and parameters give them: x, y, z, w; and how far the rotation that they make leans."""
+"""Quaternions in the order of messages and parameters (x, y, z, w), poses, and the lean of a rotation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[flo
 
 
 def rotation(x: float, y: float, z: float, w: float) -> Matrix:
-    """Return the rows (3, 3) of the rotation that a quaternion of any length makes; NaN for one of length zero."""
+    """Return the rotation matrix (3, 3) by rows of a quaternion of any length; NaN for length zero."""
     length = math.hypot(x, y, z, w) or math.nan
     x, y, z, w = x / length, y / length, z / length, w / length
     return (
@@ -23,7 +23,7 @@ def rotation(x: float, y: float, z: float, w: float) -> Matrix:
 def lean(rows: Matrix) -> tuple[float, float]:
     """Return yaw and pitch (rad) of a frame whose axes are the columns of `rows` (3, 3).
 
-    How its z axis is turned about +y and about +x; the roll about z is no part of it.
+    They are the rotations of its z axis about +y and about +x. Roll about z has no effect.
     """
     x, y, z = (row[2] for row in rows)
     return math.atan2(x, z), math.atan2(-y, z)
@@ -31,13 +31,13 @@ def lean(rows: Matrix) -> tuple[float, float]:
 
 Quaternion = tuple[float, float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
-"""A pose in numbers: x, y, z in m, then the quaternion x, y, z, w."""
+"""x, y, z (m), then the quaternion x, y, z, w."""
 
 IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
-    """Return the product of two quaternions x, y, z, w: the rotation b, then a."""
+    """Return the quaternion product a·b (x, y, z, w): rotation b, then a."""
     (ax, ay, az, aw), (bx, by, bz, bw) = a, b
     return (
         aw * bx + bw * ax + ay * bz - az * by,
@@ -48,7 +48,7 @@ def product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
 
 
 def composed(outer: Sequence[float], inner: Sequence[float]) -> Pose:
-    """Return the pose `inner`, given in a frame whose own pose is `outer`, in the frame that `outer` is given in."""
+    """Return the composed transform outer·inner (7 numbers each)."""
     point = inner[:3]
     x, y, z = (
         origin + sum(factor * value for factor, value in zip(row, point, strict=True))
@@ -58,7 +58,7 @@ def composed(outer: Sequence[float], inner: Sequence[float]) -> Pose:
 
 
 def inverted(pose: Sequence[float]) -> Pose:
-    """Return the inverse of a transform (7 numbers, the quaternion of length 1)."""
+    """Return the inverse of a transform (7 numbers, unit quaternion)."""
     x, y, z, w = pose[3:]
     back = (-x, -y, -z, w)
     there = composed((0.0, 0.0, 0.0, *back), (*pose[:3], 0.0, 0.0, 0.0, 1.0))
@@ -66,7 +66,7 @@ def inverted(pose: Sequence[float]) -> Pose:
 
 
 def apart(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
-    """Return how far two poses (7 numbers) are from each other: m, and rad of the turn between them."""
+    """Return the distance (m) and the rotation angle (rad) between two poses (7 numbers each)."""
     difference = product((-a[3], -a[4], -a[5], a[6]), b[3:])
     turn = 2.0 * math.atan2(math.hypot(*difference[:3]), abs(difference[3]))
     return math.dist(a[:3], b[:3]), turn

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the processes of one user on this machine find each other: a private folder with a name for each charger."""
+"""Private folder by which processes of one user on this computer find each other, with an entry per charger."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from deltacharger_core.bounded_file import parse_json
 from deltacharger_core.picklable import Picklable
 
 CONTROL = "control"
-"""Name of the socket beside the ports of a simulated charger, on which it takes orders."""
+"""Name of a simulated charger's command socket, beside its ports."""
 _TERMINALS = "/dev/pts/"
 _PATIENCE = 0.5  # s
 _LONGEST_ANSWER = 16384  # bytes
 
 
 class Taken(Picklable):
-    """Another process that lives holds the lock.
+    """Another running process holds the lock.
 
     Args:
-        process: its id, or '' where it has not written it yet.
+        process: its id; '' if it has not written it yet.
     """
 
     def __init__(self, process: str) -> None:
@@ -35,45 +35,45 @@ class Taken(Picklable):
 
 
 def folder() -> Path:
-    """Return the private folder: below XDG_RUNTIME_DIR, else below /tmp."""
+    """Return the private folder, below XDG_RUNTIME_DIR or else /tmp."""
     base = os.environ.get("XDG_RUNTIME_DIR", "")
     return Path(base if base and os.access(base, os.W_OK | os.X_OK) else "/tmp") / f"deltacharger-{os.getuid()}"
 
 
 def charger(domain: int, namespace: str) -> Path:
-    """Return the path in the private folder that is that of a charger, by its ROS domain and namespace."""
-    name = namespace.strip("/").replace("/", "-")  # ROS knows no names with a dash
+    """Return the path of a charger in the private folder, by ROS domain and namespace."""
+    name = namespace.strip("/").replace("/", "-")  # ROS names have no dash
     return folder() / (f"{domain}-{name}" if name else str(domain))
 
 
 def servos(domain: int, namespace: str) -> Path:
-    """Return the path of the port behind which the servos of a charger are, where they hang on its board."""
+    """Return the path of the servo port of a charger whose servos are connected to its board."""
     path = charger(domain, namespace)
     return path.with_name(f"{path.name}.servos")
 
 
 def is_simulated(port: str) -> bool:
-    """Return whether a serial port is that of a simulated charger which runs on this computer.
+    """Return whether a serial port belongs to a simulated charger that runs on this computer.
 
-    It is where the port is a pseudo-terminal and the charger whose socket listens beside it says that it serves this
-    one. No setting says so: a robot's port is no terminal, and no charger serves a terminal that passes a cable on.
-    False where unknown.
+    The port must be a pseudo-terminal, and the charger that listens on the socket beside it must confirm that it serves
+    this port. No setting can claim it: a robot's port is no pseudo-terminal, and no charger confirms a pseudo-terminal
+    that forwards to a cable. False if unknown.
     """
     try:
         path, terminal = Path(port), os.path.realpath(port)
         if not terminal.startswith(_TERMINALS) or not path.exists():
             return False
-        told = parse_json(_ask_for_ports(path.parent))
+        answer = parse_json(_ask_for_ports(path.parent))
     except (OSError, ValueError):
         return False
-    ports = told.get("ports") if isinstance(told, dict) else None
+    ports = answer.get("ports") if isinstance(answer, dict) else None
     return isinstance(ports, list) and terminal in ports
 
 
 def _ask_for_ports(folder: Path) -> str:
-    """Return what the charger of a folder answers within _PATIENCE, however slowly it does."""
+    """Return the answer of a folder's charger, or the part received within _PATIENCE."""
     end, answer = time.monotonic() + _PATIENCE, b""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # a path may be longer than an address holds
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # the path may be too long for a socket address
     try:
         with socket.socket(socket.AF_UNIX) as charger:
             charger.settimeout(_PATIENCE)
@@ -91,10 +91,10 @@ def _ask_for_ports(folder: Path) -> str:
 
 
 def make(folder: Path) -> None:
-    """Make the private folder where it is missing.
+    """Create the private folder if missing.
 
     Raises:
-        OSError: it cannot be made, or belongs to somebody else.
+        OSError: it cannot be created or belongs to another user.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.lstat()
@@ -104,12 +104,12 @@ def make(folder: Path) -> None:
 
 @contextlib.contextmanager
 def only_one(domain: int, namespace: str) -> Iterator[None]:
-    """Be the only charger of a ROS domain and namespace that this user runs on this machine.
+    """Hold the lock of this user's only charger in a ROS domain and namespace on this computer.
 
-    The kernel gives the lock back when the process ends, however it ends; the file stays and means nothing by itself.
+    The kernel releases the lock however the process ends. The file stays and has no meaning by itself.
 
     Raises:
-        Taken: another process is it.
+        Taken: another process holds it.
         OSError: the private folder cannot be used.
     """
     path = charger(domain, namespace).with_suffix(".lock")

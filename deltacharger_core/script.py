@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scripts: generators that read from top to bottom, as an algorithm does on paper, and never block.
+"""Scripts: generators that read from top to bottom like an algorithm on paper, and never block.
 
-A script yields once per tick and finds the world renewed when it goes on. What it yields says how long it only lets
-time pass, so that a scheduler in virtual time may take longer steps; one in real time need not look at it. Docking and
-the mission both stand on this.
+A script yields once per tick and sees updated inputs when it continues. The yielded Wait states how long the script
+only waits, so that a scheduler in virtual time can take longer steps; a real-time scheduler may ignore it. Docking and
+the mission use scripts.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ class Wait(NamedTuple):
     """What a script waits for.
 
     Attributes:
-        until: s; up to then it only lets time pass, as far as it knows; what interrupts it is looked at in steps.
-        reads: whether it judges by the servos' readings made until then.
-        nearing: m/s; it also ends at touch, and nears the target at this speed at most; 0 = it does not look for touch.
+        until: s; the script only waits until then, but interruptions are checked in steps.
+        reads: whether the script uses the servo readings made until then.
+        nearing: m/s, maximum approach speed if the wait also ends at touch; 0 = touch is not checked.
     """
 
     until: float = -math.inf
@@ -43,22 +43,22 @@ class Runner:
 
     @property
     def is_running(self) -> bool:
-        """Whether a script has been started and has not ended."""
+        """Whether a script is running."""
         return self._script is not None
 
     def start(self, script: Script[None]) -> None:
-        """Begin a script, in place of any other."""
+        """Start a script; replaces a running one."""
         self.stop()
         self._script = script
 
     def stop(self) -> None:
-        """Forget the script."""
+        """Close the script."""
         if self._script is not None:
             self._script.close()
         self._script = None
 
     def step(self, problem: Exception | None) -> Wait:
-        """Let the script go on, or throw `problem` into it where it waits; return what it waits for now."""
+        """Continue the script, or raise `problem` in it; return its next wait."""
         if self._script is None:
             return NEXT
         try:
@@ -73,14 +73,14 @@ class Numbered(Protocol):
 
     @property
     def number(self) -> int:
-        """Of the request."""
+        """Number of the request."""
 
 
 R = TypeVar("R", bound=Numbered)
 
 
 class Calls(Generic[R]):
-    """Requests under way, by their numbers, and the replies that have come; what nobody waits for is left out.
+    """Pending requests by number, and their replies. Requests that are not awaited are not tracked.
 
     Attributes:
         open: numbers of the requests without a reply.
@@ -99,17 +99,17 @@ class Calls(Generic[R]):
         return number
 
     def hear(self, replies: Iterable[R]) -> None:
-        """Take what came; the first reply of a number counts."""
+        """Take the replies; the first one of each number counts."""
         for reply in replies:
             if reply.number in self.open:
                 self.open.discard(reply.number)
                 self._replies[reply.number] = reply
 
     def take(self, number: int) -> R | None:
-        """Return and forget the reply of a request; None = there is none yet."""
+        """Remove and return the reply of a request; None = none yet."""
         return self._replies.pop(number, None)
 
     def forget(self) -> None:
-        """Wait for nobody any more."""
+        """Drop all pending requests and replies."""
         self.open.clear()
         self._replies.clear()

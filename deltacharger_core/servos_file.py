@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured servos as YAML: what `deltacharger calibrate servos` writes and every node reads that reckons with them."""
+"""YAML files of measured servos: written by `deltacharger calibrate servos`, read by the nodes that use the servos."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, 
 from deltacharger_core.yaml_file import read_yaml, write_yaml
 
 STIFFNESS_MIN, STIFFNESS_MAX = 0.5, 160.0
-"""N·m/rad that docking takes."""
+"""N·m/rad, range that docking accepts."""
 
 
 @dataclass(frozen=True)
 class ServosFileParameters(Bounded):
-    """Where the measured servos stand."""
+    """Path of the file of measured servos."""
 
-    servos_file: str = words("", "YAML file of `deltacharger calibrate servos`, which alone decides what it says")
+    servos_file: str = words("", "YAML file of `deltacharger calibrate servos`; the only source of the values in it")
 
 
 @dataclass(frozen=True)
 class MeasuredServo(Bounded):
-    """One servo, or the mean of all: numbers and their standard errors; None = not told."""
+    """One servo, or the mean of all: values and their standard errors; None = not given."""
 
     stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
     stiffness_error: float | None = number(None, 0.0, STIFFNESS_MAX, "N·m/rad", "its standard error")
@@ -39,15 +39,15 @@ class MeasuredServo(Bounded):
 
 @dataclass(frozen=True)
 class MeasuredServos(MeasuredServo):
-    """The servos of an arm: what nodes reckon with, the gains with which it holds, and the single servos beside it.
+    """The servos of an arm: the means that nodes use, the gains of the measurement, and each servo.
 
     Raises:
         ParameterError: a value lies outside its bounds, or there are not three servos.
     """
 
-    position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "gains with which the servos were measured")
-    position_i_gain: int = number(0, 0, GAIN_MAX, "", "likewise")
-    position_d_gain: int = number(0, 0, GAIN_MAX, "", "likewise")
+    position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "P gain during the measurement")
+    position_i_gain: int = number(0, 0, GAIN_MAX, "", "I gain during the measurement")
+    position_d_gain: int = number(0, 0, GAIN_MAX, "", "D gain during the measurement")
     servos: tuple[MeasuredServo, MeasuredServo, MeasuredServo] = field(
         default_factory=lambda: (MeasuredServo(), MeasuredServo(), MeasuredServo())
     )
@@ -59,11 +59,11 @@ class MeasuredServos(MeasuredServo):
 
 
 def load_servos(path: str | Path) -> MeasuredServos:
-    """Read a file of measured servos; keys that it leaves out keep their defaults.
+    """Read a file of measured servos; missing keys keep their defaults.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: names the file and the key; not YAML, an unknown key or an impossible value.
+        ValueError: the file is no YAML or has an unknown key or invalid value; names file and key.
     """
     content = read_yaml(path)
     try:
@@ -73,7 +73,7 @@ def load_servos(path: str | Path) -> MeasuredServos:
 
 
 def save_servos(servos: MeasuredServos, path: str | Path, comment: str = "") -> None:
-    """Write measured servos whole or not at all, `comment` above them.
+    """Write measured servos atomically, with `comment` above them.
 
     Raises:
         OSError: the file cannot be written.
@@ -82,9 +82,9 @@ def save_servos(servos: MeasuredServos, path: str | Path, comment: str = "") -> 
 
 
 def servos_to_mapping(servos: MeasuredServos) -> dict[str, Any]:
-    """Return measured servos as plain numbers, lists and mappings; what is not told is left out."""
-    told = dataclasses.asdict(servos)
+    """Return measured servos as plain numbers, lists and mappings, without values that are not given."""
+    content = dataclasses.asdict(servos)
     return {
-        **{name: value for name, value in told.items() if name != "servos" and value is not None},
-        "servos": [{name: value for name, value in each.items() if value is not None} for each in told["servos"]],
+        **{name: value for name, value in content.items() if name != "servos" and value is not None},
+        "servos": [{name: value for name, value in each.items() if value is not None} for each in content["servos"]],
     }

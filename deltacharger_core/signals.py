@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The signals that ask a process to end, from its first moment to its last, and the end of the process that started it.
+"""Handles SIGINT, SIGTERM and SIGHUP for the lifetime of a process, and the end of the process that started it.
 
-The first of SIGINT, SIGTERM and SIGHUP sets an event, whatever the process does at that moment; further ones change
-nothing, so that a second Ctrl-C, or one that comes both from a terminal and from `ros2 launch`, breaks off no closing.
+The first signal sets an event at any moment; later ones have no effect. So neither a second Ctrl-C nor one that arrives
+from both a terminal and `ros2 launch` interrupts the shutdown.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import threading
 from types import FrameType
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_STARTER = "DELTACHARGER_STARTER"  # id of the process with which this one ends
+_STARTER = "DELTACHARGER_STARTER"  # id of the process whose end also ends this one
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 _event: threading.Event | None = None
 
 
 def listen() -> threading.Event:
-    """Let the signals set the event that is returned, the same one at each call until `ignore`.
+    """Install the handlers and return the event that they set, the same event until `ignore`.
 
-    Only in the main thread. A SIGHUP that is ignored stays so: then the process was started by nohup.
+    Call only in the main thread. An ignored SIGHUP stays ignored: nohup started the process.
     """
     global _event
     if _event is None:
@@ -37,39 +37,39 @@ def listen() -> threading.Event:
 
 
 def ignore() -> None:
-    """Hear no more signals: what is under way is the end."""
+    """Ignore further signals while the process ends."""
     global _event
     _event = None
     for number in heard():
-        signal.signal(number, signal.SIG_IGN)  # the interpreter's own end would restore a handler of Python's
+        signal.signal(number, signal.SIG_IGN)  # at exit the interpreter would restore a Python handler
 
 
 def heard() -> list[signal.Signals]:
-    """Return the signals that ask this process to end."""
+    """Return the signals that end this process."""
     return [each for each in ENDING if each != signal.SIGHUP or signal.getsignal(each) != signal.SIG_IGN]
 
 
 def set_event(event: threading.Event) -> None:
-    """Set an event from the handler of a signal.
+    """Set an event from a signal handler.
 
-    `Event.set` takes a lock, which the code that the handler interrupts may hold; another thread can wait for it.
+    `Event.set` takes a lock that the interrupted code may hold, so another thread sets the event.
     """
     _thread.start_new_thread(event.set, ())
 
 
 def end_with(starter: int) -> dict[str, str]:
-    """Return the environment variable by which a child that listens ends when its parent of this id has ended."""
+    """Return the environment variable that makes a listening child end with its parent `starter`."""
     return {_STARTER: str(starter)}
 
 
 def follow_starter() -> None:
-    """Take the end of the process that started this one, where it has asked for that, as SIGTERM."""
-    starter = os.environ.pop(_STARTER, "")  # a child of our own has another one
+    """Treat the end of the starting process as SIGTERM, if that process asked for it."""
+    starter = os.environ.pop(_STARTER, "")  # our own children get another one
     if not starter.isdecimal():
         return
-    with contextlib.suppress(OSError, AttributeError):  # no Linux
+    with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
-    if os.getppid() != int(starter) and _has_ended(int(starter)):  # gone already; a debugger may stand between
+    if os.getppid() != int(starter) and _has_ended(int(starter)):  # already gone; a debugger may be in between
         os.kill(os.getpid(), signal.SIGTERM)
 
 
@@ -79,12 +79,12 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _has_ended(process: int) -> bool:
-    """Return whether a process has ended, also one that nobody has waited for."""
+    """Return whether a process has ended, including zombies."""
     try:
         handle = os.pidfd_open(process)
     except ProcessLookupError:
         return True
-    except (OSError, AttributeError):  # no Linux, or an old one
+    except (OSError, AttributeError):  # not Linux, or an old one
         return False
     try:
         return bool(select.select([handle], [], [], 0.0)[0])

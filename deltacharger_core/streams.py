@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standard output and error, whatever they lead to: a full disk, nothing, a reader that left, a small alphabet.
+"""Robust standard output and error: full disks, closed streams, readers that left, limited encodings.
 
-A process goes on whatever becomes of what it says: an arm must not stop half-way for a pipe. What standard output did
-not take is remembered, so that a command can end with it.
+Output errors never stop a process: an arm must not stop half-way because of a pipe. A failure of standard output is
+remembered, so that a command can report it at its end.
 """
 
 from __future__ import annotations
@@ -12,19 +12,22 @@ import os
 import sys
 from typing import TextIO
 
-_LONGEST = 2000  # characters of a message that names what somebody gave
+_LONGEST = 2000  # characters of a message that quotes input
 _CONTROLS = {
     code: f"\\u{code:04x}"
     for code in (*range(0x20), *range(0x7F, 0xA0), 0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
 }
 _OF_LINES = {code: text for code, text in _CONTROLS.items() if chr(code) not in "\n\t"}
-_lost: list[str] = []  # why standard output did not take something
+_lost: list[str] = []  # why output to standard output was lost
 
 
 def secure() -> None:
-    """Let both take any text, and let no file that is opened later be one that was closed by who started us."""
+    """Make both streams accept any text, and replace streams that were closed when this process started.
+
+    Otherwise a file opened later would get the descriptor of a closed stream.
+    """
     _open_closed(0, os.O_RDONLY)
-    if _open_closed(1, os.O_RDONLY):  # what is written to it fails, and is told
+    if _open_closed(1, os.O_RDONLY):  # writing to it fails and is reported
         sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
     if _open_closed(2, os.O_WRONLY):
         sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
@@ -34,22 +37,22 @@ def secure() -> None:
 
 
 def plain(text: str) -> str:
-    """Return a name or value for a line of text: with what would control a terminal, or end the line, spelt out."""
+    """Return text for one line: line breaks and terminal control characters are escaped."""
     return text.translate(_CONTROLS)
 
 
 def brief(text: str) -> str:
-    """Return a message without its middle where it is very long."""
+    """Return a message; the middle of a very long one is cut out."""
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
 
 
 def write(text: str, stream: TextIO | None, end: str = "\n") -> None:
-    """Write lines, with what would control a terminal spelt out.
+    """Write lines; terminal control characters are escaped.
 
     Args:
         text: the lines.
         stream: sys.stdout or sys.stderr; None = nowhere.
-        end: behind them.
+        end: text after the lines.
     """
     if stream is None:
         return
@@ -68,10 +71,10 @@ def takes_unicode() -> bool:
 
 
 def settle() -> str:
-    """Write what is left, so that the end of the process cannot fail for it.
+    """Flush both streams, so that the end of the process cannot fail on them.
 
     Returns:
-        Why standard output did not take all since the last call; '' = it did, or its reader has left.
+        Why output to standard output was lost since the last call; '' = none was, or its reader has left.
     """
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
@@ -85,7 +88,7 @@ def settle() -> str:
 
 
 def ended(code: int) -> int:
-    """Return the exit code of a process that has said all, 1 where standard output did not take it, and tell so."""
+    """Return the exit code; if output to standard output was lost, report it and return at least 1."""
     lost = settle()
     if lost:
         write(f"the answer was lost: standard output: {lost}", sys.stderr)
@@ -94,18 +97,18 @@ def ended(code: int) -> int:
 
 
 def _give_up(stream: TextIO, error: Exception) -> None:
-    """Let a stream lead nowhere: what its buffer holds is written once more at exit."""
+    """Redirect a stream to /dev/null, because Python writes its buffer once more at exit."""
     if stream is sys.stdout and not isinstance(error, BrokenPipeError):
         _lost.append((error.strerror if isinstance(error, OSError) else None) or str(error))
     try:
         number = stream.fileno()
-    except (OSError, ValueError):  # no file of the system
+    except (OSError, ValueError):  # not a system file
         return
     _open_nowhere(number, os.O_WRONLY)
 
 
 def _open_closed(number: int, how: int) -> bool:
-    """Whether a descriptor was closed; then it leads nowhere from now on."""
+    """Return whether a descriptor was closed; if so, redirect it to /dev/null."""
     try:
         os.fstat(number)
     except OSError:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which version of the package this is."""
+"""Version of the package."""
 
 from __future__ import annotations
 
 
 def package_version() -> str:
-    """Return it, or 'unknown' in a colcon workspace, which installs no metadata."""
-    from importlib.metadata import PackageNotFoundError, version  # only where it is asked for: it takes 20 ms
+    """Return the version; 'unknown' in a colcon workspace, which installs no metadata."""
+    from importlib.metadata import PackageNotFoundError, version  # here, because the import takes 20 ms
 
     try:
         return version("deltacharger")

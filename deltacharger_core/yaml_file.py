@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as people mean it, for every file that one writes: `1e-3` is a number, a key given twice is a mistake.
+"""Reads and writes YAML with the usual expectations: `1e-3` is a number, a repeated key is an error.
 
-What comes out is plain and bounded, whoever wrote the file: no aliases, dates or objects, whole numbers of 64 bits.
-PyYAML is loaded with the first file.
+Content of untrusted files is plain and bounded: no aliases, dates or objects, integers of at most 64 bits. PyYAML is
+imported with the first file.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = ("null", "bool", "int", "float", "str")
 
-# YAML 1.1 calls 1e5 and 1e-3 strings, since it wants a dot and a sign; YAML 1.2 and people do not.
+# In YAML 1.1 (unlike 1.2) 1e5 and 1e-3 are strings, because a float needs a dot and a sign.
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
 
 class YamlError(Picklable, ValueError):
-    """A file is not readable YAML.
+    """A file is not valid YAML.
 
     Attributes:
-        file: its path.
-        problem: where and why, e.g. "line 2: the key 'nodes' is given twice".
+        file: path.
+        problem: place and reason, e.g. "line 2: the key 'nodes' is given twice".
     """
 
     def __init__(self, file: str | Path, problem: str) -> None:
@@ -41,16 +41,16 @@ class YamlError(Picklable, ValueError):
 
 
 def read_yaml(path: str | Path, *, first: bool = False) -> Any:
-    """Return the content of a YAML file: None, truth values, numbers, text, and lists and mappings of these.
+    """Return the content of a YAML file: None, booleans, numbers, text, and lists and mappings of these.
 
     Args:
-        path: of the file.
-        first: of several documents, such as an echoed topic's, take the first; otherwise there may be one only.
+        path: file.
+        first: read the first of several documents (e.g. of `ros2 topic echo`); otherwise only one is allowed.
 
     Raises:
         OSError: the file cannot be read.
-        YamlError: it is no file, larger than 1 MB or not YAML; a key is given twice or is no word; it holds an alias,
-            a tag of another type, more than 50 000 values, 30 levels or 64 bits of a whole number.
+        YamlError: it is no regular file, larger than 1 MB or not YAML; a key is repeated or no text; it holds an
+            alias, a tag of another type, more than 50 000 values or 30 levels, or an integer of more than 64 bits.
     """
     import yaml
 
@@ -69,15 +69,15 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
         mark = error.problem_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
         raise YamlError(path, f"not valid YAML: {where}{error.problem}"[:_LONGEST_PROBLEM]) from error
-    except (yaml.YAMLError, ValueError) as error:  # also text in no UTF-8
+    except (yaml.YAMLError, ValueError) as error:  # also text that is not UTF-8
         raise YamlError(path, f"not valid YAML: {error}"[:_LONGEST_PROBLEM]) from error
 
 
 def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") -> None:
-    """Write a mapping in its own order, `comment` above it; whole or not at all.
+    """Write a mapping atomically, in its own order, with `comment` above it.
 
     Args:
-        path: of the file.
+        path: file.
         content: plain numbers, text, lists and mappings.
         comment: may have several lines.
 
@@ -89,19 +89,19 @@ def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") 
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return what `write_yaml` writes."""
+    """Return a mapping as YAML, as `write_yaml` writes it."""
     import yaml
 
     class Dumper(yaml.SafeDumper):
         def ignore_aliases(self, data: Any) -> bool:
-            return True  # which `read_yaml` refuses
+            return True  # `read_yaml` refuses aliases
 
     return str(yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120))
 
 
 @functools.cache
 def _loader() -> Any:
-    """Return a class that composes nodes within bounds, by libyaml where PyYAML has it, and tells what they mean."""
+    """Return a bounded loader class, based on libyaml if PyYAML has it."""
     import yaml
 
     base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
@@ -114,10 +114,10 @@ def _loader() -> Any:
         def __init__(self, text: str) -> None:
             super().__init__(text)
             self.depth = self.count = 0
-            self.met: set[int] = set()  # nodes; which the tree keeps alive, so that none has another's id
+            self.met: set[int] = set()  # ids of nodes; the tree keeps the nodes alive, so ids stay unique
 
         def descend_resolver(self, parent: Any, index: Any) -> None:
-            """Called before each node is composed, deeper ones within it."""
+            """PyYAML calls it before it composes each node and the nodes inside."""
             self.depth, self.count = self.depth + 1, self.count + 1
             if self.depth > _DEEPEST or self.count > _MOST:
                 much = f"nested deeper than {_DEEPEST} levels" if self.depth > _DEEPEST else f"more than {_MOST} values"
@@ -128,11 +128,11 @@ def _loader() -> Any:
 
         def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
             if kind is yaml.ScalarNode and len(value) > _LONGEST_NUMBER and implicit != (False, True):
-                implicit = (False, True)  # text, as if it stood in quotes
+                implicit = (False, True)  # text, as if quoted
             return super().resolve(kind, value, implicit)
 
         def value(self, node: Any) -> Any:
-            """Return what a node means."""
+            """Return a node's value."""
             if id(node) in self.met:
                 raise refused(node, "is used again by an alias; write it out in each place")
             self.met.add(id(node))
@@ -142,7 +142,7 @@ def _loader() -> Any:
             if isinstance(node, yaml.SequenceNode) and kind == "seq":
                 return [self.value(each) for each in node.value]
             if not isinstance(node, yaml.ScalarNode) or kind not in _SCALARS:
-                raise refused(node, f"the tag {brief(node.tag)} is not known; leave it out")
+                raise refused(node, f"the tag {brief(node.tag)} is unknown; remove it")
             try:
                 found = construct[node.tag](self, node)
             except (ValueError, LookupError) as error:
@@ -155,7 +155,7 @@ def _loader() -> Any:
             found: dict[str, Any] = {}
             for key_node, value_node in node.value:
                 key = self.value(key_node)
-                wrong = "is not a word" if not isinstance(key, str) else "is given twice" if key in found else ""
+                wrong = "is not text" if not isinstance(key, str) else "is given twice" if key in found else ""
                 wrong = wrong or ("is too long" if len(key) > _LONGEST_KEY else "")
                 if wrong:
                     raise refused(key_node, f"the key {brief(key)} {wrong}")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kinematics and statics of the inverted delta.
 
-`Delta` works on arrays of points, `deltacharger_kinematics.scalar.ScalarDelta` on one point in plain floats.
+`Delta` computes arrays of points, `deltacharger_kinematics.scalar.ScalarDelta` one point in plain floats.
 """
 
 from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian

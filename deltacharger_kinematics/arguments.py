@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What callers give, as arrays of doubles; anything else is refused with the argument's name."""
+"""Converts arguments to arrays of doubles, and refuses anything else with the argument's name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DOUBLE = np.dtype(np.float64)
 
 
 def as_point(value: Any) -> Vector | None:
-    """Return the three floats of what is plainly one point, without numpy's cost; None leaves it to `as_vectors`."""
+    """Return the three floats of a single point without numpy's cost; None = use `as_vectors`."""
     kind = type(value)
     if kind is np.ndarray:
         return tuple(value.tolist()) if value.shape == (3,) and value.dtype is _DOUBLE else None
@@ -29,7 +29,7 @@ def as_vectors(value: Any, name: str) -> Array:
     """Return `value` as float64 (..., 3).
 
     Raises:
-        ValueError: names the argument; not numbers, ragged, or the last axis is not 3.
+        ValueError: names the argument; the values are no numbers or ragged, or the last axis is not 3.
     """
     try:
         array = np.asarray(np.ma.filled(value.astype(float), np.nan) if np.ma.isMaskedArray(value) else value)
@@ -44,7 +44,7 @@ def as_vectors(value: Any, name: str) -> Array:
 
 def _converted(array: NDArray[np.generic], name: str) -> Array:
     if array.dtype.kind not in "fO" or (array.dtype.kind == "O" and not _all_numbers(array)):
-        raise ValueError(f"{name}: {array.dtype} is not a type of number that a position has; give floats (..., 3)")
+        raise ValueError(f"{name}: {array.dtype} is not a supported number type; give floats (..., 3)")
     try:
         with np.errstate(over="ignore"):
             return array.astype(np.float64)
@@ -57,10 +57,10 @@ def _all_numbers(array: NDArray[np.generic]) -> bool:
 
 
 def broadcast(first: Array, second: Array, name: str) -> tuple[Array, Array]:
-    """Return both with their common shape.
+    """Return both arrays with their common shape.
 
     Raises:
-        ValueError: names the second argument; the shapes do not fit.
+        ValueError: names the second argument; the shapes do not match.
     """
     try:
         shape = np.broadcast_shapes(first.shape, second.shape)

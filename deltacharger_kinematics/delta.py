@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inverse and forward kinematics, Jacobian and statics of the inverted delta.
 
-Formulas, with θ from radially outward toward +z and per limb at azimuth φ (frame ``charger_base``; w is measured from
-the motor plane): u = x cosφ + y sinφ − D, v = y cosφ − x sinφ, w = z + z_offset, K = u² + w² + v² + a² − L²,
-Q = 4a²(u² + w²) − K². A limb reaches the point where Q ≥ 0, and θ = atan2(Kw + σ√Q·u, Ku − σ√Q·w) is its angle, σ = −1
-for a knee turned outward: one root, one arc tangent, no division. The velocity relation follows from
-r·(p − c(θ)) = const with unit rod vectors r and levers b = −σ√Q/(2L): J = R⁻¹ diag(b). Statics is its transpose,
-τ = Jᵀ f. A limb's adjustment shifts D, v and w, replaces a and L, and offsets the true angle from the commanded one.
+Formulas per limb at azimuth φ, in frame ``charger_base``. θ is zero radially outward and positive toward +z; w is
+measured from the motor plane. u = x cosφ + y sinφ − D, v = y cosφ − x sinφ, w = z + z_offset,
+K = u² + w² + v² + a² − L², Q = 4a²(u² + w²) − K². A limb reaches the point if Q ≥ 0. Its angle is
+θ = atan2(Kw + σ√Q·u, Ku − σ√Q·w) with σ = −1 for a knee outward: one root, one arc tangent, no division. With unit rod
+vectors r and levers b = −σ√Q/(2L), differentiating |p − c(θ)| = L gives the Jacobian J = R⁻¹ diag(b). Statics is its
+transpose, τ = Jᵀ f. A limb's adjustment shifts D, v and w, replaces a and L, and offsets the true angle from the
+commanded one.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from deltacharger_kinematics.vectors import cross, dot
 class Inverse(NamedTuple):
     """Arm angles (..., 3) rad, status (...) of Status bits, margin (...) to the edge of reach.
 
-    The margin is the least Q/(4a²(u² + w²)) of the limbs: 1 farthest from the edge, 0 on it, negative outside; NaN
-    where the input is invalid or a limb's angle indeterminate. For one point status is a `Status`, margin a float.
+    The margin is the smallest Q/(4a²(u² + w²)) of the limbs: 1 farthest from the edge, 0 on it, negative outside; NaN
+    if the input is invalid or a limb's angle indeterminate. For one point status is a `Status` and margin a float.
     """
 
     angles: Array
@@ -52,7 +53,7 @@ class Forward(NamedTuple):
 class Jacobian(NamedTuple):
     """dp/dangle (..., 3, 3) m/rad, determinant (...) of the unit rod vectors, condition number (...).
 
-    NaN where the point is out of reach; where the rods lie in a plane the matrix is NaN and the condition infinite.
+    NaN if the point is out of reach. If the rods lie in a plane, the matrix is NaN and the condition infinite.
     """
 
     matrix: Array
@@ -61,7 +62,7 @@ class Jacobian(NamedTuple):
 
 
 class Delta:
-    """The delta of one geometry. Arrays are (..., 3) in and float64 out; a bad point never fails the others.
+    """The delta of one geometry. Takes arrays (..., 3), returns float64; a bad point does not affect other points.
 
     Args:
         geometry: dimensions; None = the defaults.
@@ -82,14 +83,14 @@ class Delta:
         self._arrays = LimbArrays(geometry, working_mode)
 
     def inverse(self, position: ArrayLike, *, strict: bool = False, precise: bool = False) -> Inverse:
-        """Return the arm angles that put the platform at `position` (..., 3) m.
+        """Return the arm angles for platform `position` (..., 3) m.
 
-        Angles are good to 8e-16 rad in the workspace and to 4e-16 rad near the edge of reach; whether a point is
-        reachable is decided exactly.
+        The error is at most 8e-16 rad in the workspace and 4e-16 rad near the edge of reach. Reachability is decided
+        exactly.
 
         Args:
             position: (..., 3) m in charger_base.
-            strict: raise where any status is not OK.
+            strict: raise if any status is not OK.
             precise: solve every point in double-double: 4e-16 rad everywhere, at about ten times the cost.
 
         Raises:
@@ -113,12 +114,12 @@ class Delta:
 
         Raises:
             ValueError: `angles` is not an array (..., 3) of numbers.
-            KinematicsError: only with `strict`, where any status is not OK.
+            KinematicsError: only with `strict`, if any status is not OK.
         """
         if point := as_point(angles):
-            met = self._scalar.solve_forward(*point)
-            if met and not (strict and met[1]):
-                return Forward(np.array(met[0]), _STATUS.get(met[1]) or Status(met[1]), met[2])
+            solved = self._scalar.solve_forward(*point)
+            if solved and not (strict and solved[1]):
+                return Forward(np.array(solved[0]), _STATUS.get(solved[1]) or Status(solved[1]), solved[2])
         arms = as_vectors(angles, "angles")
         position, status, determinant = self._forward.solve(arms.reshape(-1, 3))
         _raise_if(strict, status)
@@ -136,7 +137,7 @@ class Delta:
         points = as_vectors(position, "position")
         with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
             rods, lever = self._rods(points)
-            # The inverse by cross products: numpy's solver lets one singular point fail the whole batch.
+            # Inverse by cross products: numpy's solver fails the entire batch for one singular point.
             r0, r1, r2 = rods[:, 0], rods[:, 1], rods[:, 2]
             columns = np.stack([cross(r1, r2), cross(r2, r0), cross(r0, r1)], axis=1)
             determinant = dot(r0, columns[:, 0])
@@ -151,10 +152,10 @@ class Delta:
         return Jacobian(matrix, determinant, condition)
 
     def torque(self, position: ArrayLike, force: ArrayLike) -> Array:
-        """Return the arm torques (..., 3) N·m with which the platform exerts `force` (..., 3) N at `position`.
+        """Return the arm torques (..., 3) N·m for the platform to exert `force` (..., 3) N at `position`.
 
         Raises:
-            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not match the other.
         """
         if (point := as_point(position)) and (push := as_point(force)):
             return np.array(self._scalar.torque(*point, push))
@@ -165,31 +166,31 @@ class Delta:
     def force(self, position: ArrayLike, torque: ArrayLike) -> Array:
         """Return the force (..., 3) N that the platform exerts for arm `torque` (..., 3) N·m.
 
-        NaN where the point is out of reach or a limb at its edge, where any force along its rod costs no torque.
+        NaN if the point is out of reach, or a limb is at its edge, where a force along its rod needs no torque.
 
         Raises:
-            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not match the other.
         """
         if (point := as_point(position)) and (share := as_point(torque)):
             return np.array(self._scalar.force(*point, share))
         points, torques = _pair(position, torque, "torque")
         with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
             rods, lever = self._rods(points)
-            # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: the rods' own directions, so no matrix is inverted.
+            # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ acts along the rods, so no matrix is inverted.
             along = np.moveaxis(torques, -1, 0) / np.where(lever == 0.0, np.nan, lever)
             return np.moveaxis((rods * along).sum(axis=1), 0, -1)
 
     def holding_torque(self, position: ArrayLike, gravity: ArrayLike = GRAVITY) -> Array:
         """Return the arm torques (..., 3) N·m that carry platform and rods at rest.
 
-        Half of each rod pair counts with the platform and half with its elbow: a uniform link weighs on its ends alike.
+        Half of each rod pair counts as platform and half as elbow: a uniform link loads both ends equally.
 
         Args:
             position: (..., 3) m in charger_base.
             gravity: (3,) or (..., 3) m/s² in charger_base.
 
         Raises:
-            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not match the other.
         """
         if (point := as_point(position)) and (weight := as_point(gravity)):
             return np.array(self._scalar.holding_torque(*point, weight))
@@ -203,10 +204,10 @@ class Delta:
             return np.asarray(carried - 0.5 * geometry.rod_mass * arrays.arm[:, 0] * rise)
 
     def contact_force(self, position: ArrayLike, current: ArrayLike, gravity: ArrayLike = GRAVITY) -> Array:
-        """Return the force (..., 3) N on the target for servo `current` (..., 3) A, signed, the arm's weight removed.
+        """Return the force (..., 3) N on the target for signed servo `current` (..., 3) A, without the arm's weight.
 
         Raises:
-            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the others.
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not match the others.
         """
         points, currents = _pair(position, current, "current")
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
@@ -220,7 +221,7 @@ class Delta:
         return (rods / self._arrays.rod).reshape(3, 3, *shape), (lever / self._arrays.rod).reshape(3, *shape)
 
 
-# The common answers of the one-point path; making a Status costs as much as solving a limb.
+# Common results of the one-point path, cached because creating a Status costs as much as solving a limb.
 _STATUS = {int(status): status for status in (Status.OK, Status.OUTSIDE_WORKSPACE)}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warnings about points that have an answer: limits passed, singularities near, the mirror assembly."""
+"""Warnings about solved points: exceeded limits, near singularities, the mirror assembly."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LIMB_BITS = np.array([[Status.LIMB_0], [Status.LIMB_1], [Status.LIMB_2]], dtype
 
 
 def limb_flag(mask: Mask, flag: Status) -> Bits:
-    """Return `flag` and the bits of the limbs (n,) where `mask` (3, n) is set."""
+    """Return (n,) `flag` with the bits of the limbs whose `mask` (3, n) is set; 0 if none is set."""
     if not mask.any():
         return np.zeros(mask.shape[1], dtype=np.uint32)
     bits = (mask * _LIMB_BITS).sum(axis=0, dtype=np.uint32)
@@ -31,7 +31,7 @@ def point_flag(mask: Mask, flag: Status) -> Bits:
 
 
 class WarningFlags:
-    """The limits of one geometry; arrays hold one column a point."""
+    """The limits of one geometry; arrays have one column per point."""
 
     def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays, assembly: int) -> None:
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
@@ -48,9 +48,9 @@ class WarningFlags:
         Args:
             points: (3 axes, n) m in charger_base.
             angles: (3 limbs, n) commanded, rad.
-            root: (3, n) √Q, which is twice the rod times the lever, m².
-            across: (3, n) component of the rods out of their arms' planes, m.
-            determinant: (n,) of the rod vectors, m³.
+            root: (3, n) √Q = 2 · rod · lever, m².
+            across: (3, n) component of the rods normal to their arms' planes, m.
+            determinant: (n,) determinant of the rod vectors, m³.
         """
         bits = limb_flag(root < self._root, Status.NEAR_TYPE_1)
         bits |= limb_flag((angles < self._joint_min) | (angles > self._joint_max), Status.JOINT_LIMIT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward kinematics of many joint angles: where the three spheres of the rods about the elbows meet."""
+"""Forward kinematics of many points: intersection of the three spheres of the rods about the elbows."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ForwardSolver:
         cosine, sine = np.cos(turned), np.sin(turned)
         elbows = np.stack(arrays.elbows(cosine, sine))
         apart = elbows - elbows[:, :1]
-        offset, collinear, height = self._meet(apart)
+        offset, collinear, height = self._intersect(apart)
         finite = np.isfinite(angles).all(axis=0)
         bits = np.where(
             finite,
@@ -54,7 +54,7 @@ class ForwardSolver:
         )
         position = elbows[:, 0] + offset
         position[2] -= self._geometry.z_offset
-        rods = offset[:, None] - apart  # not from position, which has lost the digits of where the first elbow stands
+        rods = offset[:, None] - apart  # not from position, which has lost digits by adding the first elbow
         det = determinant(rods)
         solved = bits == 0
         if not solved.all():
@@ -63,15 +63,15 @@ class ForwardSolver:
         bits |= self._warnings.check(position, angles, root, self._across(rods), det)
         return position.T, bits, det / self._scale
 
-    def _meet(self, apart: Array) -> tuple[Array, Mask, Array]:
-        """Return where the spheres about elbows 0, 1 and 2 meet.
+    def _intersect(self, apart: Array) -> tuple[Array, Mask, Array]:
+        """Return the intersection of the spheres about elbows 0, 1 and 2.
 
         Args:
             apart: elbows (3 axes, 3 limbs, n) relative to the first.
 
         Returns:
-            the point (3, n) relative to the first elbow; where the elbows are collinear (n,); the squared height (n,)
-            of the point above their plane, negative where the rods are too short.
+            the point (3, n) relative to the first elbow; whether the elbows are collinear (n,); the squared height (n,)
+            of the point above their plane, negative if the rods are too short.
         """
         a, b = apart[:, 1], apart[:, 2]
         normal = cross(a, b)
@@ -91,5 +91,5 @@ class ForwardSolver:
         return np.asarray(arrays.arm * (cosine * rods[2] - sine * outward))
 
     def _across(self, rods: Array) -> Array:
-        """Return the rods' component (3, n) out of the planes in which their arms turn."""
+        """Return the rods' component (3, n) normal to the planes of their arms."""
         return np.asarray(self._arrays.cosine * rods[1] - self._arrays.sine * rods[0])

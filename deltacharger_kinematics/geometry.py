@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dimensions and limits of the inverted delta."""
+"""Dimensions and limits of the inverted delta."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from deltacharger_core.parameters import Bounded, ParameterError, number, number
 Vector = tuple[float, float, float]
 
 LIMB_COUNT = 3
-# Azimuths 0, 120, 240° from +x toward +y, with the exact values of cosine and sine in double precision.
+# Azimuths 0, 120, 240° from +x toward +y: cosine and sine, exact in double precision.
 LIMB_DIRECTIONS: tuple[tuple[float, float], ...] = (
     (1.0, 0.0),
     (-0.5, math.sqrt(3.0) / 2.0),
     (-0.5, -math.sqrt(3.0) / 2.0),
 )
-SHORTEST, LONGEST = 1e-6, 1e6  # m; products of four lengths stay clear of underflow and overflow
+SHORTEST, LONGEST = 1e-6, 1e6  # m; products of four lengths neither underflow nor overflow
 
 
 @dataclass(frozen=True)
 class LimbAdjustment(Bounded):
-    """How one limb differs from the common dimensions: what a calibration finds (m, rad).
+    """Calibrated differences of one limb from the common dimensions (m, rad).
 
     Attributes:
-        arm: length of this arm; None = the common one.
-        rod: length of this rod; None = the common one.
+        arm: length of this arm; None = the common length.
+        rod: length of this rod; None = the common length.
 
     Raises:
-        ParameterError: names the field; a length is not positive or a number is not finite or out of bounds.
+        ParameterError: names the field; a length is not positive, or a number is not finite or out of bounds.
     """
 
     # The two radii are not separately observable.
     radius_offset: float = number(0.0, -LONGEST, LONGEST, "m", "added to base_radius − platform_radius")
-    tangential_offset: float = number(0.0, -LONGEST, LONGEST, "m", "of the limb's plane, counter-clockwise about z")
-    height_offset: float = number(0.0, -LONGEST, LONGEST, "m", "of the motor axis, toward +z")
+    tangential_offset: float = number(0.0, -LONGEST, LONGEST, "m", "limb plane's offset, counter-clockwise about z")
+    height_offset: float = number(0.0, -LONGEST, LONGEST, "m", "offset of the motor axis toward +z")
     arm: float | None = number(None, SHORTEST, LONGEST, "m", "length of this arm")
     rod: float | None = number(None, SHORTEST, LONGEST, "m", "length of this rod")
     angle_offset: float = number(0.0, -math.pi, math.pi, "rad", "true arm angle minus the commanded one")
 
 
 class Limb(NamedTuple):
-    """One limb's own numbers, adjustment applied, as the formulas use them (m, rad)."""
+    """Dimensions of one limb with its adjustment applied, as the formulas use them (m, rad)."""
 
     cosine: float
     sine: float
@@ -60,36 +60,36 @@ class Limb(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """The D of the formulas: base radius − platform radius + radius offset."""
+        """D of the formulas: base radius − platform radius + radius offset."""
         return self.base_radius - self.platform_radius + self.radius_offset
 
     @property
     def motor_height(self) -> float:
-        """What turns z of ``charger_base`` into w: z_offset − height offset."""
+        """w − z: z_offset − height offset."""
         return self.z_offset - self.height_offset
 
 
 @dataclass(frozen=True)
 class DeltaGeometry(Bounded):
-    """Dimensions (m, kg, rad) of the delta; the defaults reach the whole published workspace.
+    """Dimensions (m, kg, rad) of the delta; the defaults reach the complete published workspace.
 
-    The paper gives the workspace (±60, ±60, 0…110 mm) and the platform's mass (274 g) but no link lengths, so every
+    The paper states the workspace (±60, ±60, 0…110 mm) and the platform's mass (274 g) but no link lengths, so every
     length is a parameter. Only ``base_radius - platform_radius`` enters the kinematics. Half of a rod pair's mass moves
     with the platform and half with the elbow.
 
     Attributes:
-        limbs: what distinguishes limbs 0, 1 and 2 from these dimensions, as calibrated.
+        limbs: calibrated adjustments of limbs 0, 1 and 2.
 
     Raises:
-        ParameterError: names the field; a length is not positive and finite, or a lower limit is not below its upper
-            one.
+        ParameterError: names the field; a length is not positive and finite, or a lower limit is not below the upper
+            limit.
     """
 
-    base_radius: float = number(0.055, SHORTEST, LONGEST, "m", "motor axis from the centre of the setup ring")
+    base_radius: float = number(0.055, SHORTEST, LONGEST, "m", "radius of the motor axes on the setup ring")
     arm: float = number(0.100, SHORTEST, LONGEST, "m", "driven link, motor axis to elbow")
     rod: float = number(0.180, SHORTEST, LONGEST, "m", "passive link, elbow to platform joint")
-    platform_radius: float = number(0.050, SHORTEST, LONGEST, "m", "platform joint from the centre of the platform")
-    z_offset: float = number(0.095, -LONGEST, LONGEST, "m", "motor plane to the plane z = 0 of charger_base")
+    platform_radius: float = number(0.050, SHORTEST, LONGEST, "m", "radius of the rods' joints on the platform")
+    z_offset: float = number(0.095, -LONGEST, LONGEST, "m", "distance from the motor plane to z = 0 of charger_base")
     joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
     joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
     workspace_min: tuple[float, float, float] = numbers(
@@ -99,10 +99,10 @@ class DeltaGeometry(Bounded):
         (0.060, 0.060, 0.110), -LONGEST, LONGEST, "m", "upper corner of the workspace in charger_base, x, y, z"
     )
     swing_max: float = number(
-        math.radians(32.0), 1e-6, math.pi / 2, "rad", "largest angle between a rod and the plane its arm turns in"
+        math.radians(32.0), 1e-6, math.pi / 2, "rad", "largest angle between a rod and its arm's plane"
     )
-    platform_mass: float = number(0.274, 0.0, 1e6, "kg", "end effector with electrodes, magnets and pads")
-    rod_mass: float = number(0.030, 0.0, 1e6, "kg", "one rod pair")
+    platform_mass: float = number(0.274, 0.0, 1e6, "kg", "mass of the end effector with electrodes, magnets and pads")
+    rod_mass: float = number(0.030, 0.0, 1e6, "kg", "mass of one rod pair")
     limbs: tuple[LimbAdjustment, LimbAdjustment, LimbAdjustment] = (
         LimbAdjustment(),
         LimbAdjustment(),
@@ -122,11 +122,11 @@ class DeltaGeometry(Bounded):
 
     @property
     def radius_difference(self) -> float:
-        """base_radius − platform_radius, the D of the formulas (m)."""
+        """base_radius − platform_radius, D of the formulas (m)."""
         return self.base_radius - self.platform_radius
 
     def limb(self, index: int) -> Limb:
-        """Return the numbers of limb `index` (0, 1 or 2), its adjustment applied."""
+        """Return the dimensions of limb `index` (0, 1 or 2) with its adjustment applied."""
         own = self.limbs[index]
         cosine, sine = LIMB_DIRECTIONS[index]
         return Limb(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A geometry as YAML: what a calibration writes and a node reads."""
+"""YAML files of a geometry, written by a calibration and read by nodes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 
 
 def load_geometry(path: str | Path) -> DeltaGeometry:
-    """Read a geometry file; keys that it leaves out keep their defaults.
+    """Read a geometry file; missing keys keep their defaults.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: names the file and the key; not YAML, an unknown key or an impossible value.
+        ValueError: the file is no YAML or has an unknown key or invalid value; names file and key.
     """
     content = read_yaml(path)
     try:
@@ -28,7 +28,7 @@ def load_geometry(path: str | Path) -> DeltaGeometry:
 
 
 def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") -> None:
-    """Write `geometry` with every key and every digit, `comment` above it.
+    """Write `geometry` with every key and every digit, with `comment` above it.
 
     Raises:
         OSError: the file cannot be written.
@@ -37,7 +37,7 @@ def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") 
 
 
 def geometry_to_mapping(geometry: DeltaGeometry) -> dict[str, Any]:
-    """Return `geometry` as plain numbers, lists and mappings; what a limb leaves at its default is left out."""
+    """Return `geometry` as plain numbers, lists and mappings, without default values of limbs."""
     mapping = dataclasses.asdict(geometry)
     neutral = dataclasses.asdict(LimbAdjustment())
     mapping["limbs"] = [

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inverse kinematics of many points: plain doubles, and double-double where they would not do.
+"""Inverse kinematics of many points in plain doubles, and in double-double if doubles are not precise enough.
 
-The formulas stand in `deltacharger_kinematics.delta`. A point is solved again by `exact.precise` where
-some limb's √Q is small beside the terms that it is the difference of: there the plain angle loses digits, and
-nearer to the edge of reach the sign of Q, which decides whether the point is reachable at all.
+`deltacharger_kinematics.delta` explains the formulas. A point is solved again by `exact.precise` if some limb's √Q is
+small relative to the terms whose difference it is. There the plain angle loses digits, and nearer to the edge of reach
+rounding may change the sign of Q, which decides whether the point is reachable.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from deltacharger_kinematics.vectors import determinant
 
 Bits = NDArray[np.uint32]
 
-CHUNK = 8192  # points; larger chunks fall out of the caches, smaller ones pay more for calls
-LARGEST = 1e6  # in units of the robot's size; beyond it a point is out of reach whatever rounding does
+CHUNK = 8192  # points; larger chunks exceed the caches, smaller ones have more call overhead
+LARGEST = 1e6  # robot sizes; a point farther away is out of reach regardless of rounding
 
 
 class _Limbs(NamedTuple):
-    """What the formulas give for the limbs (3, n) of a chunk; sine and cosine times 2a(u² + w²)."""
+    """Terms of the formulas for the limbs (3, n) of a chunk; sine and cosine times 2a(u² + w²)."""
 
     u: Array
     v: Array
@@ -45,10 +45,10 @@ class _Limbs(NamedTuple):
 
 
 class _Scratch(threading.local):
-    """Room for one chunk, kept by each thread.
+    """Scratch memory for one chunk, one per thread.
 
-    Arrays of this size, made anew for each step, go back to the system in between and cost more in page faults than in
-    arithmetic: up to four times as much in all, depending on what else the process has allocated.
+    New arrays of this size for each step would return to the system in between, and their page faults would cost more
+    than the arithmetic: up to four times the total time, depending on the process's other allocations.
     """
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class InverseSolver:
     def rods(self, points: Array) -> tuple[Array, Array]:
         """Return rod vectors (3 axes, 3 limbs, n) m and rod times lever (3, n) m² at `points` (n, 3).
 
-        NaN where the limb does not reach the point.
+        NaN if the limb does not reach the point.
         """
         rods = np.empty((3, 3, len(points)))
         lever = np.empty((3, len(points)))
@@ -107,9 +107,9 @@ class InverseSolver:
         return rods + 0.0 * lever, lever
 
     def _hopeless(self, points: Array) -> Mask:
-        """Return which `points` (3, n) are not finite, or so far that their squares mean nothing; (n,)."""
+        """Return which `points` (3, n) are not finite or too far for meaningful squares; (n,)."""
         largest = LARGEST * self._size
-        if points.max() <= largest and points.min() >= -largest:  # false also where there is a NaN
+        if points.max() <= largest and points.min() >= -largest:  # false also for NaN
             return np.zeros(points.shape[1], dtype=np.bool_)
         return np.asarray(~(np.abs(points) <= largest).all(axis=0))
 
@@ -138,7 +138,7 @@ class InverseSolver:
         return limbs
 
     def _plain(self, points: Array) -> _Limbs:
-        """Solve in plain doubles; the arrays belong to this thread's scratch room."""
+        """Solve in plain doubles; the arrays are this thread's scratch memory."""
         arrays = self._arrays
         x, y, z = points
         limbs = _SCRATCH.limbs(len(x))
@@ -168,7 +168,7 @@ class InverseSolver:
         return limbs
 
     def _resolve(self, points: Array, limbs: _Limbs, precise: bool) -> None:
-        """Solve again, in double-double, the points for which plain doubles are not good enough."""
+        """Solve again, in double-double, the points for which plain doubles are not precise enough."""
         doubtful = np.ones(points.shape[1], dtype=np.bool_)
         if not precise:
             size = np.add(limbs.k, self._two_rod_squared, out=limbs.spare)
@@ -186,15 +186,15 @@ class InverseSolver:
             limbs.sine[row, chosen], limbs.cosine[row, chosen] = length * np.sin(true), length * np.cos(true)
 
     def _reach_flags(self, limbs: _Limbs) -> Bits:
-        """Return what keeps each point out of reach, and make the angles concerned NaN."""
+        """Return why points are out of reach, and set the angles of those limbs to NaN."""
         missed = limbs.q < 0.0
-        indeterminate = (limbs.reach == 0.0) & ~missed  # or closer to its axis than the squares of doubles tell
+        indeterminate = (limbs.reach == 0.0) & ~missed  # or too close to its axis for squares of doubles
         if not (missed.any() or indeterminate.any()):
             return np.zeros(limbs.q.shape[1], dtype=np.uint32)
         limbs.angle[missed | indeterminate] = np.nan
         limbs.q[indeterminate] = np.nan
         lateral = missed & (np.abs(limbs.v) > self._arrays.rod)
-        # d < |a − ρ| has K < 0 or d < a, and d > a + ρ has neither; no root is needed to tell them apart.
+        # d < |a − ρ| implies K < 0 or d < a, and d > a + ρ implies neither, so no root is needed.
         near = missed & ~lateral & ((limbs.k < 0.0) | (limbs.reach < self._arrays.arm**2))
         bits = limb_flag(lateral, Status.UNREACHABLE_LATERAL) | limb_flag(near, Status.UNREACHABLE_NEAR)
         bits |= limb_flag(missed & ~lateral & ~near, Status.UNREACHABLE_FAR)
@@ -202,7 +202,7 @@ class InverseSolver:
         return np.asarray(bits)
 
     def _rods(self, limbs: _Limbs) -> Array:
-        """Return the rod vectors (3 axes, 3 limbs, n) m; the elbows come without sine and cosine of the angle."""
+        """Return the rod vectors (3 axes, 3 limbs, n) m, without computing sine and cosine of the angles."""
         arrays = self._arrays
         x, y, z = rods = _SCRATCH.rods(limbs.u.shape[1])
         half = np.divide(0.5, limbs.reach, out=limbs.spare)

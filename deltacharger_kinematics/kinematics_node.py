@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""kinematics_node: where the end effector is, what pushes on it, and kinematics as a service.
+"""kinematics_node: pose of the end effector, force on it, and kinematics services.
 
-Subscribes: servo_state, while somebody listens to what is made of it.
-Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end effector, in end_effector, the arm's
-weight removed), one of each per servo_state while somebody listens and with its stamp, so that their age is that of the
-measurement; nothing while a servo is not valid, and no wrench while a torque is off.
+Subscribes: servo_state, only while pose or wrench has subscribers.
+Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end effector, in end_effector, without the
+arm's weight), one of each per servo_state and with its stamp, only while subscribed. Nothing while a servo is not
+valid, no wrench while a torque is off.
 Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point; an incomplete last point is
 INVALID_INPUT. A request for more than POINTS_MAX gets an empty answer.
 Parameters: geometry_file or the arm's single dimensions, gravity, servos_file or torque_constant.
@@ -41,12 +41,12 @@ from deltacharger_ros.servos_file import declare_with_servos
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000
-"""Points that one request may hold; a request for more gets an empty answer, since it would take seconds."""
-_LOOK = 0.2  # s between looks for who wants pose or wrench
+"""Maximum points of a request; a larger one gets an empty answer, because it would take seconds."""
+_CHECK_PERIOD = 0.2  # s between checks for subscribers of pose and wrench
 
 
 class KinematicsNode(Node):
-    """Pose, contact force and kinematics of the arm; see the module's docstring for its interface."""
+    """Pose, contact force and kinematics of the arm; the module's docstring lists the interface."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
@@ -61,8 +61,8 @@ class KinematicsNode(Node):
         self._scalar = ScalarDelta(geometry)
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
-        self._servo_state: Subscription[ServoState] | None = None  # only while somebody wants what is made of it
-        steady_timer(self, _LOOK, self._listen_while_wanted)
+        self._servo_state: Subscription[ServoState] | None = None  # only while pose or wrench has subscribers
+        steady_timer(self, _CHECK_PERIOD, self._subscribe_on_demand)
         group = ReentrantCallbackGroup()
         self.create_service(
             SolveInverseKinematics,
@@ -80,9 +80,9 @@ class KinematicsNode(Node):
         )
 
     def close(self) -> None:
-        """Nothing to make safe: this node drives nothing."""
+        """Do nothing: this node drives no hardware."""
 
-    def _listen_while_wanted(self) -> None:
+    def _subscribe_on_demand(self) -> None:
         wanted = self._pose.get_subscription_count() + self._wrench.get_subscription_count() > 0
         if wanted and self._servo_state is None:
             self._servo_state = self.create_subscription(
@@ -106,7 +106,7 @@ class KinematicsNode(Node):
             pose.header.frame_id = self._charger_base
             pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = x, y, z
             self._pose.publish(pose)
-        # Without torque a servo's current says nothing: the gears carry the arm.
+        # Without torque the current has no meaning: the gears carry the arm.
         if wants_wrench and len(message.current) == 3 and _complete(message.torque_enabled):
             self._publish_wrench(message, (x, y, z))
 
@@ -119,7 +119,7 @@ class KinematicsNode(Node):
         wrench = WrenchStamped()
         wrench.header.stamp = message.header.stamp
         wrench.header.frame_id = self._end_effector
-        # What the arm exerts on the target comes back with the opposite sign.
+        # The force on the arm is opposite to the force on the target.
         wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z = -fx, -fy, -fz
         self._wrench.publish(wrench)
 
@@ -145,11 +145,11 @@ class KinematicsNode(Node):
         return response
 
     def _is_too_much(self, values: Sequence[float]) -> bool:
-        """Return, and tell, whether more points are asked for than are answered at once."""
+        """Return whether a request has too many points; if so, log a warning."""
         if len(values) <= 3 * POINTS_MAX:
             return False
         self._log.warning(
-            f"{len(values) // 3} points were asked for at once: ask for {POINTS_MAX} at most",
+            f"refused a request for {len(values) // 3} points: send at most {POINTS_MAX} at once",
             pause=5.0,
         )
         return True
@@ -160,7 +160,7 @@ def _complete(flags: Sequence[bool]) -> bool:
 
 
 def _flat(code: str, values: ArrayLike) -> array.array[Any]:
-    """Return `values` as the array that a message takes as it is; number by number it would cost half the call."""
+    """Return `values` as an array that a message accepts unchanged; conversion by number would take half the call."""
     return array.array(code, np.ascontiguousarray(values, dtype=code).tobytes())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three limbs' numbers as columns (3, 1), to be broadcast against rows (n,) of points."""
+"""Dimensions of the three limbs as columns (3, 1), broadcast against rows (n,) of points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class LimbArrays:
     """Columns of one geometry; names as in `deltacharger_kinematics.delta` (m, rad).
 
     Attributes:
-        knee: −1 (knee out) or +1 per limb, the σ of the formulas.
+        knee: −1 (knee out) or +1 per limb, σ of the formulas.
     """
 
     def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int]) -> None:
@@ -30,11 +30,11 @@ class LimbArrays:
         self.knee = np.array([[float(side)] for side in working_mode])
 
     def elbows(self, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
-        """Return x, y, z (3, n) of the elbows in delta_motor, less the platform radius.
+        """Return x, y, z (3, n) of the elbows in delta_motor, minus the platform radius.
 
         Args:
-            cosine: of the true arm angles (3, n).
-            sine: of the true arm angles (3, n).
+            cosine: cosine of the true arm angles (3, n).
+            sine: sine of the true arm angles (3, n).
         """
         radius = self.difference + self.arm * cosine
         x = radius * self.cosine - self.tangential * self.sine

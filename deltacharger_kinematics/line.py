@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight lines of the platform in ``charger_base``, timed so that platform and servos keep their speed limits.
+"""Straight lines of the platform in ``charger_base``, timed within the limits of platform and servos.
 
-The way follows s = 10u³ − 15u⁴ + 6u⁵ of the time share u = t/T, which starts and ends without speed and acceleration
-and has the least mean square of jerk for its duration. At one peak speed a trapezoid is done sooner; where both take as
-long, the arm on its soft servos comes to rest sooner after this one, with a fraction of the acceleration
+The path follows s = 10u³ − 15u⁴ + 6u⁵ of the time share u = t/T (minimum jerk): it starts and ends without speed and
+acceleration and has the least mean square jerk for its duration. A trapezoid of the same peak speed is faster. At equal
+duration, however, the arm on its soft servos settles sooner with this law and needs a fraction of the acceleration
 (docs/kinematics.md).
 
-With p(s) the point and r = p − c(θ) the rod of a limb, |r|² = L² differentiated twice gives the arm's motion along s::
+With point p(s) and rod r = p − c(θ) of a limb, differentiating |r|² = L² twice gives the arm's motion along s::
 
     θ' = r·p' / r·c'        θ'' = (|p' − c' θ'|² − r·c'' θ'²) / r·c'        r / r·c' = a row of J⁻¹
 
-and with ṡ = s'(u)/T the rates in time. Speeds scale as 1/T and accelerations as 1/T², so one stretch of T meets every
-limit: nothing is searched for.
+and ṡ = s'(u)/T gives the rates in time. Speeds scale with 1/T and accelerations with 1/T², so one scaling of T meets
+every limit without a search.
 """
 
 from __future__ import annotations
@@ -35,40 +35,40 @@ from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
 
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
-"""What no point of a line may be, unless the caller says otherwise. Outside the workspace box and near the edge of
-reach (NEAR_TYPE_1) the platform is still held firmly."""
+"""Statuses refused by default for points of a line. Points outside the workspace box and near the edge of reach
+(NEAR_TYPE_1) are allowed, because the platform is still held firmly there."""
 
 T = TypeVar("T", float, Array)
 
-PEAK_SPEED = 1.875  # of ds/du, at u = 1/2
-_CHECKED = 512  # intervals in which limits are looked for: no more than 0.4 % of the line between two points
-_SLACK = 1.0002  # the fastest instant may lie between two of them
+PEAK_SPEED = 1.875  # ds/du at u = 1/2, its maximum
+_CHECKED = 512  # intervals at which limits are checked: at most 0.4 % of the line apart
+_SLACK = 1.0002  # the fastest instant may lie between two checks
 _FEWEST, _MOST = 2, 100_000  # intervals of a line
-_STRETCHED = 1e-5  # margin, about a µm from the edge of reach, below which an arm's acceleration has no bound
+_STRETCHED = 1e-5  # margin (about 1 µm from the edge of reach) below which an arm's acceleration is unbounded
 
 
 @dataclass(frozen=True)
 class ArmLimits(Bounded):
-    """What the arms may do (rad/s, rad/s²); the defaults are those of this charger's MX-64 at 12 V.
+    """Speed and acceleration limits of the arms (rad/s, rad/s²); the defaults fit this charger's MX-64 at 12 V.
 
-    speed: without load they turn at 63 rpm = 6.60 rad/s and stall at 6.0 N·m (vendor's e-manual); with 1.35 N·m, the
-    heaviest pose (0.47 N·m) and 0.6 A of push, 5.1 rad/s are left.
+    speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.35 N·m (heaviest pose
+    0.47 N·m plus 0.6 A of push), 5.1 rad/s are left.
 
-    acceleration: 0.6 A · 1.463 N·m/A less 0.06 N·m of gear friction move an inertia of at most 0.0205 kg·m² at
-    39.9 rad/s². That is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform and half of the
-    rods) and I = 0.0042 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction are assumptions.
+    acceleration: 0.6 A · 1.463 N·m/A minus 0.06 N·m of gear friction accelerate at most 0.0205 kg·m² by 39.9 rad/s².
+    This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform and half of the rods)
+    and I = 0.0042 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction are assumptions.
 
     Raises:
         ParameterError: names the field; not a number within its bounds.
     """
 
-    speed: float = number(5.0, 1e-3, 1e3, "rad/s", "of an arm")
-    acceleration: float = number(35.0, 1e-3, 1e6, "rad/s²", "of an arm")
+    speed: float = number(5.0, 1e-3, 1e3, "rad/s", "speed of an arm")
+    acceleration: float = number(35.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A straight line, at rest at both ends; row k is the instant times[k].
+    """A straight line, at rest at both ends; row k is at times[k].
 
     Attributes:
         times: (n,) s, from 0.
@@ -86,18 +86,18 @@ class Line:
 
     @property
     def duration(self) -> float:
-        """From start to rest, s."""
+        """Time from start to rest, s."""
         return float(self.times[-1])
 
 
 class LineRefused(KinematicsError):
-    """Some point of a line is not one to move through.
+    """A line has points that the platform must not pass.
 
     Attributes:
-        indices: of the refused points among those checked, in their order along the line.
+        indices: indices of the refused points among the checked points.
         statuses: their status, in the same order.
-        position: the first of them, m, charger_base.
-        share: how much of the line lies before it, 0 to 1.
+        position: first refused point, m, charger_base.
+        share: share of the line before it, 0 to 1.
     """
 
     def __init__(self, indices: Sequence[int], statuses: Sequence[Status], position: Vector, share: float) -> None:
@@ -106,9 +106,7 @@ class LineRefused(KinematicsError):
         self.share = share
         place = ", ".join(f"{1000 * value:.5g}" for value in position)
         what = self.statuses[0].name or repr(self.statuses[0])
-        self.args = (
-            f"({place}) mm, {100 * share:.0f} % along the line, is {what}; choose another goal or another way to it",
-        )
+        self.args = (f"({place}) mm, {100 * share:.0f} % along the line, is {what}; choose another goal or path",)
 
 
 def plan_line(
@@ -120,25 +118,25 @@ def plan_line(
     interval: float = 0.02,
     refuse: Status = REFUSED,
 ) -> Line:
-    """Return the fastest line of this time law that keeps all limits.
+    """Return the fastest line of this time law within all limits.
 
-    The arms' limits hold between the points too, to 0.02 % in the workspace and 1 % at the edge of reach. Interpolated
-    linearly in joint angles at the default interval, the platform stays within 0.02 mm of a line in the workspace at
-    0.12 m/s, and within 0.2 mm at whatever speed the default limits allow.
+    The arms' limits also hold between the points, to 0.02 % in the workspace and 1 % at the edge of reach. With linear
+    interpolation of joint angles at the default interval, the platform deviates by at most 0.02 mm from a line in the
+    workspace at 0.12 m/s, and by at most 0.2 mm at any speed within the default limits.
 
     Args:
         delta: the arm.
         start: (3,) m, charger_base.
-        goal: (3,) m, charger_base; the start itself gives a line that stays there.
-        speed: peak of the platform, m/s; 1e-6 to 1e3.
-        limits: of the arms; None = the defaults.
-        interval: longest time between two points, s; 1e-4 to 1. A line takes at least two.
-        refuse: what no point may be. In any case refused are points without an answer, on the very edge of reach, or
-            where an angle would pass ±π.
+        goal: (3,) m, charger_base; may equal the start.
+        speed: peak speed of the platform, m/s; 1e-6 to 1e3.
+        limits: limits of the arms; None = the defaults.
+        interval: longest time between two points, s; 1e-4 to 1. A line has at least two intervals.
+        refuse: statuses that no point may have. Always refused: points without a solution, at the very edge of reach,
+            or where an angle would pass ±π.
 
     Raises:
-        LineRefused: a point at a step of the answer, or at one of 513 places along the line, is refused.
-        ValueError: names the argument; not a number, out of bounds, or too slow a line for the interval.
+        LineRefused: a point of the line, or of 513 checked places along it, is refused.
+        ValueError: names the argument; not a number, out of bounds, or the line is too slow for the interval.
     """
     first, last = _point(start, "start"), _point(goal, "goal")
     _bounded("speed", speed, 1e-6, 1e3, "m/s")
@@ -170,7 +168,7 @@ def plan_line(
 
 
 def way_done(share: T) -> T:
-    """Return the share of the way that is done at `share` of a line's time, both 0 to 1."""
+    """Return the share of the path covered at `share` of the line's time, both 0 to 1."""
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 
@@ -184,7 +182,7 @@ class _Motion:
         self.angles = solved.angles
         status = np.asarray(solved.status)
         self._refuse(status, (status & np.uint32(refuse)) != 0, done)
-        turned = np.zeros(len(u), dtype=bool)  # past ±π the angle starts again on the other side, and so would the arm
+        turned = np.zeros(len(u), dtype=bool)  # past ±π the angle wraps to the other side, and the arm would turn back
         turned[1:] = (np.abs(np.diff(self.angles, axis=0)) > math.pi).any(axis=1)
         self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, done)
         self._refuse(status | np.uint32(Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, done)
@@ -204,7 +202,7 @@ class _Motion:
 def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array) -> tuple[Array, Array]:
     """Return dθ/ds and d²θ/ds² (n, 3) along p' = `direction` (3,) at `positions` (n, 3) with arm `angles` (n, 3).
 
-    In each limb's own axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
+    In each limb's axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
     """
     limbs = LimbArrays(delta.geometry, KNEE_OUT)
     cosine, sine, arm = limbs.cosine, limbs.sine, limbs.arm

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the solutions is meant: the side of each knee, and the side of the elbows on which the platform is."""
+"""Selection of a solution: side of each knee (working mode), and side of the platform (assembly)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any
 WorkingMode = tuple[int, int, int]
 
 KNEE_OUT: WorkingMode = (-1, -1, -1)
-"""Every elbow turned outward, the σ of the formulas; +1 turns that limb's elbow inward."""
+"""All elbows outward; +1 turns a limb's elbow inward. The σ of the formulas."""
 
 WORKING_MODES: tuple[WorkingMode, ...] = tuple(itertools.product((-1, 1), repeat=3))  # type: ignore[arg-type]
-"""All eight solutions of the inverse problem, KNEE_OUT first."""
+"""All eight solutions of the inverse kinematics, KNEE_OUT first."""
 
 AHEAD = 1
-"""The platform on the side of the elbows' plane toward which (c₁ − c₀) × (c₂ − c₀) points: +z in the workspace."""
+"""Platform on the side of the elbows' plane to which (c₁ − c₀) × (c₂ − c₀) points: +z in the workspace."""
 
 BEHIND = -1
 """The mirror assembly."""
 
 
 def check_modes(working_mode: Any, assembly: Any) -> None:
-    """Refuse what is no working mode or assembly.
+    """Check working mode and assembly.
 
     Raises:
         ValueError: names the argument.

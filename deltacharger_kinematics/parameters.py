@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm's dimensions as parameters of every node that needs them, and those of kinematics_node."""
+"""Parameters for the arm's dimensions, used by several nodes, and parameters of kinematics_node."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 
 @dataclass(frozen=True)
 class GeometryFileParameters(Bounded):
-    """Where the arm's dimensions stand."""
+    """Path of the file of the arm's dimensions."""
 
-    geometry_file: str = words("", "YAML file that alone decides the arm's geometry; empty = the single parameters")
+    geometry_file: str = words("", "YAML file, the only source of the arm's geometry; empty = the single parameters")
 
 
 @dataclass(frozen=True)
 class GeometryParameters(Bounded):
-    """The arm's dimensions; a node takes a machine's, where `DeltaGeometry` itself takes any."""
+    """The arm's dimensions, with closer bounds than in `DeltaGeometry`."""
 
     base_radius: float = like(DeltaGeometry, "base_radius", low=0.001, high=1.0)
     arm: float = like(DeltaGeometry, "arm", low=0.001, high=1.0)
@@ -36,12 +36,12 @@ class GeometryParameters(Bounded):
 
 
 SERVOS_FOLLOW = {"torque_constant": "torque_constant"}
-"""Parameters of kinematics_node that a file of measured servos decides, and what they are called there."""
+"""Parameters of kinematics_node that a file of measured servos sets, and their keys in the file."""
 
 
 @dataclass(frozen=True)
 class KinematicsNodeParameters(Bounded):
-    """What the force on the end effector is computed with."""
+    """Parameters for the force on the end effector."""
 
     gravity: tuple[float, float, float] = numbers(
         GRAVITY, -20.0, 20.0, "m/s²", "gravity in charger_base ({unit}), +z toward the target, +y up"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One point at a time in plain Python floats: what a simulator or a control loop calls thousands of times a second.
+"""Kinematics of one point in plain Python floats, for simulators and control loops.
 
-numpy costs 30–100 µs for a single point whatever it computes; these forms cost a few. The formulas are those of
-`deltacharger_kinematics.delta`, and a test holds the two against each other.
+numpy costs 30–100 µs for any single point, this module a few µs. The formulas are those of
+`deltacharger_kinematics.delta`; a test compares both.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_mo
 from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
-# Of one limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
+# One limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
 _Reached = tuple[float, float, float, float, float, float, float, float]
 
 _SINE_120 = LIMB_DIRECTIONS[1][1]
@@ -58,14 +58,14 @@ class ScalarDelta:
         self._four_arms_squared = tuple(4.0 * limb.arm**2 for limb in self._limbs)
 
     def inverse(self, x: float, y: float, z: float) -> Vector:
-        """Return the three arm angles (rad) that put the platform at (x, y, z); NaN where any is out of reach."""
+        """Return the arm angles (rad) for the platform at (x, y, z); NaN if a limb does not reach it."""
         limbs = self._reach(x, y, z)
         return (limbs[0][0], limbs[1][0], limbs[2][0]) if limbs else _NAN3
 
     def solve(self, x: float, y: float, z: float, precise: bool = False) -> tuple[Vector, int, float] | None:
-        """Return angles (rad), Status bits and margin, or None where a limb has no answer.
+        """Return angles (rad), Status bits and margin; None if a limb has no solution.
 
-        `precise` takes double-double also where plain doubles would do.
+        `precise` always uses double-double.
         """
         limbs = self._reach(x, y, z)
         if precise and limbs:
@@ -83,9 +83,9 @@ class ScalarDelta:
         return (first[0], second[0], third[0]), bits, margin
 
     def solve_forward(self, a0: float, a1: float, a2: float) -> tuple[Vector, int, float] | None:
-        """Return position (m), Status bits and determinant of the unit rod vectors, or None without an answer."""
+        """Return position (m), Status bits and determinant of the unit rod vectors; None without a solution."""
         elbows = self._elbows((a0, a1, a2))
-        position = self._meet(elbows)
+        position = self._intersect(elbows)
         x, y, z = position
         if math.isnan(x):
             return None
@@ -101,7 +101,7 @@ class ScalarDelta:
         return position, self._warnings(position, states, determinant), determinant / self._scale
 
     def _warnings(self, point: Vector, limbs: Sequence[tuple[float, ...]], determinant: float) -> int:
-        """Return the warnings about a point whose limbs begin with angle, 2·rod·lever and the rod's part across."""
+        """Return the warnings about a point; each limb begins with angle, 2·rod·lever, rod component across."""
         low, high = self._joint_min, self._joint_max
         bits = 0
         for limb, (near, swing, bit) in zip(limbs, self._limits):  # noqa: B905 strict costs a tenth of the solve
@@ -122,10 +122,10 @@ class ScalarDelta:
         return bits
 
     def forward(self, a0: float, a1: float, a2: float) -> Vector:
-        """Return the platform position (m) for commanded angles; NaN where the rods do not meet."""
-        return self._meet(self._elbows((a0, a1, a2)))
+        """Return the platform position (m) for commanded angles; NaN if the rods do not meet."""
+        return self._intersect(self._elbows((a0, a1, a2)))
 
-    def _meet(self, elbows: list[Vector]) -> Vector:
+    def _intersect(self, elbows: list[Vector]) -> Vector:
         (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = elbows
         ax, ay, az = x1 - x0, y1 - y0, z1 - z0
         bx, by, bz = x2 - x0, y2 - y0, z2 - z0
@@ -148,7 +148,7 @@ class ScalarDelta:
         return x0 + ox + scale * nx, y0 + oy + scale * ny, z0 + oz + scale * nz - self._z_offset
 
     def jacobian(self, x: float, y: float, z: float) -> Matrix:
-        """Return dp/dangle (m/rad), nine floats row by row; NaN where the point is out of reach or singular."""
+        """Return dp/dangle (m/rad), nine floats by rows; NaN if the point is out of reach or singular."""
         limbs = self._reach(x, y, z)
         if not limbs:
             return _NAN9
@@ -171,7 +171,7 @@ class ScalarDelta:
         )
 
     def torque(self, x: float, y: float, z: float, force: Vector) -> Vector:
-        """Return the arm torques (N·m) that press with `force` (N, what the platform exerts), τ = Jᵀ f."""
+        """Return the arm torques (N·m) for the platform to exert `force` (N), τ = Jᵀ f."""
         j = self.jacobian(x, y, z)
         fx, fy, fz = force
         return (
@@ -181,11 +181,11 @@ class ScalarDelta:
         )
 
     def force(self, x: float, y: float, z: float, torque: Vector) -> Vector:
-        """Return the force (N) that the platform exerts for arm torques (N·m); NaN where a limb is at its edge."""
+        """Return the force (N) that the platform exerts for arm torques (N·m); NaN if a limb is at its edge."""
         limbs = self._reach(x, y, z)
         if not limbs or 0.0 in (limbs[0][1], limbs[1][1], limbs[2][1]):
             return _NAN3
-        # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: along the rods, so no matrix is inverted.
+        # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ acts along the rods, so no matrix is inverted.
         (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = _rods_of(limbs)
         t0, t1, t2 = (-2.0 * share / limb[1] for share, limb in zip(torque, limbs, strict=True))
         return r00 * t0 + r10 * t1 + r20 * t2, r01 * t0 + r11 * t1 + r21 * t2, r02 * t0 + r12 * t1 + r22 * t2
@@ -193,7 +193,7 @@ class ScalarDelta:
     def holding_torque(self, x: float, y: float, z: float, gravity: Vector) -> Vector:
         """Return the arm torques (N·m) that carry platform and rods at rest against `gravity` (m/s²).
 
-        Half of each rod pair counts with the platform and half with its elbow.
+        Half of each rod pair counts as platform and half as elbow.
         """
         geometry = self.geometry
         carried = geometry.platform_mass + 1.5 * geometry.rod_mass
@@ -209,7 +209,7 @@ class ScalarDelta:
         return held[0], held[1], held[2]
 
     def _reach(self, x: float, y: float, z: float) -> list[_Reached]:
-        """Return each limb at the point; empty where one does not reach it or has no unique angle."""
+        """Return each limb at the point; empty if one does not reach it or has no unique angle."""
         limbs: list[_Reached] = []
         for cosine, sine, difference, tangential, height, four, constant, size, knee, zero in self._inverse_numbers:
             u = x * cosine + y * sine - difference
@@ -221,7 +221,7 @@ class ScalarDelta:
             size += k
             root = sqrt(q) if q > 0.0 else 0.0
             if not root >= DOUBTFUL_ROOT * size:
-                # NaN where the point is not finite, or beyond what squares can hold.
+                # NaN if the point is not finite or its squares overflow.
                 return self._reach_edge(x, y, z) if q > -HOPELESS * size * size else []
             root *= knee
             sine_part = k * w + root * u
@@ -230,7 +230,7 @@ class ScalarDelta:
         return limbs
 
     def _reach_edge(self, x: float, y: float, z: float) -> list[_Reached]:
-        """Return what `_reach` does, for a point near the edge of some limb's reach."""
+        """Return the same as `_reach` in double-double, for a point near the edge of reach."""
         limbs: list[_Reached] = []
         for limb, knee in zip(self._limbs, self._working_mode, strict=True):
             u = x * limb.cosine + y * limb.sine - limb.difference
@@ -247,7 +247,7 @@ class ScalarDelta:
         return limbs
 
     def _elbows(self, commanded: Vector) -> list[Vector]:
-        """Return the elbows (m) in delta_motor, less the platform radius."""
+        """Return the elbows (m) in delta_motor, minus the platform radius."""
         elbows = []
         try:
             for angle, (zero, arm, difference, cosine, sine, tangent_x, tangent_y, height) in zip(
@@ -262,7 +262,7 @@ class ScalarDelta:
 
 
 def _inverse_numbers(limb: Limb, knee: int) -> tuple[float, ...]:
-    """Return a limb's constants in the order in which the solve unpacks them."""
+    """Return a limb's constants in the order in which `_reach` unpacks them."""
     return (
         limb.cosine,
         limb.sine,
@@ -278,7 +278,7 @@ def _inverse_numbers(limb: Limb, knee: int) -> tuple[float, ...]:
 
 
 def _elbow_numbers(limb: Limb) -> tuple[float, float, float, float, float, float, float, float]:
-    """Return a limb's constants in the order in which the elbows unpack them."""
+    """Return a limb's constants in the order in which `_elbows` unpacks them."""
     return (
         limb.angle_offset,
         limb.arm,
@@ -292,9 +292,9 @@ def _elbow_numbers(limb: Limb) -> tuple[float, float, float, float, float, float
 
 
 def _rods_of(limbs: list[_Reached]) -> tuple[Vector, Vector, Vector]:
-    """Return the rod vectors (m), turned from the limbs' planes, 120° apart."""
+    """Return the rod vectors (m), rotated from the limbs' planes (120° apart) to charger_base."""
     (_, _, v0, u0, w0, s0, c0, d0), (_, _, v1, u1, w1, s1, c1, d1), (_, _, v2, u2, w2, s2, c2, d2) = limbs
-    # The elbow, a·cosθ and a·sinθ, from the arguments of the arc tangent, normalised.
+    # The elbow, a·cosθ and a·sinθ, from the normalised arguments of the arc tangent.
     h0, h1, h2 = 0.5 / d0, 0.5 / d1, 0.5 / d2
     o0, o1, o2 = u0 - c0 * h0, u1 - c1 * h1, u2 - c2 * h2
     return (

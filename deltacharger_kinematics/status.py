@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a solve says about each point."""
+"""Status of each point of a solution."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from deltacharger_core.picklable import Picklable
 
 
 class Status(IntFlag):
-    """Bit mask per point; 0 is OK. The same numbers stand as constants in the two .srv files.
+    """Bit mask per point; 0 is OK. The two .srv files define the same constants.
 
-    Only INVALID_INPUT, UNREACHABLE_*, INDETERMINATE, NOT_ASSEMBLABLE and DEGENERATE come with NaN; all others come
-    with a usable answer.
+    With INVALID_INPUT, UNREACHABLE_*, INDETERMINATE, NOT_ASSEMBLABLE and DEGENERATE the result is NaN; with all others
+    it is usable.
     """
 
     OK = 0
@@ -38,16 +38,16 @@ class Status(IntFlag):
 UNREACHABLE = Status.UNREACHABLE_FAR | Status.UNREACHABLE_NEAR | Status.UNREACHABLE_LATERAL
 NO_ANSWER = UNREACHABLE | Status.INVALID_INPUT | Status.INDETERMINATE | Status.NOT_ASSEMBLABLE | Status.DEGENERATE
 
-NEAR_TYPE_1 = 0.02  # of the arm: lever |b| below which a limb counts as nearly stretched or folded
-NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform counts as nearly unheld
-COLLINEAR = 1e-12  # of rod or elbow distance: height of the elbows' triangle below which it counts as a line
+NEAR_TYPE_1 = 0.02  # of the arm length: lever |b| below which a limb counts as nearly stretched or folded
+NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform counts as nearly unconstrained
+COLLINEAR = 1e-12  # of rod or elbow distance: height of the elbows' triangle below which they count as collinear
 
 
 class KinematicsError(Picklable, ValueError):
-    """A strict solve met points that have no good answer.
+    """A strict solve found points whose status is not OK.
 
     Attributes:
-        indices: flat indices of the offending points.
+        indices: flat indices of these points.
         statuses: their status, in the same order.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Products of many 3-vectors held axis first: arrays (3, ...)."""
+"""Products of many 3-vectors, axis first: arrays (3, ...)."""
 
 from __future__ import annotations
 

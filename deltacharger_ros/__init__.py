@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node stands on: parameters, executor, quality of service, raw topics, the client."""
+"""Shared ROS parts of the nodes: parameters, executor, quality of service, raw topics, and a client."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals to somebody else's action, sent and followed without waiting."""
+"""Non-blocking client for other nodes' actions."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from rclpy.node import Node
 from deltacharger_ros.qos import ACTION
 
 REFUSED, LOST = -1, -2
-"""How a goal ended, besides the statuses of GoalStatus: not taken, and who served it went away."""
+"""Ends of a goal in addition to GoalStatus: goal not accepted; action server lost."""
 
 OnEnd = Callable[[int, int, Any, Any], None]
-"""Takes the number of a goal, how it ended, its result message (None = none came) and its latest feedback."""
+"""Called with a goal's number, its end, its result message (None = none) and its latest feedback."""
 
 
 class _Call:
-    """One goal on its way; callbacks fill it, the node's loop looks at it."""
+    """One pending goal. Callbacks fill it; the node's loop checks it."""
 
     def __init__(self, number: int, goal: Any) -> None:
         self.number = number
         self.goal = goal
         self.sent = self.unwanted = self.cancel_sent = False
         self.handle: Any = None
-        self.heard: Any = None  # latest feedback
+        self.feedback: Any = None  # the latest
         self.lost_since = math.inf
 
 
 class ActionCaller:
-    """Sends one goal at a time to an action and tells its end; a server that is not there yet is waited for.
+    """Sends goals to an action and reports their ends. Goals wait for a server that is not there yet.
 
     Args:
-        node: that it belongs to.
-        kind: the action.
-        name: its name.
-        on_end: told of each goal's end.
-        lost_timeout: s without a server in the graph before what it served counts as lost.
+        node: owner.
+        kind: action type.
+        name: action name.
+        on_end: called at the end of each goal.
+        lost_timeout: s without a server in the graph before its goals count as lost.
     """
 
     def __init__(
@@ -62,22 +62,22 @@ class ActionCaller:
 
     @property
     def is_served(self) -> bool:
-        """Whether somebody serves the action now."""
+        """Whether the action has a server now."""
         return bool(self._client.server_is_ready())
 
     @property
     def is_settled(self) -> bool:
-        """Whether every goal has ended or heard that it is called off."""
+        """Whether every goal has ended or its cancel was sent."""
         with self._lock:
             return all(call.cancel_sent for call in self._calls.values())
 
     def send(self, number: int, goal: Any) -> None:
-        """Take a goal; it leaves with `tick`."""
+        """Queue a goal; `tick` sends it."""
         with self._lock:
             self._calls[number] = _Call(number, goal)
 
     def cancel(self, number: int) -> None:
-        """Call a goal off: now, or as soon as its server has taken it."""
+        """Cancel a goal, now or as soon as its server has accepted it."""
         with self._lock:
             call = self._calls.get(number)
             if call is not None:
@@ -85,7 +85,7 @@ class ActionCaller:
                 self._cancel(call)
 
     def tick(self) -> None:
-        """Send what waits, and notice servers that went away."""
+        """Send queued goals and detect lost servers."""
         now, served = time.monotonic(), self.is_served
         with self._lock:
             for call in list(self._calls.values()):
@@ -107,7 +107,7 @@ class ActionCaller:
         call.sent = True
 
         def on_feedback(message: Any) -> None:
-            call.heard = message.feedback
+            call.feedback = message.feedback
 
         sent = self._node.executor.call_soon(self._client.send_goal_async, call.goal, on_feedback)
         sent.add_done_callback(lambda done: self._on_sent(call, done))
@@ -128,7 +128,7 @@ class ActionCaller:
                 return
             call.handle = handle
             handle.get_result_async().add_done_callback(lambda done: self._on_result(call, done))
-            if call.unwanted:  # also one that was given up long ago: nobody watches over it any more
+            if call.unwanted:  # also one that was given up long ago: nothing else watches it
                 self._cancel(call)
 
     def _on_result(self, call: _Call, future: Any) -> None:
@@ -146,9 +146,9 @@ class ActionCaller:
 
     def _end(self, call: _Call, end: int, result: Any = None) -> None:
         if self._calls.pop(call.number, None) is not None:
-            self._on_end(call.number, end, result, call.heard)
+            self._on_end(call.number, end, result, call.feedback)
 
 
 def result_of(future: Any) -> Any:
-    """Return a future's result; None where it failed, as it does when a node is shut down meanwhile."""
+    """Return a future's result; None if it failed, for example because the node was shut down."""
     return None if future.exception() is not None else future.result()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions that take every goal: only a result can carry a code and a reason, a refusal cannot."""
+"""Action server that accepts every goal, because only a result can carry an error code and a reason."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.qos import ACTION
 
-GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # in words, since Jazzy's class is not generic
+GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # a string, because Jazzy's class is not generic
 
-_LOOK = 1.0  # s between two looks whether somebody still works on a goal
-_TOLD_WITHIN = 0.1  # s for the result to leave: rclpy sends it later, from another thread, and tells nobody when
+_CHECK_PERIOD = 1.0  # s between checks whether a goal is still served
+_SEND_TIME = 0.1  # s for the result to leave: rclpy sends it later, from another thread, without notice
 
 
 class Ended(Protocol):
-    """How work ended."""
+    """End of a piece of work."""
 
     @property
     def success(self) -> bool:
-        """Whether it was done."""
+        """Whether it succeeded."""
 
     @property
     def canceled(self) -> bool:
-        """Whether it ended because its client wished so."""
+        """Whether it ended because a client cancelled it."""
 
 
 class Work:
-    """What a goal has begun, and it and those that joined it wait for.
+    """Work that a goal has started; other goals may join and wait for its end.
 
     Args:
-        handle: of that goal.
+        handle: handle of the first goal.
 
     Attributes:
-        handles: of the goals that wait.
-        outcome: how it ended; None until then.
-        done: set when it has ended.
+        handles: handles of the waiting goals.
+        outcome: how the work ended; None before.
+        done: set when the work has ended.
         answered: set when a goal has its result.
     """
 
@@ -55,49 +55,49 @@ class Work:
         self.outcome: Any = None
         self.done = threading.Event()
         self.answered = threading.Event()
-        self._told: object = None
-        self._told_at = -math.inf
+        self._last_news: object = None
+        self._fed_back_at = -math.inf
 
     def end(self, outcome: Ended) -> None:
-        """Let all goals that wait be answered."""
+        """Answer all waiting goals."""
         self.outcome = outcome
         self.done.set()
 
     def is_due(self, news: object, period: float) -> bool:
-        """Return whether feedback is due, and take it as given: `news` has changed, or a period (s) has passed."""
+        """Return whether feedback is due: `news` has changed or `period` s have passed. True restarts the period."""
         now = time.monotonic()
-        if news == self._told and now - self._told_at < period:
+        if news == self._last_news and now - self._fed_back_at < period:
             return False
-        self._told, self._told_at = news, now
+        self._last_news, self._fed_back_at = news, now
         return True
 
     def feed_back(self, message: Any) -> None:
-        """Publish feedback to all clients."""
+        """Publish feedback for all goals."""
         for handle in self.handles:
-            with contextlib.suppress(RuntimeError):  # the client may have gone meanwhile
+            with contextlib.suppress(RuntimeError):  # the client may have left
                 handle.publish_feedback(message)
 
     def wait_until_told(self, timeout: float) -> None:
-        """Wait until a client can have heard of the end; at most `timeout` s for its goal's callback to see it."""
+        """Wait until a client has probably received the result; `timeout`: s for the goal's callback to set it."""
         if self.answered.wait(timeout):
-            threading.Event().wait(_TOLD_WITHIN)
+            threading.Event().wait(_SEND_TIME)
 
 
 class WorkServer:
     """Serves an action. A goal waits for the end of its work in a worker of the node's `Spinner`.
 
-    It logs how each goal ended, who cancels it, and where nobody is left to hear of it.
+    It logs the end of each goal, cancels, and goals without listening clients.
 
     Args:
-        node: owns it.
-        kind: the action.
-        name: its name.
-        begin: begins, or joins, the work that a goal asks for; what it raises aborts the goal.
-        is_served: whether somebody still works on it; a goal that nobody serves must not wait for ever.
-        outcome: how a goal ended whose `begin` raised this; of what is no refusal, an internal error.
-        refusals: what `begin` raises to refuse a goal.
-        result: makes the message of an outcome, and of the work where there was any.
-        may_cancel: whether a client may take its goal back now.
+        node: owner.
+        kind: action type.
+        name: action name.
+        begin: starts or joins the work of a goal; an exception aborts the goal.
+        is_served: whether the work is still being done; a goal must not wait for ever.
+        outcome: converts an exception of `begin` to an outcome; internal error unless it is a refusal.
+        refusals: exception that `begin` raises to refuse a goal.
+        result: builds the result message from the outcome and the work (None = none).
+        may_cancel: whether a client may cancel the goal now.
         accepted: calls `execute` of a goal's handle, now or later.
     """
 
@@ -147,17 +147,17 @@ class WorkServer:
             work = self._begin(handle)
         except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
             if not isinstance(error, self._refusals):
-                self._log.error(f"a goal met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"internal error in a goal: {type(error).__name__}: {error}")
             handle.abort()
             result = self._result(self._outcome(error), None)
-            self._tell_end(handle, result, "refused")
+            self._log_end(handle, result, "refused")
             return result
-        heard = False
-        while not work.done.wait(_LOOK):
+        has_client = False
+        while not work.done.wait(_CHECK_PERIOD):
             if not self._is_served(work) and not work.done.is_set():
                 work.end(self._outcome(LookupError("the goal was lost")))
-            before, heard = heard, self._is_heard()
-            if before and not heard:
+            before, has_client = has_client, self._has_client()
+            if before and not has_client:
                 self._log.info(
                     f"{self._title(handle)}: its client has gone; the goal goes on until it ends or is cancelled"
                 )
@@ -169,11 +169,11 @@ class WorkServer:
             handle.abort()
         work.answered.set()
         result = self._result(work.outcome, work)
-        self._tell_end(handle, result)
+        self._log_end(handle, result)
         return result
 
-    def _tell_end(self, handle: GoalHandle, result: Any, failed: str = "failed") -> None:
-        """Log how a goal ended; an error in that must not cost its client the result."""
+    def _log_end(self, handle: GoalHandle, result: Any, failed: str = "failed") -> None:
+        """Log how a goal ended; an error in logging must not cost its client the result."""
         try:
             outcome = to_outcome(self._name, result)
             line = f"{self._title(handle)}: {outcome.ending(failed)}"
@@ -182,8 +182,8 @@ class WorkServer:
                 line = "; ".join(filter(None, (f"{line}{lasted}", outcome.figures())))
             self._log.info(line)
         except Exception as error:
-            self._log.error(f"the end of a goal cannot be told: {type(error).__name__}: {error}")
+            self._log.error(f"cannot log the end of a goal: {type(error).__name__}: {error}")
 
-    def _is_heard(self) -> bool:
+    def _has_client(self) -> bool:
         """Return whether any client follows goals of this action."""
         return self._node.count_subscribers(f"{self._node.resolve_topic_name(self._name)}/_action/feedback") > 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A topic of which nobody knows who publishes it: bounded in number and size, and read without an error.
+"""Reads a topic with untrusted publishers: bounded in number and size, and tolerant of invalid messages.
 
-Messages come as bytes and are understood one by one, by whoever takes them: what is too large costs no more than its
-bytes, and what cannot be read ends no thread.
+Messages are received as bytes and deserialised one by one by the caller. An oversized message costs only its bytes,
+and an unreadable one ends no thread.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_ros.on_demand import PolledTopic
 
-_FRAME_ID = 12  # offset of its length in the CDR of a message that begins with a header: 4 of head, 8 of stamp
+_FRAME_ID = 12  # byte offset of its length in the CDR of a message with a header: 4 head, 8 stamp
 
 
 class Received(NamedTuple):
-    """A message as it came.
+    """A message as received.
 
     Attributes:
-        data: its bytes.
-        publisher: id of its publisher; empty where the middleware or rclpy does not tell.
+        data: CDR bytes.
+        publisher: id of its publisher; empty if the middleware or rclpy does not provide it.
         kind: message class.
     """
 
@@ -34,14 +34,14 @@ class Received(NamedTuple):
     kind: type[Any]
 
     def read(self) -> Any:
-        """Return the message; None where the bytes are none."""
+        """Return the message; None if the bytes are invalid."""
         try:
             return deserialize_message(self.data, self.kind)
-        except Exception:  # each middleware has its own
+        except Exception:  # each middleware raises its own
             return None
 
     def frame_id(self, longest: int) -> str | None:
-        """Return the header's frame_id without reading the rest; None where it is none, or longer than `longest`."""
+        """Return the header's frame_id without reading the rest; None if invalid or longer than `longest`."""
         try:
             (length,) = struct.unpack_from("<I" if self.data[1] & 1 else ">I", self.data, _FRAME_ID)
             text = self.data[_FRAME_ID + 4 : _FRAME_ID + 4 + length]
@@ -56,10 +56,10 @@ class BoundedTopic:
     """The newest messages of a topic, for a thread that polls it.
 
     Args:
-        node: subscribes.
+        node: subscriber.
         kind: message class.
-        name: of the topic, relative to the node's namespace.
-        qos: of the subscription; its depth bounds how many messages are kept, and taken at once.
+        name: topic, relative to the node's namespace.
+        qos: quality of service; its depth bounds how many messages are kept and taken at once.
     """
 
     def __init__(self, node: Node, kind: type[Any], name: str, qos: QoSProfile) -> None:
@@ -69,7 +69,7 @@ class BoundedTopic:
         self.name = self._topic.name
 
     def take(self) -> list[Received]:
-        """Return what has come since the last call, the oldest first."""
+        """Return the messages received since the last call, oldest first."""
         return [
             Received(data, _publisher(info), self._kind)
             for data, info in itertools.islice(self._topic.take(), self._depth)
@@ -77,6 +77,6 @@ class BoundedTopic:
 
 
 def _publisher(info: Any) -> bytes:
-    """Return the publisher's id from what rclpy tells about a message; empty before ROS 2 Kilted."""
-    told = info.get("publisher_gid") if isinstance(info, dict) else None
-    return bytes(told["data"]) if isinstance(told, dict) and "data" in told else b""
+    """Return the publisher's id from rclpy's message info; empty before ROS 2 Kilted."""
+    gid = info.get("publisher_gid") if isinstance(info, dict) else None
+    return bytes(gid["data"]) if isinstance(gid, dict) and "data" in gid else b""

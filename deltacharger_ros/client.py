@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of the charger's actions: what a fleet manager does, without its fleet.
+"""A client of the charger's actions, for fleet managers and scripts.
 
-The client owns a small node with an executor of its own, so that it works beside any program::
+The client has its own small node and executor, so it works in any program::
 
     with ChargerClient() as charger:
         charger.wait_until_ready(5.0)
@@ -32,26 +32,26 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_ros.qos import ACTION, STATE
 
 _STATE = "docking_state"
-_LATCHED = 1.0  # s for the present docking_state to be heard
+_LATCHED = 1.0  # s to receive the latched docking_state
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
-_LAST_ANSWER = 0.5  # s for a goal's response once it is to be cancelled; one taken unseen would dock on its own
-_POLL = 0.1  # s between looks at deadline, cancel wish and server while a goal runs
+_LAST_ANSWER = 0.5  # s for the response to a goal that is to be cancelled; if accepted unseen, it would dock anyway
+_POLL = 0.1  # s between checks of deadline, cancel request and server while a goal runs
 
 ProgressCallback = Callable[[Progress], None]
 
 
 class ClientError(RuntimeError):
-    """The charger did not answer: it is not there, went away, or missed the deadline."""
+    """The charger is missing, disappeared or did not answer in time."""
 
 
 class ChargerClient(Guest):
     """Send Dock and Undock goals and wait for their results.
 
     Args:
-        namespace: of the charger; empty for a charger without one.
-        context: a running rclpy context; None starts one of the client's own.
+        namespace: namespace of the charger; '' = none.
+        context: a running rclpy context; None = start an own one.
     """
 
     def __init__(self, namespace: str = "", context: Context | None = None) -> None:
@@ -63,27 +63,27 @@ class ChargerClient(Guest):
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
         self._waitables = [self._dock, self._undock]
-        self._charger_base = ""  # its full name, as docking_state has it
+        self._charger_base = ""  # full frame name from docking_state
         self.node.create_subscription(DockingState, _STATE, self._on_state, STATE)
         self.serve()
 
     def close(self) -> None:
-        """Leave the graph; a goal that still runs goes on without this client. Calling it twice does no harm."""
+        """Leave the graph. A running goal continues without this client. Safe to call twice."""
         super().close()
         if self._owned is not None:
             rclpy.try_shutdown(context=self._owned)
             self._owned = None
 
     def answers(self) -> bool:
-        """Whether both actions answer now."""
+        """Whether both actions have a server now."""
         return bool(self._dock.server_is_ready() and self._undock.server_is_ready())
 
     def is_ready(self) -> bool:
-        """Whether both actions answer now and somebody publishes what they work on."""
+        """Whether both actions have a server and their inputs have publishers now."""
         return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
 
     def finds_electrodes(self) -> bool:
-        """Whether a node serves detect_electrodes now."""
+        """Whether the service detect_electrodes has a server now."""
         return self.node.count_services("detect_electrodes") > 0
 
     def wait_until_ready(self, timeout: float, stop: threading.Event | None = None) -> bool:
@@ -115,12 +115,12 @@ class ChargerClient(Guest):
         Args:
             request: the goal.
             on_progress: called for each feedback message, from the client's own thread.
-            cancel: when set, the goal is cancelled and its result awaited.
-            deadline: s after which the goal is cancelled too; the outcome then says CANCELED or what came first.
-            give_up: when set, the result is no longer awaited.
+            cancel: when set, cancel the goal and wait for its result.
+            deadline: s after which the goal is cancelled; the outcome is CANCELED or an earlier end.
+            give_up: when set, stop waiting for the result.
 
         Raises:
-            ClientError: the charger does not answer, vanishes while the goal runs, or was given up.
+            ClientError: the charger does not answer or disappears while the goal runs, or `give_up` was set.
         """
         goal = Dock.Goal()
         if request.electrodes is not None:
@@ -134,7 +134,7 @@ class ChargerClient(Guest):
         return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
 
     def _named(self, pose: Pose) -> Pose:
-        """Return a pose in charger_base with the full name that the charger has for it: it may have a prefix."""
+        """Return a pose with the charger's full name of charger_base, which may have a prefix."""
         if pose.frame_id != CHARGER_BASE:
             return pose
         if self.node.count_publishers(_STATE):
@@ -194,18 +194,18 @@ class ChargerClient(Guest):
             lost_since = min(lost_since, now)
             if now - lost_since > _LOST_AFTER:
                 raise ClientError(
-                    f"the charger went away while it served '{action}': look at the log of docking_node; "
+                    f"the charger disappeared while it served '{action}': check the log of docking_node; "
                     "the board opens the contactor by itself"
                 )
         if running.error is not None:
-            raise ClientError(f"the charger did not take the goal '{action}': {running.error}")
+            raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
         return to_outcome(action, running.result)
 
 
 class _Goal:
-    """One goal on its way; every step runs in callbacks, `finished` is set at the end of any of them."""
+    """One pending goal, driven by callbacks; `finished` is set at its end or at an error."""
 
     def __init__(self) -> None:
         self.finished = threading.Event()
@@ -215,18 +215,18 @@ class _Goal:
         self._cancel_wanted = self._cancel_sent = False
 
     def on_sent(self, future: Any) -> None:
-        """Wait for the answer; `future` is that of sending it."""
+        """Wait for the answer; `future`: of sending the goal."""
         answer = self._value(future)
         if answer is not None:
             answer.add_done_callback(self._on_response)
 
     @property
     def answered(self) -> bool:
-        """Whether the server has taken the goal, or the exchange is over."""
+        """Whether the server has accepted the goal, or the exchange is over."""
         return self._handle is not None or self.finished.is_set()
 
     def cancel(self) -> None:
-        """Ask for cancellation, once, as soon as the goal is known to the server."""
+        """Request cancellation once, as soon as the server has accepted the goal."""
         self._cancel_wanted = True
         if self._handle is not None and not self._cancel_sent:
             self._cancel_sent = True

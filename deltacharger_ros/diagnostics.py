@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node says how it fares: /diagnostics, by REP 107."""
+"""Publishes a node's state on /diagnostics (REP 107)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Diagnostics:
     """Publishes a node's diagnostics.
 
     Args:
-        node: publishes.
+        node: publisher.
     """
 
     def __init__(self, node: Node) -> None:
@@ -28,29 +28,29 @@ class Diagnostics:
     def status(
         self, level: bytes, message: str, values: Mapping[str, object], part: str, hardware: str = ""
     ) -> DiagnosticStatus:
-        """Return how a part of the node fares, named "NAMESPACE/NODE: PART".
+        """Return the status of a part of the node, named "NAMESPACE/NODE: PART".
 
         Args:
             level: OK, WARN or ERROR.
             message: one sentence.
-            values: further ones, told as text; None and NaN as "unknown".
-            part: its name.
-            hardware: what it drives; '' = nothing.
+            values: further values, published as text; None and NaN as "unknown".
+            part: name of the part.
+            hardware: the hardware that it drives; '' = none.
         """
         return DiagnosticStatus(
             level=level,
             name=f"{self._node.get_fully_qualified_name().lstrip('/')}: {part}",
             message=message,
             hardware_id=hardware,
-            values=[KeyValue(key=key, value=_told(value)) for key, value in values.items()],
+            values=[KeyValue(key=key, value=_as_text(value)) for key, value in values.items()],
         )
 
     def tell(self, level: bytes, message: str, values: Mapping[str, object], part: str, hardware: str = "") -> None:
-        """Publish how one part fares; arguments as of `status`."""
+        """Publish the status of one part; arguments as in `status`."""
         self.publish(self.status(level, message, values, part, hardware))
 
     def publish(self, *statuses: DiagnosticStatus) -> None:
-        """Publish; does nothing once ROS was shut down."""
+        """Publish; does nothing after ROS was shut down."""
         if not self._node.context.ok():
             return
         message = DiagnosticArray(status=list(statuses))
@@ -58,6 +58,6 @@ class Diagnostics:
         self._publisher.publish(message)
 
 
-def _told(value: object) -> str:
+def _as_text(value: object) -> str:
     unknown = value is None or (isinstance(value, float) and math.isnan(value))
     return UNKNOWN if unknown else str(value)

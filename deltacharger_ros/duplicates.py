@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second sources: who publishes or serves beside another what only one node may, as the ROS graph tells.
+"""Finds topics and services in the ROS graph with two sources although only one node may provide them.
 
-A look costs 10 µs a name (`count_publishers`, `count_services`); who is double is asked for only where somebody is.
-A node that was killed stays in the graph until its middleware's lease is over: 5 s by
-config/fastdds.xml, 20 s by default.
+A check costs 10 µs per name (`count_publishers`, `count_services`); names of nodes are read only if there is a
+duplicate. A killed node stays in the graph until its middleware's lease ends: 5 s with config/fastdds.xml, 20 s by
+default.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from rclpy.node import Node
 
 from deltacharger_core.streams import plain
 
-_NAMES = 4  # nodes named for one source; the others are counted
-_LENGTH = 120  # characters of a node's name that are repeated
+_NAMES = 4  # nodes named per topic or service; further ones are counted
+_LENGTH = 120  # maximum characters of a node's name in a message
 _NAMELESS = "_NODE_NAME_UNKNOWN_"
 
 
 class Duplicates:
-    """Looks for second sources in the graph.
+    """Finds second sources in the graph.
 
     Args:
-        node: asks; its own publishers and servers count as any other's.
-        topics: that one node may publish, relative to the node's namespace.
-        services: that one node may serve, as well.
+        node: reads the graph; its own publishers and servers count too.
+        topics: topics of a single publisher, relative to the node's namespace.
+        services: services of a single server, relative to the node's namespace.
     """
 
     def __init__(self, node: Node, topics: Sequence[str], services: Sequence[str]) -> None:
@@ -35,34 +35,34 @@ class Duplicates:
         self._services = {name: node.resolve_service_name(name) for name in services}
 
     def look(self) -> str:
-        """Return who is double, such as "servo_state from /servo_node and /stranger"; '' = nobody."""
+        """Return the duplicates, such as "servo_state from /servo_node and /stranger"; '' = none."""
         node = self._node
-        told = [
+        duplicates = [
             f"{short} from {publishers(node, name)}"
             for short, name in self._topics.items()
             if node.count_publishers(name) > 1
         ]
-        told += [
-            # Where services are told from topics by other prefixes than those of DDS, servers have no names.
+        duplicates += [
+            # "rr…Reply" is the DDS name of a service; with other middlewares servers have no names.
             f"{short} from {publishers(node, f'rr{name}Reply', no_mangle=True)}"
             for short, name in self._services.items()
             if node.count_services(name) > 1
         ]
-        return "; ".join(told)
+        return "; ".join(duplicates)
 
 
 def publishers(node: Node, topic: str, ids: Collection[bytes] = (b"",), no_mangle: bool = False) -> str:
     """Return the fully qualified names of the nodes that publish a topic, each once.
 
     Args:
-        node: asks.
-        topic: its full name.
-        ids: of the publishers that are asked for; where one of them is empty, of all.
-        no_mangle: whether the name is one of DDS.
+        node: reads the graph.
+        topic: full name.
+        ids: ids of the wanted publishers; an empty id = all.
+        no_mangle: whether the name is a DDS name.
     """
     try:
         found = node.get_publishers_info_by_topic(topic, no_mangle=no_mangle)
-    except UnicodeDecodeError:  # a forged name, which rclpy does not tell
+    except UnicodeDecodeError:  # a forged name, which rclpy cannot decode
         return "nodes whose names cannot be read"
     sources = [each for each in found if b"" in ids or bytes(each.endpoint_gid) in ids]
     counts = Counter(map(_name, sources))

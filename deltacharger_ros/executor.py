@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node is served: one thread for what comes, and workers for callbacks that may wait."""
+"""Executor of a node: one thread for messages and timers, and workers for callbacks that may wait."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ try:
 except ModuleNotFoundError as missing:
     refuse_ros(missing)
 
-_TURN = 3600.0  # s; without an end, `spin` of the PyPI wheels takes a whole core and hangs whoever publishes to it
+_TURN = 3600.0  # s; without a timeout, `spin` of the PyPI wheels uses a full core and blocks publishers
 _WORKERS = 4  # callbacks of one group at once
-_LAST = 5.0  # s for callbacks under way to end when the node closes
+_LAST = 5.0  # s for running callbacks to end when the node closes
 
 
 class Spinner:
-    """Serves one node until it is closed; its `executor`.
+    """Executor of one node, until it is closed.
 
-    Messages, timers, answers and parameters are served by one thread, in their order, and **must not wait**. Services
-    and goals of a ReentrantCallbackGroup may: each group has workers of its own, so none waits for another group's.
-    What belongs to a group that cannot execute is left alone, until its owner calls `wake`.
+    One thread serves messages, timers, answers and parameters in order; their callbacks **must not wait**. Services and
+    goals of a ReentrantCallbackGroup may wait: each group has its own workers, so no group waits for another. Entities
+    of a group that cannot execute are ignored until their owner calls `wake`.
 
     Attributes:
         node: the node.
@@ -58,14 +58,14 @@ class Spinner:
         node.executor = executor
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
-        atexit.register(self._end)  # a thread that serves while Python ends would abort the process
+        atexit.register(self._end)  # a serving thread would abort the process at Python's exit
 
     def is_alive(self) -> bool:
         """Whether callbacks are still served."""
         return self._thread.is_alive() and not self._stop.done()
 
     def close(self, *waitables: Any) -> None:
-        """Close the node while its callbacks still work, then stop serving and release it, its `waitables` first."""
+        """Close the node while its callbacks still work, then stop serving and destroy `waitables` and the node."""
         try:
             self.stop()
         finally:
@@ -74,7 +74,7 @@ class Spinner:
             self.node.destroy_node()
 
     def stop(self) -> None:
-        """Close the node while its callbacks still work, then stop serving; other nodes still see it."""
+        """Close the node while its callbacks still work, then stop serving. The node stays in the graph."""
         try:
             closer = getattr(self.node, "close", None)
             if closer is not None:
@@ -90,11 +90,11 @@ class Spinner:
                 pool.shutdown(wait=False, cancel_futures=True)
 
     def wake(self) -> None:
-        """Look anew at what there is to serve; rclpy calls it where entities come and go."""
+        """Read the node's entities again; rclpy calls it when entities are added or removed."""
         self._events.wake()
 
     def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Let a worker run a callback; rclpy does so with goals."""
+        """Run a callback in a worker; rclpy does so with goals."""
         task: Any = Task(callback, args, kwargs, executor=self._events)
 
         def run() -> None:
@@ -107,17 +107,17 @@ class Spinner:
         return task
 
     def call_soon(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Let the thread that serves run a callback, which must not wait, and return the future of its result.
+        """Run a callback, which must not wait, in the serving thread and return the future of its result.
 
-        So goals are sent: an answer that comes before rclpy's `send_goal_async` has returned is lost (ros2/rclpy#1123),
-        and the thread that sends cannot take one meanwhile.
+        Goals are sent this way: an answer that arrives before rclpy's `send_goal_async` returns would be lost
+        (ros2/rclpy#1123), and the sending thread cannot receive one meanwhile.
         """
         done: Future[Any] = Future()
 
         def run() -> None:
             try:
                 done.set_result(callback(*args, **kwargs))
-            except Exception as error:  # whoever called it hears of it, and others are served on
+            except Exception as error:  # the caller gets it, and serving continues
                 done.set_exception(error)
 
         self._events.create_task(run)
@@ -138,7 +138,7 @@ class Spinner:
             raise self._failure
 
     def _end(self) -> None:
-        """Serve no longer, and wait for the callback that is served now."""
+        """Stop serving, and wait for the current callback."""
         self._halt()
         self._thread.join(_LAST)
 
@@ -155,17 +155,17 @@ class Spinner:
         job.add_done_callback(self._jobs.discard)
 
     def _run(self, work: Callable[..., None], *args: Any) -> None:
-        """Run a callback in a worker; what it raises ends the node, as in its own thread."""
+        """Run a callback in a worker; an exception ends the node, as in the serving thread."""
         try:
             work(*args)
         except BaseException as error:
             if isinstance(error, InvalidHandle) and self._stop.done():
-                return  # nobody is left to be answered
+                return  # no client is left
             self._failure = error
             self._halt()
 
     def _answer(self, service: Any, request: Any, response: Any, header: Any) -> None:
-        """Let a worker of its group serve a request."""
+        """Serve a request in a worker of its group."""
 
         def serve() -> None:
             service.send_response(service.callback(request, response), header)
@@ -174,7 +174,7 @@ class Spinner:
 
 
 class _Served:
-    """A node as its executor sees it: without what cannot execute, and with services that do not wait."""
+    """A node as its executor sees it: without entities that cannot execute, and with non-blocking services."""
 
     def __init__(self, node: Node, answer: Callable[..., None], look_again: Callable[[], None]) -> None:
         self._node = node
@@ -210,7 +210,7 @@ class _Served:
         for waitable in _executable(self._node.waitables):
             try:
                 waitable.get_num_entities()
-            except AttributeError:  # an action client is put into its node before its constructor is done
+            except AttributeError:  # an action client joins its node before its constructor is done
                 self._look_again()
             else:
                 found.append(waitable)
@@ -231,10 +231,10 @@ def _executable(entities: Any) -> list[Any]:
 
 
 class _Deferred:
-    """A service whose requests are handed over instead of being answered.
+    """A service whose requests go to a worker.
 
-    An executor asks a service for a response and then to send it: here the response is the request itself, and to send
-    it is to let a worker serve it.
+    An executor asks a service for a response, then sends it. Here the response is the request itself, and sending it
+    starts a worker that serves it.
     """
 
     def __init__(self, service: Any, answer: Callable[..., None]) -> None:
@@ -244,7 +244,7 @@ class _Deferred:
         self.srv_type = service.srv_type
         self.callback_group = service.callback_group
         self.callback: Callable[[Any, Any], tuple[Any, Any]] = lambda request, response: (request, response)
-        # An attribute: the executor keeps no reference of its own, so that a method would be gone when it is called.
+        # An attribute, because the executor keeps no reference: a bound method would be gone when called.
 
     def send_response(self, asked: tuple[Any, Any], header: Any) -> None:
         self._hand_over(self._service, *asked, header)

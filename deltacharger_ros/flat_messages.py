@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a fixed size, published as bytes in which only the numbers change; stamps from the monotonic clock."""
+"""Publishes messages of fixed size as bytes in which only numbers change; stamps from the monotonic clock."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 _CODES = {"boolean": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float": "f", "double": "d"}
 _SEQUENCE = "sequence<"
-_HEAD = 4  # bytes in front of a message's CDR: its kind
-_LOOK = 0.1  # s between two looks at both clocks
-_LOOKS = 3  # of which the quickest counts: in one of a hundred the thread is interrupted between the clocks
+_HEAD = 4  # bytes of the header of a message's CDR
+_LOOK = 0.1  # s between comparisons of both clocks
+_LOOKS = 3  # readings per comparison; the fastest counts, since one in a hundred is interrupted between the clocks
 
 
 class Stamps:
-    """Translates instants from the monotonic clock to a node's clock; used by one thread.
+    """Converts times from the monotonic clock to a node's clock; used by one thread.
 
-    The difference is measured ten times a second and not for every message: reading ROS time costs as much as filling
-    a message, and meanwhile the two drift apart by 50 ns at most where the system's clock is being slewed. A clock that
-    follows /clock runs at any rate, so there it is measured each time.
+    The offset is measured ten times a second, because reading ROS time costs as much as filling a message. Between
+    measurements the clocks drift apart by at most 50 ns even while the system clock is slewed. If the node follows
+    /clock, whose rate is arbitrary, the offset is measured each time.
 
     Args:
-        clock: of the node.
+        clock: clock of the node.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -38,7 +38,7 @@ class Stamps:
         self._due = -1.0
 
     def convert(self, instant: float) -> tuple[int, int]:
-        """Return `instant` (s, monotonic) as the s and ns of a stamp."""
+        """Return `instant` (s, monotonic) as s and ns of a stamp."""
         now = time.monotonic()
         if self._follows or now >= self._due:
             self._due = now + _LOOK
@@ -47,7 +47,7 @@ class Stamps:
         return divmod(max(int(instant * 1e9) + self._offset, 0), 1_000_000_000)
 
     def _look(self) -> tuple[int, int]:
-        """Return how long, ns, a look at both clocks took, and by how much the node's is ahead."""
+        """Return the duration of one reading of both clocks and the lead of the node's clock, ns."""
         before = time.monotonic_ns()
         there = int(self._clock.now().nanoseconds)
         after = time.monotonic_ns()
@@ -55,21 +55,20 @@ class Stamps:
 
 
 class FlatPublisher:
-    """Publishes one stamped message again and again with other numbers in it.
+    """Publishes one stamped message repeatedly with new numbers.
 
-    ROS serialises the message once, and then numbers are written over its bytes: with servo_state and tactile_frame
-    filled and serialised each time, the bench scene at rest took 8 % more processor time. Where the numbers stand
-    follows from the types of the fields, as plain CDR, and is tried once; where they are read back otherwise, messages
-    are filled and published as usual.
+    ROS serialises the message once; then numbers are written over its bytes. Filling and serialising servo_state and
+    tactile_frame each time cost the bench scene at rest 8 % more processor time. The offsets follow from the field
+    types (plain CDR) and are tested once. If the test fails, messages are filled and published as usual.
 
     Args:
         publisher: of a type with a header.
-        message: every string set, every sequence as long as it shall be and zero.
-        fields: names of the fields that change, in the order of `publish`'s arguments; the stamp always does.
-        stamps: translates the instants of `publish`.
+        message: with every string set, and every sequence at its final length and zero.
+        fields: names of the changing fields, in the order of `publish`'s arguments; the stamp always changes.
+        stamps: converts the times of `publish`.
 
     Attributes:
-        is_flat: whether the message goes out as bytes.
+        is_flat: whether the message is published as bytes.
     """
 
     def __init__(self, publisher: Publisher[Any], message: Any, fields: Sequence[str], stamps: Stamps) -> None:
@@ -88,8 +87,8 @@ class FlatPublisher:
         """Publish the message, stamped `instant` (s, monotonic).
 
         Args:
-            rows: what each field becomes, also one of a single number: a one-dimensional array of its type, of the
-                standard library or of numpy; bytes for uint8 and for booleans.
+            rows: new content of each field, also of a single number: a one-dimensional array of its type (standard
+                library or numpy); bytes for uint8 and booleans.
         """
         sec, nanosec = self._stamps.convert(instant)
         if self.is_flat:
@@ -104,7 +103,7 @@ class FlatPublisher:
         self._publisher.publish(self._message)
 
     def _reads_back(self) -> bool:
-        """Return whether marks, written over the bytes, are read as the fields."""
+        """Return whether test patterns written to the bytes are read back as the fields."""
         bytes_before, before = bytes(self._buffer), [field.value for field in self._fields]
         try:
             for field, view in zip(self._fields, self._views, strict=True):
@@ -113,7 +112,7 @@ class FlatPublisher:
                 field.set(struct.unpack(f"{len(view)}{field.code}", marks))
             kind, usual = type(self._message), serialize_message(self._message)
             return bool(deserialize_message(bytes(self._buffer), kind) == deserialize_message(usual, kind))
-        except Exception:  # each middleware has its own
+        except Exception:  # each middleware raises its own
             return False
         finally:
             self._buffer[:] = bytes_before
@@ -122,10 +121,10 @@ class FlatPublisher:
 
 
 class _Field:
-    """A field of numbers: of a message, or the stamp's.
+    """A numeric field of a message or of its stamp.
 
     Attributes:
-        code: of its numbers, as `struct` calls them.
+        code: `struct` code of its numbers.
     """
 
     def __init__(self, owner: Any, name: str) -> None:
@@ -136,7 +135,7 @@ class _Field:
 
     @property
     def value(self) -> Any:
-        """What the message holds."""
+        """Value in the message."""
         return getattr(self._owner, self._name)
 
     @value.setter
@@ -144,21 +143,21 @@ class _Field:
         setattr(self._owner, self._name, value)
 
     def set(self, row: Sequence[Any]) -> None:
-        """Set it to the numbers of `row`."""
+        """Set the field to the numbers of `row`."""
         values = [bool(value) for value in row] if self.code == "?" else array(self.code, row)
         self.value = values if self._is_sequence else values[0]
 
     def marks(self) -> bytes:
-        """Return as many numbers as it has, in whose bytes an error of place shows."""
+        """Return a test pattern of its size, whose bytes reveal a wrong offset."""
         mark = b"\1" if self.code == "?" else b"ABCDEFGH"[: struct.calcsize(self.code)]
         return mark * (len(self.value) if self._is_sequence else 1)
 
 
 def _places(message: Any, begin: int = 0, prefix: str = "") -> dict[str, tuple[int, int, str]]:
-    """Return where each field of a message stands in its CDR behind the head: begin, end (bytes), code of its numbers.
+    """Return begin, end (bytes behind the CDR header) and `struct` code of each field of a message.
 
-    In plain CDR each number stands at a multiple of its size. A string or sequence is its length as a uint32, then what
-    it holds; a string ends with a zero. Fields of messages in it have dotted names; its own is `prefix`.
+    In plain CDR each number is aligned to its size. A string or sequence is its length as uint32, then its content; a
+    string ends with a zero. Fields of nested messages have dotted names; the message itself has the name `prefix`.
     """
     found: dict[str, tuple[int, int, str]] = {}
     at = begin

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs beside a charger: a node of its own name that has no parameters and no log, served until it is closed."""
+"""Node of a client program: unique name, no parameters, no log, served until it is closed."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Self = TypeVar("Self", bound="Guest")
 
 
 class Guest:
-    """Leaves the graph at the end of a `with` block.
+    """Base of client programs; leaves the graph at the end of a `with` block.
 
     Args:
-        name: what the node's name begins with.
+        name: beginning of the node's name.
         context: a running rclpy context.
-        namespace: of the charger.
+        namespace: namespace of the charger.
 
     Attributes:
-        node: what a guest hears and says goes through it.
+        node: the ROS node.
     """
 
     def __init__(self, name: str, context: Context, namespace: str) -> None:
@@ -40,14 +40,14 @@ class Guest:
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],  # nobody asks a guest
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],  # not needed
         )
         self._spinner: Spinner | None = None
         self._waitables: list[Any] = []  # released before the node
         self._open = True
 
     def serve(self) -> None:
-        """Have the node served from now on."""
+        """Start to serve the node."""
         self._spinner = Spinner(self.node)
 
     def wait(
@@ -57,12 +57,12 @@ class Guest:
         check: Callable[[], None] | None = None,
         stop: threading.Event | None = None,
     ) -> bool:
-        """Wait for `condition`, at most `timeout` s or until `stop` is set, and return whether it came to hold.
+        """Wait for `condition` at most `timeout` s or until `stop` is set; return whether it became true.
 
         Args:
-            condition: asked again and again.
+            condition: polled.
             timeout: s.
-            check: called meanwhile; may raise.
+            check: called at each poll; may raise.
             stop: ends the wait early when set.
         """
         end = time.monotonic() + timeout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and plain values, for more than one package: durations, goals, feedback, results."""
+"""Conversions between ROS messages and plain values: durations, goals, feedback, results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() 
 
 
 def fill_pose(message: Any, pose: Pose) -> None:
-    """Write `pose` into a geometry_msgs/PoseStamped; its stamp stays 0, which no age check applies to."""
+    """Write `pose` into a geometry_msgs/PoseStamped; its stamp stays 0, which is exempt from age checks."""
     message.header.frame_id = pose.frame_id
     message.pose.position.x = float(pose.x)
     message.pose.position.y = float(pose.y)
@@ -39,7 +39,7 @@ def fill_pose(message: Any, pose: Pose) -> None:
 
 
 def duration(length: float) -> Duration:
-    """Return s as a message."""
+    """Return a Duration message of `length` s."""
     whole = math.floor(length)
     return Duration(sec=int(whole), nanosec=min(round((length - whole) * 1e9), 999_999_999))
 
@@ -50,7 +50,7 @@ def seconds(message: Any) -> float:
 
 
 def to_result(kind: Any, outcome: Any, **details: Any) -> Any:
-    """Return the result of an action from how a goal ended, with its further fields."""
+    """Return an action's result message from an outcome and further fields."""
     return kind.Result(
         success=outcome.success,
         error_code=int(outcome.code),
@@ -62,8 +62,8 @@ def to_result(kind: Any, outcome: Any, **details: Any) -> Any:
 
 
 def to_progress(feedback: Any, elapsed: float) -> Progress:
-    """Return a feedback message, heard `elapsed` s after the goal was sent, as plain data."""
-    felt = getattr(feedback, "misalignment", None)  # undock's feedback has none of what follows
+    """Return a feedback message, received `elapsed` s after the goal was sent, as plain data."""
+    misalignment = getattr(feedback, "misalignment", None)  # undock's feedback has no such fields
     return Progress(
         time=elapsed,
         phase=PHASES.get(feedback.state, f"state {feedback.state}"),
@@ -72,12 +72,12 @@ def to_progress(feedback: Any, elapsed: float) -> Progress:
         charge_current=getattr(feedback, "charge_current", math.nan),
         alignments=getattr(feedback, "alignments", 0),
         waiting_for=getattr(feedback, "waiting_for", ""),
-        **{axis: getattr(felt, axis, math.nan) for axis in _AXES},
+        **{axis: getattr(misalignment, axis, math.nan) for axis in _AXES},
     )
 
 
 def to_outcome(action: str, result: Any) -> Outcome:
-    """Return a result of one of our actions as plain data."""
+    """Return a result message of Dock, Undock or ChargeRobot as plain data."""
     return Outcome(
         action=action,
         success=result.success,
@@ -91,20 +91,20 @@ def to_outcome(action: str, result: Any) -> Outcome:
 
 
 def _dock_details(result: Any) -> dict[str, Any]:
-    told = ("contact_current", "contact_force", "charge_current", "energy")
-    felt = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
+    numbers = ("contact_current", "contact_force", "charge_current", "energy")
+    estimates = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
         "redockings": getattr(result, "redockings", 0),
-        "misalignment": {name: getattr(result.misalignment, name) for name in (*felt, "sure", "in_range")},
-        **{name: getattr(result, name) for name in told},
+        "misalignment": {name: getattr(result.misalignment, name) for name in (*estimates, "sure", "in_range")},
+        **{name: getattr(result, name) for name in numbers},
         "suggested_base_pose": _base(result.suggested_base_pose),
     }
 
 
 def _base(suggested: Any) -> dict[str, Any] | None:
-    """Return where the robot should stand: position (m), and yaw (rad) about +y of the frame; None = nowhere else."""
+    """Return the suggested robot pose: position (m) and yaw (rad) about +y of the frame; None = no suggestion."""
     frame, point, turn = suggested.header.frame_id, suggested.pose.position, suggested.pose.orientation
     if not frame:
         return None

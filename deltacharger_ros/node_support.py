@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node of the package shares: a main that always ends safely."""
+"""Main function of every node; it always ends safely."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from deltacharger_core import environment, signals, streams
 from deltacharger_core.exit_timer import exit_within
 from deltacharger_ros.executor import Spinner
 
-_LEAVING = 5.0  # s for a node to leave the network: Fast DDS of Jazzy may wait for itself without end
+_LEAVING = 5.0  # s for a node to leave the network: Jazzy's Fast DDS may deadlock
 
 
 class StartupError(RuntimeError):
-    """A node cannot start as configured; the message says what to change. The process ends with code 2."""
+    """A node cannot start as configured; the message states what to change. The process ends with code 2."""
 
 
 def ros_problem(error: Exception) -> str:
-    """Return in one line what rclpy refused, or '' where `error` is not one of its own."""
+    """Return rclpy's error as one line; '' for any other error."""
     kind = type(error)
     if not kind.__module__.startswith(("rclpy", "_rclpy")):
         return ""
     lines = str(error).strip().splitlines() or [kind.__name__]
-    what = f"unknown ROS arguments {lines[0]}" if kind.__name__ == "UnknownROSArgsError" else lines[0]
-    return f"ROS refuses: {what}; check names, --ros-args, ROS_DOMAIN_ID and ROS_LOG_DIR"
+    problem = f"unknown ROS arguments {lines[0]}" if kind.__name__ == "UnknownROSArgsError" else lines[0]
+    return f"ROS refuses: {problem}; check names, --ros-args, ROS_DOMAIN_ID and ROS_LOG_DIR"
 
 
 def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main of every executable.
+    """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main function of every executable.
 
-    Further signals are ignored until the process has ended. Where its starter asks for that, the end of the starter
-    counts as SIGTERM (deltacharger_core.signals).
+    Later signals are ignored. The end of the starting process counts as SIGTERM if that process asked for it
+    (deltacharger_core.signals).
 
     Args:
         factory: builds the node (its class).
-        args: command line, default sys.argv.
+        args: command line; None = sys.argv.
 
     Returns:
-        Exit code: 0 after a signal, 2 where the node cannot start as configured.
+        Exit code: 0 after a signal, 2 if the node cannot start as configured, 1 if it ended by itself.
     """
     streams.secure()
     stop = signals.listen()
@@ -60,7 +60,7 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
             raise StartupError(problem)
         environment.announce()
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy raises its own kinds for arguments, log folder and domain
+    except Exception as error:  # rclpy raises its own types for arguments, log folder and domain
         streams.write(streams.brief(f"cannot start: {ros_problem(error) or error}"), sys.stderr)
         return 2
     try:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions that wake their node's thread only while somebody needs what comes, or never.
+"""Subscriptions that wake their node's thread only while their messages are needed, or never.
 
-They are matched with their publishers all the time, so that the first message costs no discovery; unneeded, the
-newest messages wait in the reader's history, and nothing of the node runs for them.
+They stay matched with their publishers, so the first message needs no discovery. Until then the newest messages wait in
+the reader's history without any work for the node.
 
-Messages are taken by `Subscription.handle`, as `rclpy.wait_for_message` does: taking a TactileFrame so costs 44 µs of
-processor time, a callback of rclpy's EventsExecutor 102 µs, and one that nobody takes nothing (docs/benchmarks.md). At
-rest a charger's nodes hear 600 messages a second and need few of them.
+Messages are taken by `Subscription.handle`, as in `rclpy.wait_for_message`. Taking a TactileFrame this way costs 44 µs
+of processor time, a callback of rclpy's EventsExecutor 102 µs, an untaken message nothing (docs/benchmarks.md). At
+rest a charger's nodes receive 600 messages a second and need few of them.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from rclpy.qos import QoSProfile
 
 
 class GatedGroup(CallbackGroup):
-    """A group whose callbacks nobody calls until it is open.
+    """A callback group whose callbacks run only while it is open.
 
     Attributes:
-        is_open: whether it is; the node's executor notices when it is woken.
+        is_open: whether it is open; the node's executor reads it when woken.
     """
 
     def __init__(self) -> None:
@@ -42,22 +42,22 @@ class GatedGroup(CallbackGroup):
         return self.is_open
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
+        """Do nothing."""
 
 
 class PolledTopic:
-    """A subscription of which the node's thread knows nothing: whoever calls `take` gets what has come since.
+    """A subscription that its owner polls with `take`, outside the node's thread.
 
     Args:
-        node: subscribes; the depth bounds how many messages are kept between two calls.
+        node: subscriber.
         kind: message class.
-        name: of the topic, relative to the node's namespace.
-        qos: of the subscription.
-        raw: whether messages are left as they came, in bytes.
-        callback: gets what comes while the topic is open, and `take` then what came before.
+        name: topic, relative to the node's namespace.
+        qos: quality of service; its depth bounds how many messages are kept between two calls.
+        raw: whether messages stay bytes.
+        callback: gets messages that arrive while the topic is open; `take` then returns only earlier ones.
 
     Attributes:
-        name: the same, resolved.
+        name: resolved name of the topic.
     """
 
     def __init__(
@@ -79,33 +79,33 @@ class PolledTopic:
 
     @property
     def is_open(self) -> bool:
-        """Whether the node's thread takes what comes and calls the callback."""
+        """Whether the node's thread takes messages and calls the callback."""
         return self._gate.is_open
 
     def set_open(self, is_open: bool) -> None:
-        """Let the node's thread take what comes, or leave it to `take` again."""
+        """Let the node's thread take the messages (True) or leave them to `take` (False)."""
         if is_open != self._gate.is_open:
             self._gate.is_open = is_open
             if self._node.executor is not None:
                 self._node.executor.wake()
 
     def take(self) -> Iterator[tuple[Any, Any]]:
-        """Yield what waits in the reader, each with its times as rclpy tells them (ns)."""
+        """Yield the waiting messages, each with rclpy's message info (times in ns)."""
         subscription = self._subscription
-        with contextlib.suppress(RuntimeError), subscription.handle:  # ROS was shut down meanwhile
+        with contextlib.suppress(RuntimeError), subscription.handle:  # ROS was shut down
             while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
                 yield taken
 
 
 class OnDemandSubscription:
-    """A subscription whose callback is called only while somebody listens.
+    """A subscription whose callback runs only inside `listening`.
 
     Args:
-        node: subscribes.
+        node: subscriber.
         kind: message class.
-        name: of the topic, relative to the node's namespace.
-        callback: gets every message that comes meanwhile, and at the beginning the newest of those before.
-        qos: of the subscription.
+        name: topic, relative to the node's namespace.
+        callback: gets the newest earlier message first, then every new message.
+        qos: quality of service.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class OnDemandSubscription:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Hear the topic meanwhile; any number of threads at once."""
+        """Receive the topic inside the `with` block; several threads may do so at once."""
         self._count(1)
         try:
             yield
@@ -135,37 +135,37 @@ class OnDemandSubscription:
 
 
 class LatestMessage:
-    """The newest message of a topic, for a thread that polls it, or that goes by its pace.
+    """The newest message of a topic, for a thread that polls it or waits for each message.
 
     Args:
-        node: subscribes.
+        node: subscriber.
         kind: message class.
-        name: of the topic, relative to the node's namespace.
-        qos: of the subscription.
+        name: topic, relative to the node's namespace.
+        qos: quality of service.
     """
 
     def __init__(self, node: Node, kind: type[Any], name: str, qos: QoSProfile) -> None:
-        self._came = threading.Event()
-        self._heard: deque[Any] = deque(maxlen=1)
-        self._topic = PolledTopic(node, kind, name, qos, callback=self._hear)
+        self._arrived = threading.Event()
+        self._received: deque[Any] = deque(maxlen=1)
+        self._topic = PolledTopic(node, kind, name, qos, callback=self._on_message)
 
     def take(self) -> Any:
-        """Return the newest message that has come since the last call; None where there is none."""
-        newest = self._heard.pop() if self._heard else None
+        """Return the newest message since the last call; None = none."""
+        newest = self._received.pop() if self._received else None
         for message, _ in self._topic.take():
             newest = message
         return newest
 
     def wait(self, timeout: float) -> None:
-        """Wait until one is there, at most `timeout` s; from now on until `rest`, the node's thread takes all."""
+        """Wait for a message, at most `timeout` s. Until `rest` the node's thread takes all messages."""
         self._topic.set_open(True)
-        if self._came.wait(timeout):
-            self._came.clear()
+        if self._arrived.wait(timeout):
+            self._arrived.clear()
 
     def rest(self) -> None:
-        """Go by the topic's pace no longer."""
+        """Return to polling."""
         self._topic.set_open(False)
 
-    def _hear(self, message: Any) -> None:
-        self._heard.append(message)
-        self._came.set()
+    def _on_message(self, message: Any) -> None:
+        self._received.append(message)
+        self._arrived.set()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client asks of the charger and what it learns, as plain data without ROS types."""
+"""Requests to the charger and their progress and results, as plain data without ROS types."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deltacharger_core.quantity import figure
 
 
 def place(x: float, y: float, z: float, roll: float) -> str:
-    """Return in words where electrodes are: position (m) and roll (rad)."""
+    """Return a position (m) and roll (rad) of electrodes as text."""
     return f"({1e3 * x:.1f}, {1e3 * y:.1f}, {1e3 * z:.1f}) mm, roll {math.degrees(roll):.1f}°"
 
 
@@ -20,7 +20,7 @@ def place(x: float, y: float, z: float, roll: float) -> str:
 class Pose:
     """Midpoint of the target's electrodes: position (m) and roll about z (rad) in the frame `frame_id`.
 
-    charger_base means that of the charger that is asked, whatever its prefix.
+    charger_base means the frame of the addressed charger, also if it has a prefix.
     """
 
     x: float
@@ -35,10 +35,10 @@ class DockRequest:
     """A Dock goal.
 
     Attributes:
-        electrodes: where the electrodes are; None asks the camera.
-        critical_angle: rad; 0 leaves it to the charger, which only accepts a lower one.
-        start_charging: False ends where the electrodes rest with clearance.
-        hold: keep the goal until a stop condition or a cancel.
+        electrodes: pose of the target's electrodes; None = use the camera.
+        critical_angle: rad; 0 = the charger's value, which is also the maximum.
+        start_charging: False = end when the electrodes rest with clearance.
+        hold: keep the goal active until a stop condition or a cancel.
         stop_energy: J to deliver, 0 = no limit.
         stop_after: s of charging, 0 = no limit.
         request_id: returned in docking_state.
@@ -86,9 +86,9 @@ class Outcome:
 
     Attributes:
         action: "dock" or "undock".
-        success: whether it did what was asked.
+        success: whether the goal was reached.
         error_code: 0 or a code of Dock.Result; error_name: its name.
-        error_message: what failed and what to do; of a success what it does not promise, '' = nothing.
+        error_message: what failed and what to do; after a success a notice about its limits ('' = none).
         retriable: the same goal may succeed if sent again.
         elapsed: s that the charger worked on it.
         details: the result's other fields by name, SI units, NaN = not measured.
@@ -111,7 +111,7 @@ class Outcome:
         return flat
 
     def ending(self, failed: str = "failed") -> str:
-        """Return in words how it ended; `failed` is the word for an end without success."""
+        """Return the end as text; `failed`: word for an end without success."""
         if self.success:
             notice = f"; {self.error_message}" if self.error_message else ""
             return f"done in {self.elapsed:.1f} s{notice}"
@@ -119,22 +119,22 @@ class Outcome:
         return f"{failed}, {self.error_code} {self.error_name}: {self.error_message}{retry}"
 
     def figures(self) -> str:
-        """Return the figures of a docking in words, '' of what is none; – = not measured."""
-        told = self.details
-        if not told:
+        """Return the figures of a docking as text; '' for other actions, – = not measured."""
+        details = self.details
+        if not details:
             return ""
-        felt = told["misalignment"]
-        x, y = (figure(1e3 * felt[axis], "", 1) for axis in ("horizontal", "vertical"))
-        angle = figure(math.degrees(felt["angle"]), "", 1)
+        rest = details["misalignment"]
+        x, y = (figure(1e3 * rest[axis], "", 1) for axis in ("horizontal", "vertical"))
+        angle = figure(math.degrees(rest["angle"]), "", 1)
         return (
-            f"charge {figure(told['charge_current'], 'A', 2)}, {figure(told['energy'], 'J', 0)}; "
-            f"contact {figure(told['contact_current'], 'A', 3)}, {figure(told['contact_force'], 'N', 1)}; "
-            f"{told['alignments']} alignments, {told['redockings']} redockings, rest ({x}, {y}) mm and {angle}°"
+            f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}; "
+            f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}; "
+            f"{details['alignments']} alignments, {details['redockings']} redockings, rest ({x}, {y}) mm and {angle}°"
         )
 
 
 def json_ready(value: Any) -> Any:
-    """Return `value` with every NaN and infinity replaced by None, which JSON can carry."""
+    """Return `value` with every NaN and infinity replaced by None, for JSON."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declared parameters as those of a node."""
+"""Declares a package's parameters as ROS parameters of a node."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _WIDER = {Parameter.Type.INTEGER: Parameter.Type.DOUBLE, Parameter.Type.INTEGER_
 
 
 def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})") -> T:
-    """Declare every parameter of a class as one of the node, and return what was given.
+    """Declare every parameter of a class on the node, and return their values.
 
-    A whole number is taken for a float: ROS reads `rate:=50` and YAML's `rate: 50` as integers.
+    Integers are accepted for floats, because ROS reads `rate:=50` and YAML's `rate: 50` as integers.
 
     Args:
-        node: the node that owns them.
+        node: owner of the parameters.
         table: a parameter class without groups.
-        defaults: of the same names, in place of the class's own.
-        form: of the descriptions, see `Declaration.description`.
+        defaults: object with attributes of the same names, in place of the class's defaults.
+        form: format of the descriptions, see `Declaration.description`.
 
     Raises:
         StartupError: a given value has another type, lies outside its bounds or contradicts another one.
@@ -46,14 +46,14 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
 
 
 def was_given(node: Node, name: str) -> bool:
-    """Return whether a parameter was given to the node, so that it has not merely its default."""
-    return name in node._parameter_overrides  # private, and the one place where rclpy tells it
+    """Return whether a parameter was given to the node, and not just left at its default."""
+    return name in node._parameter_overrides  # private, but rclpy's only source for it
 
 
 def reject_unknown(node: Node) -> None:
-    """Stop the node where a parameter was given that it does not have; called when all are declared.
+    """Refuse given parameters that the node does not have; call it after all are declared.
 
-    From now on a whole number that is set for a float is taken too.
+    It also makes later settings accept integers for floats.
 
     Raises:
         StartupError: names the parameter and the nearest known one.
@@ -64,7 +64,7 @@ def reject_unknown(node: Node) -> None:
             hint = did_you_mean(name, sorted(known))
             raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
 
-    described = weakref.WeakMethod(node.describe_parameter)  # a node that fails to start must go at once
+    described = weakref.WeakMethod(node.describe_parameter)  # weak: a node that fails to start must be freed
 
     def widened(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
         describe = described()
@@ -94,7 +94,7 @@ def _declare(node: Node, each: Declaration, default: Any, description: str) -> A
 
 
 def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
-    """Return a parameter with its whole numbers as floats where its type is `wanted` to be that; else as it is."""
+    """Return a parameter with integers converted to floats if `wanted` is the float type; otherwise unchanged."""
     wider = _WIDER.get(given.type_)
     if wider is None or wider.value != wanted:
         return given

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quality of service of the package's topics, as the interface contract states it."""
+"""Quality of service of the package's topics and services."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from rclpy.qos import (
 )
 
 LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""servo_state, charger_power, joint_trajectory: only the newest counts, and it arrives."""
+"""servo_state, charger_power, joint_trajectory: reliable, only the newest counts."""
 
 SENSOR = qos_profile_sensor_data
-"""tactile_frame and images: a late sample is worth nothing."""
+"""tactile_frame and images: late samples are useless."""
 
 STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -25,14 +25,14 @@ STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""docking_state as a subscriber wants it: changes in order. The publisher keeps one, the present, for late ones."""
+"""docking_state for subscribers: changes in order. The publisher keeps only the present state for late subscribers."""
 
 SERVICE = QoSProfile(depth=1000)
-"""Services. Fast DDS queues the answers to all clients with each of them: with the usual depth of 10, others who call
-without end push out the answer of a client whose thread is late by a moment."""
+"""Services. Fast DDS queues the answers to all clients in each client. With the usual depth of 10, clients that call
+continuously push out the answer of a client whose thread is slightly late."""
 
 ACTION: dict[str, Any] = {f"{service}_service_qos_profile": SERVICE for service in ("goal", "result", "cancel")}
-"""Actions, keywords of their clients and servers: their services alike."""
+"""Keyword arguments of action clients and servers: the same depth for their services."""
 
 DEFAULT_DEPTH = 10
 """Depth of the topics with default quality of service."""

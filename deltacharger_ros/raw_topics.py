@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics as the bytes that came over the wire: listened to by the node's thread, or read in batches by another."""
+"""Topics as raw bytes: received by the node's thread, or polled in batches by another thread."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deltacharger_ros.on_demand import PolledTopic
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that is recorded: relative name, message class and quality of service."""
+    """A recorded topic: relative name, message class and quality of service."""
 
     name: str
     kind: Any
@@ -24,16 +24,16 @@ class Topic:
 
 
 def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None]) -> None:
-    """Call `take` with every message of `topics` from now on, undecoded, from the node's thread.
+    """Call `take` with every undecoded message of `topics`, from the node's thread.
 
     Args:
-        node: subscribes.
+        node: subscriber.
         topics: names relative to the node's namespace.
-        take: must be quick.
+        take: must return quickly.
     """
 
     def taker(topic: str) -> Callable[[Any], None]:
-        def on_message(data: Any) -> None:  # without MessageInfo, which rclpy's EventsExecutor cannot hand over
+        def on_message(data: Any) -> None:  # rclpy's EventsExecutor cannot pass MessageInfo
             now = time.time_ns()
             take(Raw(topic, now, now, bytes(data)))
 
@@ -45,18 +45,18 @@ def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None]) -> 
 
 
 class PolledTopics:
-    """Topics of a recording, undecoded, in the order in which they came.
+    """Undecoded topics of a recording, in order of reception.
 
     Args:
-        node: subscribes; the depths of the topics bound how long may pass between two calls.
-        topics: names relative to its namespace.
+        node: subscriber.
+        topics: names relative to its namespace; their depths bound the time between two calls of `take`.
     """
 
     def __init__(self, node: Node, topics: Sequence[Topic]) -> None:
         self._topics = [PolledTopic(node, topic.kind, topic.name, topic.qos, raw=True) for topic in topics]
 
     def take(self) -> list[Raw]:
-        """Return what has come since the last call, in the order of its arrival."""
+        """Return the messages since the last call, in order of reception."""
         found = []
         for topic in self._topics:
             for data, info in topic.take():

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work at a rate that may be set while its node runs."""
+"""Periodic work at a rate that may be set while its node runs."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 
-_LAST = 2.0  # s for the work under way to end when its node closes
+_LAST = 2.0  # s for running work to end when its node closes
 
 
 class Regularly:
-    """A thread that works at a rate; none where the rate is 0.
+    """A thread that works at a rate; no thread at rate 0.
 
     Args:
-        work: is told its period (s) and what is set when it is to end, and returns then.
-        name: of the thread.
+        work: called with its period (s) and an event; it must return when the event is set.
+        name: name of the thread.
     """
 
     def __init__(self, work: Callable[[float, threading.Event], None], name: str) -> None:
@@ -26,19 +26,19 @@ class Regularly:
         self._thread: threading.Thread | None = None
 
     def start(self, rate: float) -> None:
-        """Work at another rate (Hz) from now on, unless it was stopped; does not wait for what is under way."""
+        """Work at a new rate (Hz), unless stopped; does not wait for running work."""
         with self._lock:
             if self._stopped:
                 return
             self._stopping.set()
             self._stopping, self._thread = threading.Event(), None
             if rate > 0.0:
-                told = (1.0 / rate, self._stopping)
-                self._thread = threading.Thread(target=self._work, args=told, name=self._name, daemon=True)
+                arguments = (1.0 / rate, self._stopping)
+                self._thread = threading.Thread(target=self._work, args=arguments, name=self._name, daemon=True)
                 self._thread.start()
 
     def stop(self) -> None:
-        """Work no longer, and wait for what is under way. Safe to call twice."""
+        """Stop, and wait for running work. Safe to call twice."""
         with self._lock:
             self._stopped = True
             self._stopping.set()

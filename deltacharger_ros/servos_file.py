@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node takes its servos for: parameters of its own, or out of a file of measured servos."""
+"""Servo properties of a node: from its parameters or from a file of measured servos."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ T = TypeVar("T")
 
 
 def declare_with_servos(node: Node, table: type[T], follows: Mapping[str, str], form: str = "{text} ({unit})") -> T:
-    """Declare every parameter of a class as one of the node, those of its servos with what `servos_file` says of them.
+    """Declare every parameter of a class on the node; those of its servos take their values from `servos_file`.
 
-    With `servos_file` the file alone decides these, and the parameters show what it says; one that was given beside it
-    must say the same.
+    With a `servos_file` its values are used and shown in the parameters. A parameter that is given as well must have
+    the same value.
 
     Args:
-        node: the node that owns them.
+        node: owner of the parameters.
         table: a parameter class without groups, all of whose parameters have defaults.
-        follows: of each parameter that the file decides, what it is called there.
-        form: of the descriptions, see `Declaration.description`.
+        follows: parameter name to key in the file, for the parameters that the file sets.
+        form: format of the descriptions, see `Declaration.description`.
 
     Raises:
-        StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
+        StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
     """
     file = declare_all(node, ServosFileParameters).servos_file
     if not file:
         return declare_all(node, table, form=form)
     servos = _load(node, file)
-    told = {name: getattr(servos, there) for name, there in follows.items()}
+    measured = {name: getattr(servos, key) for name, key in follows.items()}
     try:
-        usual = dataclasses.replace(table(), **told)  # type: ignore[type-var]
-        given = declare_all(node, table, defaults=usual, form=form)
+        defaults = dataclasses.replace(table(), **measured)  # type: ignore[type-var]
+        given = declare_all(node, table, defaults=defaults, form=form)
     except (node_support.StartupError, ValueError) as error:
         raise node_support.StartupError(f"{error} (servos_file '{file}')") from error
-    for name, value in told.items():
+    for name, value in measured.items():
         if getattr(given, name) != value:
             raise node_support.StartupError(
                 f"{node.get_name()}: parameter '{name}' is {getattr(given, name)!r}, but parameter 'servos_file' "
-                f"('{file}') says {value!r}; the file decides, so remove '{name}' or measure the servos again"
+                f"('{file}') has {value!r}; remove '{name}', or measure the servos again"
             )
     return given
 
@@ -56,9 +56,7 @@ def _load(node: Node, file: str) -> MeasuredServos:
     try:
         return load_servos(where)
     except OSError as error:
-        problem = (
-            f"'{where}' cannot be read: {error.strerror or error}; give a file of measured servos, or leave it out"
-        )
+        problem = f"'{where}' cannot be read: {error.strerror or error}; give a file of measured servos, or remove it"
     except ValueError as error:
         problem = str(error)
     raise node_support.StartupError(f"{node.get_name()}: parameter 'servos_file': {problem}")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tf knows, looked up only when somebody asks: tf2_ros's buffer over /tf and /tf_static.
+"""Lookup of tf transforms on demand: tf2_ros's buffer over /tf and /tf_static.
 
-tf2_ros comes with every ROS installation and not from PyPI. Its TransformListener would take every message of /tf in
-Python, hundreds a second, for a goal an hour; here they wait in the readers' histories, as long as that listener's,
-and go into the buffer when a transform is asked for (docs/benchmarks.md).
+tf2_ros is part of every ROS installation but not on PyPI. Its TransformListener would process every message of /tf in
+Python, hundreds a second, for a goal an hour. Here messages wait in the readers' histories (same depth) and enter the
+buffer when a transform is requested (docs/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from deltacharger_core.rotation import Pose
 from deltacharger_ros.on_demand import PolledTopic
 
 TF, TF_STATIC = "/tf", "/tf_static"
-_DEPTH = 100  # messages, as of TransformListener
-_POLL = 0.02  # s between two looks while a transform is waited for
-_DISCOVERY = 2.0  # s after the start in which a publisher may not be known yet
-_NAMED = 5  # frames that a message lists
-_QUOTED = 60  # characters of a frame's name that a message repeats
-_SET_BACK = 1_000_000_000  # ns by which a clock goes back that begins anew, such as that of a simulation
+_DEPTH = 100  # messages, as in TransformListener
+_POLL = 0.02  # s between polls for a transform
+_DISCOVERY = 2.0  # s after the start during which a publisher may be undiscovered
+_NAMED = 5  # frames listed in a message
+_QUOTED = 60  # maximum characters of a frame's name in a message
+_SET_BACK = 1_000_000_000  # ns; a larger step back of the clock is a restart, e.g. of a simulation
 
 
 class TransformError(ValueError):
-    """A transform cannot be told now; the message says why and what to do. It may come back by itself."""
+    """A transform is not available now, perhaps later. The message states the reason and the remedy."""
 
 
 class UnknownFrame(TransformError):
-    """A frame is not known, or nothing connects it. Asking again does not help."""
+    """A frame is unknown or not connected. A retry does not help."""
 
 
 def installed() -> bool:
@@ -49,8 +49,8 @@ class TfTree:
     """The transforms of a node's tf.
 
     Args:
-        node: subscribes to /tf and /tf_static; its clock tells ages.
-        given: how transforms are waited for and judged.
+        node: subscriber of /tf and /tf_static; ages are by its clock.
+        given: timeout and maximum age of transforms.
 
     Raises:
         ImportError: tf2_msgs is not installed.
@@ -65,29 +65,29 @@ class TfTree:
         self._moving = PolledTopic(node, TFMessage, TF, QoSProfile(depth=_DEPTH))
         self._fixed = PolledTopic(node, TFMessage, TF_STATIC, latched)
         self._lock = threading.Lock()
-        self._waits = threading.Lock()  # held by the one who waits: goals in unknown frames keep no worker from others
-        self._buffer: Any = None  # made when it is first needed: its import takes more memory than the readers
+        self._waits = threading.Lock()  # one waiter at a time: goals in unknown frames must not occupy all workers
+        self._buffer: Any = None  # created when first needed: its import takes more memory than the readers
         self._parents: dict[str, str] = {}
         self._static: dict[str, Any] = {}
-        self._left_out: dict[str, float] = {}  # of frames whose newest transform has a wrong stamp: s before now
+        self._left_out: dict[str, float] = {}  # age (s) of the newest transform of frames with a wrong stamp
         self._last = 0  # ns, the node's clock
         self._started = time.monotonic()
         self._closing = threading.Event()
 
     def close(self) -> None:
-        """End the waiting of whoever waits."""
+        """Wake all waiting threads."""
         self._closing.set()
 
     @property
     def settling(self) -> float:
-        """How long transforms that are published may still take to be heard after the start, s."""
+        """s after the start within which published transforms may still arrive for the first time."""
         patience = self._given.transform_timeout
         if not any(self._node.count_publishers(topic.name) for topic in (self._fixed, self._moving)):
             patience = min(patience, _DISCOVERY)
         return max(0.0, self._started + patience - time.monotonic())
 
     def knows(self, *frames: str) -> bool:
-        """Return whether tf knows all these frames now."""
+        """Return whether tf has all these frames now."""
         with self._lock:
             self._read()
             return all(self._knows(frame) for frame in frames)
@@ -98,8 +98,8 @@ class TfTree:
         Args:
             parent: full name.
             child: full name.
-            stamp: when; None or zero = the newest that tf knows. Where nothing moves between the two, any time will do.
-            timeout: s that it is waited for, by one caller at a time; None = `transform_timeout`.
+            stamp: time of the pose; None or zero = the newest transform. Between fixed frames any time is valid.
+            timeout: s, longest wait; only one caller at a time waits. None = `transform_timeout`.
 
         Raises:
             UnknownFrame: tf does not know a frame, or does not connect them.
@@ -127,7 +127,7 @@ class TfTree:
                 raise TransformError("the node is shutting down; send the goal again when it is back")
 
     def _read(self) -> None:
-        """Give the buffer what has come since the last look."""
+        """Move new messages into the buffer."""
         now = int(self._node.get_clock().now().nanoseconds)
         if self._buffer is None or now < self._last - _SET_BACK:
             self._begin()
@@ -142,7 +142,7 @@ class TfTree:
                 self._take_moving(each)
 
     def _take_moving(self, transform: Any) -> None:
-        """Take a transform, but from the future: the buffer would have it for the newest until that has come."""
+        """Store a transform unless it is from the future: the buffer would treat it as the newest until then."""
         stamp, child = transform.header.stamp, transform.child_frame_id
         age = 1e-9 * (self._last - stamp.sec * 1_000_000_000 - stamp.nanosec)
         if stamp.sec < 0 or age < -self._given.transform_age_max:
@@ -153,13 +153,13 @@ class TfTree:
         self._take(transform, fixed=False)
 
     def _begin(self) -> None:
-        """Begin with an empty buffer, but for what is fixed and was told once."""
+        """Create a new buffer with only the static transforms, which are published once."""
         try:
             from tf2_ros import Buffer
         except ImportError as error:
             raise TransformError(
-                f"tf2_ros is installed and cannot be loaded ({error}): install it and tf2_py anew; poses in "
-                "charger_base need no tf"
+                f"tf2_ros is installed but cannot be loaded ({error}): reinstall it and tf2_py; poses in charger_base "
+                "need no tf"
             ) from error
         self._buffer = Buffer()
         self._parents.clear()
@@ -176,19 +176,19 @@ class TfTree:
         return frame in self._parents or frame in self._parents.values()
 
     def _found(self, parent: str, child: str, stamp: Stamp | None) -> Pose:
-        """Return the pose by what is in the buffer; errors as of `lookup`."""
+        """Return the pose from the buffer; errors as in `lookup`."""
         self._check_connected(parent, child)
         newest = self._ask(parent, child, Time())
         moves = Time.from_msg(newest.header.stamp).nanoseconds
         if stamp is not None and stamp.sec < 0:
-            raise TransformError(f"the stamp is negative (sec {stamp.sec}): send 0, the newest, or the pose's time")
+            raise TransformError(f"the stamp is negative (sec {stamp.sec}): send 0 (newest) or the pose's time")
         at = Time() if stamp is None else Time.from_msg(stamp)
         if not moves or not at.nanoseconds:
             what = f"the transform from {quoted(child)} to {quoted(parent)}"
-            self._check_age(moves, what, "check what publishes it, and clocks")
+            self._check_age(moves, what, "check its publisher and the clocks")
             return _numbers(newest)
-        what = f"the pose in {quoted(parent)}, which moves against {quoted(child)},"
-        self._check_age(at.nanoseconds, what, "send it with stamp 0, the newest, or stamp it when you send it")
+        what = f"the pose in {quoted(parent)}, which moves relative to {quoted(child)},"
+        self._check_age(at.nanoseconds, what, "send it with stamp 0 (newest) or with the time of sending")
         return _numbers(self._ask(parent, child, at))
 
     def _ask(self, parent: str, child: str, at: Time) -> Any:
@@ -200,12 +200,12 @@ class TfTree:
             when = "at the time of its stamp" if at.nanoseconds else "now"
             why = f"{error}{self._wrong_stamp(parent, child)}"
             raise TransformError(
-                f"tf cannot tell {quoted(child)} in {quoted(parent)} {when}: {why}; send the pose with stamp 0, the "
-                "newest, and check what publishes the transforms between them, and clocks"
+                f"tf has no transform of {quoted(child)} in {quoted(parent)} {when}: {why}; send the pose with stamp 0 "
+                "(newest), and check the publishers of the transforms between them and the clocks"
             ) from error
 
     def _wrong_stamp(self, *frames: str) -> str:
-        """Return in words which transform above these frames was left out; '' = none."""
+        """Return as text which transform above these frames was refused for its stamp; '' = none."""
         child = next((each for frame in frames for each in self._above(frame) if each in self._left_out), None)
         if child is None:
             return ""
@@ -215,7 +215,7 @@ class TfTree:
         return f"; the newest transform of {quoted(child)} is stamped {when}, beyond transform_age_max ({limit:g} s)"
 
     def _check_age(self, stamp: int, what: str, remedy: str) -> None:
-        """Refuse what was stamped (ns) too long ago or ahead; 0 = it does not move."""
+        """Refuse a stamp (ns) too far in the past or future; 0 = fixed, no check."""
         age, limit = 1e-9 * (self._last - stamp), self._given.transform_age_max
         if stamp and abs(age) > limit:
             when = f"{age:.1f} s old" if age > 0.0 else f"{-age:.1f} s in the future"
@@ -228,19 +228,19 @@ class TfTree:
         roots = [self._above(frame)[-1] for frame in (parent, child)]
         if roots[0] != roots[1]:
             raise UnknownFrame(
-                f"tf does not connect {quoted(parent)} with {quoted(child)}: they hang on '{roots[0]}' and on "
-                f"'{roots[1]}'; start what publishes the transform between these, such as localization"
+                f"tf does not connect {quoted(parent)} with {quoted(child)}: their roots are '{roots[0]}' and "
+                f"'{roots[1]}'; start the publisher of the transform between these, such as localization"
             )
 
     def _above(self, frame: str) -> list[str]:
-        """Return a frame and all that it hangs on, its root last."""
+        """Return a frame and all its parents, the root last."""
         found = {frame: None}
         while (above := self._parents.get(frame)) is not None and above not in found:
             found[frame := above] = None
         return list(found)
 
     def _known(self, frame: str) -> str:
-        """Return in words which frames there are, the nearest names first."""
+        """Return the known frames as text, nearest names first."""
         known = sorted({*self._parents, *self._parents.values()})
         if not known:
             return "it knows none: nothing publishes to /tf or /tf_static in this domain"
@@ -254,5 +254,5 @@ def _numbers(found: Any) -> Pose:
 
 
 def quoted(frame: str) -> str:
-    """Return a frame's name in quotes, as messages repeat it."""
+    """Return a frame's name, quoted and shortened for messages."""
     return ascii(frame[:_QUOTED])

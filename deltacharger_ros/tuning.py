@@ -19,16 +19,16 @@ T = TypeVar("T")
 
 
 class Tuning(Generic[T]):
-    """Lets the live parameters of a table be set while their node runs; one table a node.
+    """Makes the live parameters of a table settable while their node runs; one table per node.
 
-    What one call sets is taken as a whole or refused as a whole, with the reason in the answer: as rclpy does with
-    what is read-only or has another type, so with what lies outside its bounds, what contradicts another value, and
-    what the node does not take now.
+    One call sets all its values or none, and the answer states the reason. rclpy refuses read-only parameters and wrong
+    types; this class also refuses values outside their bounds, contradicting values, and changes that the node does not
+    accept now.
 
     Args:
-        node: declared the table by `declare_all`, and refuses what it does not know by `reject_unknown`.
-        given: what was declared.
-        take: works with new values from now on and returns '', or returns why it does not; must not wait.
+        node: has declared the table with `declare_all` and called `reject_unknown`.
+        given: the declared values.
+        take: applies new values and returns '', or returns the reason of a refusal; must not wait.
     """
 
     def __init__(self, node: Node, given: T, take: Callable[[T], str]) -> None:
@@ -40,9 +40,9 @@ class Tuning(Generic[T]):
         node.add_on_set_parameters_callback(self._on_set)
 
     def _on_set(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
-        """Take what is about to be set; rclpy has looked at type and access, and no other callback refuses after it."""
-        told = {each.name: each.value for each in parameters if each.name in self._several}
-        changes = {name: tuple(value) if self._several[name] else value for name, value in told.items()}
+        """Apply new values. rclpy has already checked type and access, and no later callback refuses."""
+        values = {each.name: each.value for each in parameters if each.name in self._several}
+        changes = {name: tuple(value) if self._several[name] else value for name, value in values.items()}
         with self._lock:
             try:
                 given = replace(self._given, **changes)  # type: ignore[type-var]
@@ -53,5 +53,5 @@ class Tuning(Generic[T]):
                 return SetParametersResult(successful=False, reason=f"{', '.join(changes)} not set: {reason}")
             self._given = given
         for name, value in changes.items():
-            self._log.info(f"{name} is {value!r} from now on")
+            self._log.info(f"{name} set to {value!r}")
         return SetParametersResult(successful=True)

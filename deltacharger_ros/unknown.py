@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers that measured nothing: unknown is NaN, never 0."""
+"""Messages without measurements: unknown is NaN, never 0."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deltacharger_core.frames import END_EFFECTOR
 
 
 def unknown(message: Any) -> Any:
-    """Set every number that a message of measurements holds to NaN, those of messages in it too; return it."""
+    """Set every float of a message and its nested messages to NaN; return the message."""
     for name, kind in message.get_fields_and_field_types().items():
         value = getattr(message, name)
         if kind in ("float", "double"):
@@ -27,5 +27,5 @@ def unknown(message: Any) -> Any:
 
 
 def unknown_misalignment(frame: str = END_EFFECTOR) -> Misalignment:
-    """Return a message that says nothing was felt: what every Misalignment begins with."""
+    """Return a Misalignment message without any estimate."""
     return unknown(Misalignment(header=Header(frame_id=frame)))

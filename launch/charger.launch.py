@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start a scene's nodes as separate processes, and its simulated hardware as another where the scene has one.
+"""Start a scene's nodes as separate processes, and its simulated hardware, if any, as another process.
 
     ros2 launch deltacharger charger.launch.py scene:=bench servo_port:=/dev/ttyUSB1 namespace:=left record:=true
 
-This file only wires: what runs, and with which parameters, stands in the scene; what the other arguments change of it
-is decided in deltacharger_scenes.overrides. A wrong argument ends the launch before anything starts.
+The scene lists nodes and parameters; deltacharger_scenes.overrides applies the other arguments to it. A wrong argument
+ends the launch before anything starts.
 
-What a launch file that includes this one has set (namespace, parameters, remaps, environment) holds for every process,
-also for nodes that start later than the others, once the simulated hardware has its ports.
+Settings of an including launch file (namespace, parameters, remaps, environment) apply to every process, also to nodes
+that start only after the simulated hardware has its ports.
 
-A node that moves nothing and carries no current is started again when it dies (`may_restart` in node_table). The end of
-any other ends the charger as a whole, docking_node among them, which leaves the arm safe; ros2 launch then ends with 1.
-Where launch itself is killed, its processes notice and end (deltacharger_core.signals).
+A node that moves nothing and carries no current restarts when it dies (`may_restart` in node_table). The end of any
+other process ends the complete charger, including docking_node, which leaves the arm safe; ros2 launch then exits with
+code 1. If launch itself is killed, its processes detect it and end (deltacharger_core.signals).
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ PACKAGE = "deltacharger"
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 OWN = {
     "scene": ("simulated", "name of a scene, or a YAML file"),
-    "namespace": ("", "of the charger"),
+    "namespace": ("", "namespace of the charger"),
     "log_level": ("info", ", ".join(LEVELS)),
 }
 ARGUMENTS = OWN | {item.name: ("", item.text) for item in declared(Overrides)}
-REFUSED = 2  # exit code of a node that cannot start as configured; starting it again would not help
+REFUSED = 2  # exit code of a node that cannot start as configured; a restart would not help
 RESPAWN_DELAY = 1.0  # s
-PATIENCE = ("sigterm_timeout", "sigkill_timeout")  # s that launch waits before it sends these signals
-USUAL_PATIENCE = "15"  # launch's own 5 s are too short for a node that makes its hardware safe on a busy computer
+PATIENCE = ("sigterm_timeout", "sigkill_timeout")  # s before launch sends these signals
+USUAL_PATIENCE = "15"  # launch's 5 s are too short for a node that makes its hardware safe on a busy computer
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -77,26 +77,26 @@ def generate_launch_description() -> LaunchDescription:
 
 def _wire(context: LaunchContext) -> list[Any]:
     refuse_slips(__file__, context.argv, ARGUMENTS)
-    told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    if told["log_level"] not in LEVELS:
-        raise ValueError(f"log_level is '{told['log_level']}'; give one of {', '.join(LEVELS)}")
-    told["namespace"] = _namespace(told["namespace"])
-    told |= {name: LaunchConfiguration(name, default=USUAL_PATIENCE).perform(context) for name in PATIENCE}
-    scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
+    args = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    if args["log_level"] not in LEVELS:
+        raise ValueError(f"log_level is '{args['log_level']}'; give one of {', '.join(LEVELS)}")
+    args["namespace"] = _namespace(args["namespace"])
+    args |= {name: LaunchConfiguration(name, default=USUAL_PATIENCE).perform(context) for name in PATIENCE}
+    scene = override(load_scene(args["scene"]), Overrides(**{item.name: args[item.name] for item in fields(Overrides)}))
     variables = dict(context.environment)
     _choose_network(scene, variables)
     variables |= signals.end_with(os.getpid())
     scoped = _scope(context, variables)
     if scene.simulation is None:
-        started: list[Any] = _nodes(scene, told)
+        started: list[Any] = _nodes(scene, args)
         wired = scoped(started)
     else:
-        started, wired = _simulated(scene, told, _full_namespace(context, told["namespace"]), scoped)
-    return [LogInfo(msg=_what_starts(scene, variables)), *_interrupted(started), *wired]
+        started, wired = _simulated(scene, args, _full_namespace(context, args["namespace"]), scoped)
+    return [LogInfo(msg=_start_message(scene, variables)), *_forward_sigint(started), *wired]
 
 
 def _namespace(text: str) -> str:
-    """Return the argument `namespace`: relative to that of the including launch file, unless it begins with a slash."""
+    """Return the argument `namespace`: relative to the including launch file's, unless it begins with a slash."""
     try:
         return ("/" if text.startswith("/") else "") + namespace(text)
     except argparse.ArgumentTypeError as error:
@@ -104,15 +104,15 @@ def _namespace(text: str) -> str:
 
 
 def _full_namespace(context: LaunchContext, relative: str) -> str:
-    """Return the nodes' whole namespace, without its outer slashes."""
+    """Return the nodes' full namespace, without outer slashes."""
     return (prefix_namespace(context.launch_configurations.get("ros_namespace"), relative) or "").strip("/")
 
 
 def _choose_network(scene: Scene, variables: dict[str, str]) -> None:
-    """Set who reaches the nodes, where nobody has.
+    """Set discovery range and domain unless the user has set them.
 
-    A simulated scene that is launched itself has the domain of simulated chargers, as by `deltacharger up`: a robot on
-    this computer must not hear it. Included by another launch file it has the domain of that one's other nodes.
+    A simulated scene that is launched directly gets the domain of simulated chargers, as with `deltacharger up`, so
+    that robots on this computer do not discover it. If included, it keeps the domain of the including launch file.
     """
     if scene.touches_hardware:
         environment.reach(scene.network, variables)
@@ -122,7 +122,7 @@ def _choose_network(scene: Scene, variables: dict[str, str]) -> None:
         environment.reach("localhost", variables)
 
 
-def _what_starts(scene: Scene, variables: dict[str, str]) -> str:
+def _start_message(scene: Scene, variables: dict[str, str]) -> str:
     domain = environment.domain(variables)
     text = f"scene '{scene.name}' in ROS domain {domain}, open to {environment.openness(variables)}"
     if scene.touches_hardware:
@@ -132,10 +132,10 @@ def _what_starts(scene: Scene, variables: dict[str, str]) -> str:
 
 
 def _scope(context: LaunchContext, variables: dict[str, str]) -> Callable[[list[Any]], list[Any]]:
-    """Return what runs actions, now or later, with the launch configurations of now and these environment variables.
+    """Return a function that wraps actions in the present launch configurations and these environment variables.
 
-    Namespace, parameters and remaps of a launch file that includes this one are launch configurations, which are gone
-    when an event handler runs.
+    Namespace, parameters and remaps of an including launch file are launch configurations, which no longer exist when
+    an event handler runs.
     """
     configurations = copy.deepcopy(dict(context.launch_configurations))
 
@@ -147,38 +147,38 @@ def _scope(context: LaunchContext, variables: dict[str, str]) -> Callable[[list[
     return lambda actions: [GroupAction([OpaqueFunction(function=enter), *actions])]
 
 
-def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:
+def _nodes(scene: Scene, args: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:
     return [
         Node(
             package=PACKAGE,
             executable=name,
-            namespace=told["namespace"],
+            namespace=args["namespace"],
             parameters=[scene.node_parameters(name, ports or {})],
-            arguments=["--ros-args", "--log-level", told["log_level"], "--enclave", f"/{PACKAGE}/{name}"],
+            arguments=["--ros-args", "--log-level", args["log_level"], "--enclave", f"/{PACKAGE}/{name}"],
             output="screen",
             respawn=NODES[name].may_restart,
             respawn_delay=RESPAWN_DELAY,
-            on_exit=_judge,
-            **{name: told[name] for name in PATIENCE},
+            on_exit=_on_exit,
+            **{name: args[name] for name in PATIENCE},
         )
         for name in scene.start_order()
     ]
 
 
-def _judge(event: ProcessExited, context: LaunchContext) -> list[Any]:
-    """End the charger when a part of it has ended, but for those that are started again."""
+def _on_exit(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    """End the charger when a process has ended that does not restart."""
     name = event.action.node_executable if isinstance(event.action, Node) else "the simulated hardware"
     if context.is_shutdown or (name in NODES and NODES[name].may_restart and event.returncode != REFUSED):
         return []
-    why = "cannot start as configured" if event.returncode == REFUSED else f"has ended with {event.returncode}"
+    why = "cannot start as configured" if event.returncode == REFUSED else f"ended with code {event.returncode}"
     reason = f"{name} {why}; ending the charger"
-    # launch ends with 1 where its loop met an error, and with 0 after a Shutdown alone.
+    # launch exits with 1 after an error in its loop, but with 0 after only a Shutdown.
     fail = OpaqueFunction(function=lambda context: context.asyncio_loop.call_exception_handler({"message": reason}))
     return [fail, Shutdown(reason=reason)]
 
 
-def _interrupted(started: list[Any]) -> list[Any]:
-    """Hand on a SIGINT that launch alone has got: it takes for granted that its processes share its terminal."""
+def _forward_sigint(started: list[Any]) -> list[Any]:
+    """Forward a SIGINT that only launch received: launch assumes that its processes share its terminal."""
 
     def interrupt(process: Any) -> None:
         pid = (process.process_details or {}).get("pid")
@@ -202,9 +202,9 @@ def _interrupted(started: list[Any]) -> list[Any]:
 
 
 def _simulated(
-    scene: Scene, told: dict[str, str], full_namespace: str, scoped: Callable[[list[Any]], list[Any]]
+    scene: Scene, args: dict[str, str], full_namespace: str, scoped: Callable[[list[Any]], list[Any]]
 ) -> tuple[list[Any], list[Any]]:
-    """Return all processes, and the actions that start the simulated hardware, then the nodes once it has its ports."""
+    """Return all processes, and the actions that start the simulated hardware and, once its ports exist, the nodes."""
     folder = tempfile.TemporaryDirectory(prefix="deltacharger-", ignore_cleanup_errors=True)
     hardware = ExecuteProcess(
         cmd=[
@@ -214,10 +214,10 @@ def _simulated(
         ],
         name="simulated_charger",
         output="screen",
-        on_exit=_judge,
-        **{name: told[name] for name in PATIENCE},
+        on_exit=_on_exit,
+        **{name: args[name] for name in PATIENCE},
     )
-    nodes = _nodes(scene, told, {port: str(Path(folder.name) / port) for port in ("servo", "board")})
+    nodes = _nodes(scene, args, {port: str(Path(folder.name) / port) for port in ("servo", "board")})
     waiting = list(nodes)
 
     def when_ready(event: ProcessIO) -> list[Any] | None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Show a running charger in RViz: the robot model, its frames, contact force and what the camera found.
+"""Show a running charger in RViz: robot model, frames, contact force and the camera's detection.
 
     ros2 launch deltacharger view.launch.py namespace:=left geometry_file:=arm.yaml mount_file:=mount.yaml
 
-The charger itself is started by charger.launch.py or `deltacharger up`. Needs robot_state_publisher, rviz2 and xacro.
+Start the charger with charger.launch.py or `deltacharger up`. Needs robot_state_publisher, rviz2 and xacro.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from launch import LaunchContext, LaunchDescription
 
 SHARE = Path(__file__).resolve().parents[1]
 MODEL = {
-    "geometry_file": ("", "as kinematics_node's parameter"),
-    "mount_file": ("", "as electrode_detector_node's parameter"),
-    "base_pose": ("0 0 0 0.5 0.5 0.5 0.5", "charger_base in base_link: x y z, x y z w"),
+    "geometry_file": ("", "same as kinematics_node's parameter"),
+    "mount_file": ("", "same as electrode_detector_node's parameter"),
+    "base_pose": ("0 0 0 0.5 0.5 0.5 0.5", "pose of charger_base in base_link: x y z, x y z w"),
 }
 ARGUMENTS = {
-    "namespace": ("", "of the charger"),
+    "namespace": ("", "namespace of the charger"),
     **MODEL,
-    "frame_prefix": ("", "of the charger's frames, as its nodes' parameter; base_link has none"),
-    "joint_prefix": ("", "of joint_states, as servo_node's parameter"),
-    "rviz": ("true", "false: only the robot model and tf"),
+    "frame_prefix": ("", "prefix of the charger's frames, same as its nodes' parameter; base_link has none"),
+    "joint_prefix": ("", "prefix of joint_states, same as servo_node's parameter"),
+    "rviz": ("true", "false: publish only robot model and tf"),
 }
 
 
@@ -52,14 +52,14 @@ def _wire(context: LaunchContext) -> list[Any]:
     from launch_ros.parameter_descriptions import ParameterValue
 
     refuse_slips(__file__, context.argv, ARGUMENTS)
-    told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    told |= {name: _read(name, told[name]) for name in FILES if told[name]}
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given |= {name: _read(name, given[name]) for name in FILES if given[name]}
     description = xacro.process_file(
         str(SHARE / "urdf" / "deltacharger.urdf.xacro"),
-        mappings={"prefix": told["frame_prefix"], **{name: told[name] for name in ("joint_prefix", *MODEL)}},
+        mappings={"prefix": given["frame_prefix"], **{name: given[name] for name in ("joint_prefix", *MODEL)}},
     ).toxml()
-    namespace = told["namespace"]
-    given = {name: told[name] for name in ("geometry_file", "frame_prefix", "joint_prefix") if told[name]}
+    namespace = given["namespace"]
+    parameters = {name: given[name] for name in ("geometry_file", "frame_prefix", "joint_prefix") if given[name]}
     nodes = [
         Node(
             package="robot_state_publisher",
@@ -67,9 +67,9 @@ def _wire(context: LaunchContext) -> list[Any]:
             namespace=namespace,
             parameters=[{"robot_description": ParameterValue(description, value_type=str)}],
         ),
-        Node(package="deltacharger", executable="passive_joints_node", namespace=namespace, parameters=[given]),
+        Node(package="deltacharger", executable="passive_joints_node", namespace=namespace, parameters=[parameters]),
     ]
-    if told["rviz"].lower() in ("true", "1"):
+    if given["rviz"].lower() in ("true", "1"):
         config = str(SHARE / "config" / "charger.rviz")
         nodes.append(
             Node(
@@ -84,7 +84,7 @@ def _wire(context: LaunchContext) -> list[Any]:
 
 
 def _read(argument: str, text: str) -> str:
-    """Return the whole path of a file that can be read: xacro looks beside its own file."""
+    """Check a file and return its absolute path: xacro resolves relative paths from its own file."""
     path = given_path(text).absolute()
     try:
         FILES[argument](path)

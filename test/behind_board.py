@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos that hang on a board: what opens their port reaches them through tactile_node's end of the link."""
+"""Emulated servos connected to a board; their port reaches them through tactile_node's end of the link."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ SERVO_TESTS = (
     "test_servo_controller_trajectory",
     "test_servo_watchdog",
 )
-"""Modules of the driver whose tests hold for servos behind a board as well, and their fixtures."""
+"""Driver test modules that also apply to servos behind a board, and their fixtures."""
 
 
 class BehindEmulator:
-    """Servos behind the emulated board, in place of the `PseudoTerminal` on which they would be by themselves."""
+    """Servos behind the emulated board, in place of their own `PseudoTerminal`."""
 
     def __init__(self, device: ServoBusEmulator, link: Path | None = None) -> None:
         self._folder = tempfile.TemporaryDirectory("", "deltacharger-")
@@ -52,7 +52,7 @@ class BehindEmulator:
         return self.board.servos.speed
 
     def start(self) -> BehindEmulator:
-        """Plug the board in; the servos' port is there when this returns."""
+        """Plug the board in, and wait for the servos' port."""
         self._plug()
         self._keeper = BoardKeeper(
             str(Path(self._folder.name) / "board"),
@@ -74,7 +74,7 @@ class BehindEmulator:
         self._cable.stop()
 
     def stop(self) -> None:
-        """Pull the board's cable, and with it the servos' port. Safe to call twice."""
+        """Unplug the board, and with it the servos' port. Safe to call twice."""
         if self._keeper is not None:
             self._unplug()
             self._keeper.close()
@@ -88,7 +88,7 @@ class BehindEmulator:
 
 
 class BehindFirmware(BehindEmulator):
-    """The same behind the firmware's host program."""
+    """Servos behind the firmware's host program."""
 
     program: ClassVar[Path]
 
@@ -125,7 +125,7 @@ class BehindFirmware(BehindEmulator):
 
 
 def behind(kind: type[BehindEmulator]) -> object:
-    """Return what stands in for `PseudoTerminal`: servos are behind a board, other devices where they were."""
+    """Return a replacement of `PseudoTerminal` that puts servos behind a board and other devices on own ports."""
 
     def terminal(device: ByteDevice, link: Path | None = None) -> PseudoTerminal | BehindEmulator:
         return kind(device, link) if isinstance(device, ServoBusEmulator) else PseudoTerminal(device, link)

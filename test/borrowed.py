@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's own tests, loaded anew for other hardware: another board, another way to the servos."""
+"""Loads the driver's tests again for other hardware: another board, another connection of the servos."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from types import ModuleType
 
 
 def anew(name: str, group: str, **others: object) -> ModuleType:
-    """Return a test module of the driver in which other objects stand under some names.
+    """Return a newly loaded test module of the driver in which some names refer to other objects.
 
-    It is loaded anew, and with it what it imports from beside it; the driver's own modules stay as they are.
+    Modules beside it that it imports are also loaded again; the original modules stay unchanged.
 
     Args:
-        name: of the module.
-        group: of modules that get the same others; they share what is beside them.
-        others: by the names that they take over.
+        name: module name.
+        group: modules of one group share the modules beside them.
+        others: replacements by name.
     """
     if group not in sys.modules:
         package = ModuleType(group)
@@ -30,7 +30,7 @@ def anew(name: str, group: str, **others: object) -> ModuleType:
 
 
 def borrowed_tests(module: ModuleType, without: set[str]) -> dict[str, object]:
-    """Return a module's tests and fixtures by name, but those `without`, all of which it must have."""
+    """Return a module's tests and fixtures by name, except those in `without`, which must exist."""
     assert vars(module).keys() >= without
     return {
         name: value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chargers made of mocks, quick enough for tests, each in a namespace of its own on this machine only."""
+"""Chargers of mocks, fast enough for tests, each in its own namespace and only on this computer."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from .workers import stay_apart
 stay_apart()
 environment.prepare()
 
-ENDS = 100.0  # s that a program may take to its end: the pictures of a command take a loaded machine more than a minute
+ENDS = 100.0  # s for a program to end: on a busy computer a command's pictures take more than a minute
 _numbers = itertools.count()
 Spin = Callable[[Any], Any]
 
 
 def hear_hangups() -> None:
-    """Undo, in a child, that these tests may have been started by nohup."""
+    """Enable SIGHUP in a child, because nohup may have started these tests."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Process:
-    """A program under test; its output is read all the time."""
+    """A program under test, with its output read continuously."""
 
     def __init__(self, *words: str) -> None:
         self.process = subprocess.Popen(
@@ -68,7 +68,7 @@ class Process:
         wait_until(seen, f"'{text}' from {self.process.args}")
 
     def end(self, number: int | None = None) -> int:
-        """Send a signal and return the exit code; a process that hangs says where, in its standard error."""
+        """Send a signal and return the exit code; a hanging process prints its stack to standard error."""
         if number is not None:
             self.process.send_signal(number)
         hangs = False
@@ -86,7 +86,7 @@ class Process:
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., Process]]:
-    """Start programs; those that still run at the end of the test are killed."""
+    """Start programs; at the end of the test running ones are killed."""
     running: list[Process] = []
 
     def run(*words: str) -> Process:
@@ -107,7 +107,7 @@ def deltacharger() -> tuple[str, ...]:
 
 
 def dock_at_last(client: Any, request: Any) -> Any:
-    """Dock with success; what a computer that stood still spoilt is tried again, as a fleet would."""
+    """Dock successfully; retry, as a fleet would, after failures caused by a stall of the computer."""
     end = time.monotonic() + DEADLINE
     while not (outcome := client.dock(request, deadline=DEADLINE)).success:
         assert time.monotonic() < end, outcome
@@ -125,7 +125,7 @@ def quick_scene(quick_file: Path) -> Scene:
 
 
 def new_namespace() -> str:
-    """Return a namespace that no other test of any running session uses."""
+    """Return a unique namespace."""
     return f"test_{os.getpid()}_{next(_numbers)}"
 
 
@@ -148,7 +148,7 @@ def context() -> Iterator[Any]:
 
 @pytest.fixture
 def spin() -> Iterator[Spin]:
-    """Serve nodes, each of which is returned, until the test ends; the last is closed first."""
+    """Serve nodes until the test ends; the last is closed first. Returns the given node."""
     from deltacharger_ros.executor import Spinner
 
     running: list[Spinner] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the suite (real devices for the driver's contract, what it may do with them) and its stall watch."""
+"""Options of the suite (real devices for the driver's contract tests, and what these may do) and its stall watch."""
 
 from __future__ import annotations
 

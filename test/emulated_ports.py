@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos, an emulated board and a device that is neither, each behind a real pseudo-terminal.
+"""Emulated servos, an emulated board and another device, each behind a real pseudo-terminal.
 
-A conftest.py beside the tests that want these fixtures names them.
+A conftest.py imports these fixtures for the tests beside it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ IDS = (1, 2, 3)
 
 
 class Babbler:
-    """A device that answers everything by the same; b"" is a cable with nothing behind it."""
+    """A device that always sends the same answer; b"" is an open cable."""
 
     def __init__(self, answer: bytes) -> None:
         self._answer = answer
@@ -38,7 +38,7 @@ class Babbler:
 
 
 def written(servos: ServoBusEmulator) -> dict[tuple[int, str], int]:
-    """Everything that a host could have written, of each servo."""
+    """Every writable register of each servo."""
     return {
         (servo, name): servos.servo(servo).table.get(name)
         for servo in IDS
@@ -72,7 +72,7 @@ def board_port(board: BoardEmulator) -> Iterator[str]:
 
 @pytest.fixture
 def one_cable(servos: ServoBusEmulator) -> Iterator[str]:
-    """The port of a board that the servos hang on."""
+    """The port of a board with connected servos."""
     carrier = BoardEmulator(BenchPlant(), servos=servos)
     servos.line_speed = lambda: carrier.servos.speed
     with PseudoTerminal(carrier) as terminal:

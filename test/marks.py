@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single cases of a parametrised test that show by more what the others show: part of `make test-rest`."""
+"""Marks additional cases of a parametrised test for `make test-rest`."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import pytest
 
 
 def slow(*values: Any) -> Any:
-    """Return one case that is marked slow."""
+    """Return one case marked slow."""
     return pytest.param(*values, marks=pytest.mark.slow)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS nodes as tests make and ask them; `spin` in chargers.py serves them."""
+"""Helpers to create and call ROS nodes in tests; `spin` in chargers.py serves them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from rclpy.parameter import Parameter
 from .waiting import DEADLINE
 
 TELLS_PUBLISHERS = hasattr(rclpy.subscription, "MessageInfo")
-"""Whether rclpy tells with a message who published it: Kilted's does."""
+"""Whether rclpy's message info has the publisher's id, as in Kilted."""
 
 
 def options(context: Any, namespace: str = "", **parameters: Any) -> dict[str, Any]:
-    """Return what a node is made with, so that it takes nothing from pytest's own command line."""
+    """Return constructor arguments of a node, isolated from pytest's command line."""
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     return {
         "context": context,
@@ -34,7 +34,7 @@ def call(client: Any, request: Any) -> Any:
 
 
 def answer(future: Any) -> Any:
-    """Return what a future comes to, as soon as it does."""
+    """Wait for a future and return its result."""
     came = threading.Event()
     future.add_done_callback(lambda _: came.set())
     assert came.wait(DEADLINE), f"waited {DEADLINE:g} s for an answer"
@@ -42,7 +42,7 @@ def answer(future: Any) -> Any:
 
 
 def numbers(message: Any) -> Iterator[float]:
-    """Yield every floating-point number of a message, those of messages in it too."""
+    """Yield every floating-point number of a message and its nested messages."""
     for name, kind in message.get_fields_and_field_types().items():
         value = getattr(message, name)
         if hasattr(value, "get_fields_and_field_types"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of docking with which it takes 5 s in place of 25, for laws that hold at any speed."""
+"""Docking parameters that reduce a docking from 25 s to 5 s, for laws that hold at any speed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from deltacharger_scenes.scene import Scene, load_scene
 
 DAMPING = 0.3
-"""Damping of the servos that these steps need."""
+"""Servo damping that these steps need."""
 STEPS = {
     "servo_damping": DAMPING,
     "standoff": 0.008,
@@ -29,11 +29,11 @@ SCENE = {
     "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": DAMPING}}},
     "parameters": {"docking_node": STEPS},
 }
-"""A whole simulated charger whose target stands where it is told."""
+"""A complete simulated charger whose target is exactly at the given pose."""
 
 
 def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
-    """Return a packaged scene of the simulated charger with such servos and steps, or others in their place."""
+    """Return a packaged scene of the simulated charger with these servos and steps, or with given ones."""
     packaged = load_scene(name)
     assert packaged.simulation is not None
     world = packaged.simulation.world

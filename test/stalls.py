@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A test that failed while this computer stood still is run once more, and the summary says so.
+"""Repeats a test once that failed during a stall of the computer, and reports it in the summary.
 
-The tests hold real deadlines: a heartbeat is lost after 95 ms, a lease lapses after 250 ms. A virtual machine that
-is not served for that long loses them as a robot's computer would, and the test then shows nothing about the code.
-A thread sleeps, then sends itself a byte through a pseudo-terminal, and measures how late that is; where it is on time,
-a failure stands. Why a byte: the kernel's workers of each processor pass it on, and beside load those of one processor
-took 156 ms while threads, pipes and the other processor were on time. So the thread changes processors.
+Tests have real deadlines: a heartbeat is lost after 95 ms, a lease ends after 250 ms. A stalled virtual machine misses
+them like a robot's computer would, and the failure then shows nothing about the code. A thread sleeps, sends itself a
+byte through a pseudo-terminal and measures the delay. Without delay a failure stands. The byte is needed because each
+processor's kernel workers pass it on: under load those of one took 156 ms while threads, pipes and the other processor
+were on time. So the thread changes processors.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from typing import Any
 import pytest
 from _pytest.runner import runtestprotocol
 
-STALL = 0.022  # s; a servo's reply that comes later is lost, the tightest deadline that the tests hold
+STALL = 0.022  # s; a later reply of a servo is lost: the tightest deadline of the tests
 _NAP = 0.01  # s
 
 
 class StallWatch:
-    """Plugin: measures stalls beside every test and repeats a failed one that was hit by a stall."""
+    """Plugin that measures stalls during every test and repeats a test that failed during a stall."""
 
     def __init__(self) -> None:
         self._longest = 0.0
@@ -51,17 +51,17 @@ class StallWatch:
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         self._end.set()
-        if hasattr(session.config, "workeroutput"):  # of a worker, which has no terminal
+        if hasattr(session.config, "workeroutput"):  # in a worker, which has no terminal
             session.config.workeroutput["repeated"] = self._repeated
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        """Take over what a worker repeated."""
+        """Collect the tests that a worker repeated."""
         self._repeated += getattr(node, "workeroutput", {}).get("repeated", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
-        """Run one test; twice where the first run failed beside a stall."""
+        """Run one test, and again if the first run failed during a stall."""
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
         self._longest = 0.0
         reports = runtestprotocol(item, nextitem=nextitem, log=False)

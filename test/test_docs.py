@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation is true where that can be checked: links lead somewhere, commands parse, what is named exists."""
+"""Checks the documentation: links have targets, commands parse, names exist."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def anchors(path: Path) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     for target in _LINK.findall(prose(page.read_text(encoding="utf-8"))):
         if re.match(r"[a-z]+:", target):
             continue
@@ -75,7 +75,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 
 def commands(page: Path) -> Iterator[str]:
-    """Yield what stands behind `deltacharger` in the page's blocks, indented ones too; a backslash joins lines."""
+    """Yield the arguments of `deltacharger` commands in the page's code blocks; a backslash joins lines."""
     text = page.read_text(encoding="utf-8")
     blocks = [found[2] for found in _FENCE.findall(text)]
     blocks.append("\n".join(line for line in prose(text).splitlines() if line.startswith("    ")))
@@ -87,7 +87,7 @@ def commands(page: Path) -> Iterator[str]:
 
 
 def options_of(command: str) -> list[str]:
-    """Return a command's words as the shell would: without comment and redirections; [what is optional] is given."""
+    """Return a command's words without comment and redirections, [optional parts] included."""
     words = []
     for word in shlex.split(command.replace("[", " ").replace("]", " "), comments=True):
         if word in _ENDS:
@@ -109,14 +109,14 @@ def test_every_command_parses(page: str, command: str, capsys: pytest.CaptureFix
             pytest.fail(f"{page}: deltacharger {command}\n{capsys.readouterr().err}")
 
 
-def test_the_commands_were_found() -> None:
+def test_commands_are_found() -> None:
     assert len(COMMANDS) > 50
     assert {words.split()[0] for _, words in COMMANDS} >= {"up", "dock", "undock", "doctor", "calibrate", "tactile"}
 
 
 @cache
 def definitions(path: Path) -> frozenset[str]:
-    """Return what a module defines, dotted: functions, classes, constants, methods and attributes of classes."""
+    """Return dotted names defined by a module: functions, classes, constants, methods and attributes."""
     found: set[str] = set()
 
     def take(body: list[ast.stmt], prefix: str) -> None:
@@ -144,14 +144,14 @@ def is_defined(name: str) -> bool:
 
 
 def is_there(name: str) -> bool:
-    """Return whether a path exists: from the repository's root, or the name of a file or folder/ in any package."""
+    """Return whether a path exists: from the repository root, or a file or folder/ name in any package."""
     if (ROOT / name).exists():
         return True
     name = name.removesuffix("/")
     return "/" not in name and any(True for package in PACKAGES for _ in package.rglob(name))
 
 
-def test_everything_named_in_the_tour_exists() -> None:
+def test_every_name_in_the_tour_exists() -> None:
     missing = []
     for quoted in _QUOTED.findall(prose(TOUR.read_text(encoding="utf-8"))):
         if " " in quoted or quoted.startswith("-") or quoted in _FILE_SUFFIXES:
@@ -161,11 +161,11 @@ def test_everything_named_in_the_tour_exists() -> None:
                 missing.append(quoted)
         elif _DOTTED.fullmatch(quoted) and not is_defined(quoted):
             missing.append(quoted)
-    assert not missing, f"docs/tour.md names what does not exist: {', '.join(missing)}"
+    assert not missing, f"docs/tour.md has unknown names: {', '.join(missing)}"
 
 
 def threads() -> Iterator[tuple[Path, str]]:
-    """Yield the module and the function of every thread that the packages start."""
+    """Yield module and function of every thread started by the packages."""
     for package in PACKAGES:
         for path in sorted(package.rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -176,8 +176,8 @@ def threads() -> Iterator[tuple[Path, str]]:
 
 
 def test_the_tour_names_every_thread() -> None:
-    told = TOUR.read_text(encoding="utf-8").partition("### Every thread")[2].partition("\n## ")[0]
-    rows = [row for row in told.splitlines() if row.startswith("| `")]
+    section = TOUR.read_text(encoding="utf-8").partition("### Every thread")[2].partition("\n## ")[0]
+    rows = [row for row in section.splitlines() if row.startswith("| `")]
     found = list(threads())
     assert len(found) > 10
     for path, function in found:
@@ -186,7 +186,7 @@ def test_the_tour_names_every_thread() -> None:
         assert named, f"docs/tour.md, 'Every thread': a row for {module} ({function}) is missing"
 
 
-def test_every_code_stands_in_the_table_with_what_retrying_is_worth() -> None:
+def test_the_table_lists_every_code_and_whether_it_is_retriable() -> None:
     page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
     rows = {
         cells[1].strip(): [cell.strip() for cell in cells]
@@ -208,7 +208,7 @@ def test_every_code_stands_in_the_table_with_what_retrying_is_worth() -> None:
             assert again not in ("yes", "no"), name
 
 
-def test_the_index_names_every_page() -> None:
+def test_the_index_lists_every_page() -> None:
     index = ROOT / "docs" / "README.md"
     linked = {
         (index.parent / each.partition("#")[0]).resolve() for each in _LINK.findall(index.read_text(encoding="utf-8"))

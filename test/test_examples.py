@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file in examples/ runs as it stands and prints what its docstring promises."""
+"""Every file in examples/ runs unchanged and prints what its docstring promises."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DOMAIN = (int(os.environ["ROS_DOMAIN_ID"]) + 5) % (LARGEST_DOMAIN + 1)
 """Of no other test: those of two workers are ten apart (workers.py)."""
 ENVIRONMENT = {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
-# File, options, module without which it is skipped, and what it prints: regular expressions in their order.
+# File, options, module without which it is skipped, and its output: regular expressions in order.
 RUNS: tuple[tuple[str, Sequence[str], str, Sequence[str]], ...] = (
     (
         "ik_in_ten_lines.py",
@@ -91,7 +91,7 @@ def _run(name: str, *words: str, folder: Path) -> subprocess.CompletedProcess[st
 
 
 @pytest.mark.parametrize(("name", "options", "module", "printed"), RUNS, ids=[run[0] for run in RUNS])
-def test_it_prints_what_it_promises(
+def test_each_example_prints_its_promised_output(
     name: str, options: Sequence[str], module: str, printed: Sequence[str], tmp_path: Path
 ) -> None:
     if module:

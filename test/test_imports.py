@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may import whom: libraries below, ROS as a thin shell on top, no arrow up, no two files importing each other."""
+"""Import rules: libraries below, ROS as a thin layer on top, no upward imports, no two files importing each other."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-BELOW = {  # package: the packages that it may import; deltacharger_ is left out
+BELOW = {  # package: the packages that it may import, without the prefix deltacharger_
     "core": "",
     "ros": "core",
     "kinematics": "core",
@@ -42,14 +42,14 @@ def package_of(path: Path) -> str:
 
 @cache
 def imported(path: Path, *, at_once: bool = False) -> frozenset[str]:
-    """Return the dotted names that a file imports; `at_once`: with its own import alone, not inside functions."""
+    """Return the dotted names that a file imports; `at_once`: without imports inside functions."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found = set()
     for node in tree.body if at_once else ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{path}:{node.lineno}: write the whole name of what is imported"
+            assert not node.level, f"{path}:{node.lineno}: use an absolute import"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return frozenset(found)
 
@@ -66,7 +66,7 @@ def test_imports_point_downward() -> None:
         assert ours <= allowed, f"{path} may not import {sorted(ours - allowed)}"
 
 
-def test_libraries_know_no_ros() -> None:
+def test_libraries_do_not_import_ros() -> None:
     for path in FILES:
         if package_of(path) in KNOWS_ROS or is_shell(path):
             continue
@@ -75,14 +75,14 @@ def test_libraries_know_no_ros() -> None:
         assert not ros | shells, f"{path} is a library and may not import {sorted(ros | shells)}"
 
 
-def test_no_room_below_scenes_imports_the_node_of_another() -> None:
+def test_no_package_below_scenes_imports_the_node_of_another() -> None:
     for path in FILES:
         if package_of(path) in ("scenes", "lab", "bringup"):  # which start nodes, or read what they declare
             continue
         others = {module_of(name) for name in imported(path)} - {""}
         foreign = {name for name in others if package_of(MODULES[name]) != package_of(path)}
         nodes = {name for name in foreign if name.endswith(("_node", "_node_io"))}
-        assert not nodes, f"{path}: what {sorted(nodes)} shares belongs into its package's ros/"
+        assert not nodes, f"{path}: move the shared part of {sorted(nodes)} to its package's ros/"
 
 
 def test_heavy_modules_are_imported_where_used() -> None:
@@ -91,7 +91,7 @@ def test_heavy_modules_are_imported_where_used() -> None:
 
 
 def module_of(name: str) -> str:
-    """Return the module of ours that an imported name is, or stands in; '' where it is not ours."""
+    """Return our module that an imported name is or belongs to; '' = not ours."""
     return name if name in MODULES else name.rpartition(".")[0] if name.rpartition(".")[0] in MODULES else ""
 
 
@@ -111,11 +111,11 @@ def test_no_two_public_classes_have_one_name() -> None:
     assert not messages & homes.keys(), "a class that is no message has a message's name"
 
 
-def test_every_package_has_its_place() -> None:
+def test_every_package_is_in_the_layer_table() -> None:
     assert {package_of(path) for path in FILES} == set(BELOW)
     order = list(BELOW)
     assert all(order.index(below) < order.index(package) for package in BELOW for below in BELOW[package].split())
 
 
-def test_no_module_is_longer_than_one_idea() -> None:
+def test_no_module_is_too_long() -> None:
     assert not {str(path.relative_to(ROOT)): n for path in FILES if (n := len(path.read_text().splitlines())) > 350}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pyproject.toml and package.xml promise: few hard libraries, each with its reason; a licence on every file."""
+"""Rules of pyproject.toml and package.xml: few required libraries, each with its reason; a licence on every file."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ HARD = {  # distribution: rosdep key
     "ros-std-srvs": "std_srvs",
     "ros-trajectory-msgs": "trajectory_msgs",
 }
-_INTERFACES = {"ros-builtin-interfaces", "ros-std-srvs"}  # the README says "the ros-…-msgs" of them all
+_INTERFACES = {"ros-builtin-interfaces", "ros-std-srvs"}  # the README summarises them as "the ros-…-msgs"
 MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" not in name} | set(HARD.values())
-# rosdep keys, as in ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then those of
-# rosdep/python.yaml. A key that is added here was looked up there.
+# rosdep keys of ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then keys of rosdep/python.yaml.
+# Look a new key up there before you add it here.
 RELEASED = {
     "ament_cmake",
     "ament_cmake_pytest",
@@ -90,7 +90,7 @@ def keys(*tags: str) -> set[str]:
 
 
 def asked_for(extras: str = "") -> set[str]:
-    """Return what rosdep installs to run the package, with this value of DELTACHARGER_EXTRAS; it and colcon read so."""
+    """Return the packages that rosdep installs with this value of DELTACHARGER_EXTRAS; colcon reads it the same way."""
     package = parse_package_string((ROOT / "package.xml").read_text(encoding="utf-8"))
     package.evaluate_conditions({"DELTACHARGER_EXTRAS": extras} if extras else {})
     return {each.name for each in package.exec_depends if each.evaluated_condition}
@@ -103,13 +103,13 @@ def sources() -> Iterator[Path]:
     yield ROOT / "setup.py"
 
 
-def test_hard_libraries_are_those_that_every_charger_needs_and_ros_gets_them_too() -> None:
+def test_required_libraries_are_minimal_and_also_ros_dependencies() -> None:
     assert {distribution(each) for each in project()["dependencies"]} == set(HARD)
     assert set(HARD.values()) <= keys("depend", "exec_depend")
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:catkin_pkg")
-def test_who_asks_for_no_extra_gets_what_a_charger_needs_that_is_told_where_its_target_is() -> None:
+def test_without_extras_rosdep_installs_what_docking_by_coordinates_needs() -> None:
     extras = {"python3-opencv", *VIEW, *REPORT}
     assert asked_for() & extras == set()
     assert set(HARD.values()) <= asked_for()
@@ -119,29 +119,29 @@ def test_who_asks_for_no_extra_gets_what_a_charger_needs_that_is_told_where_its_
         {each for name in load_scene(scene).nodes for each in (*NODES[name].needs, *NODES[name].needs_when_used)}
         for scene in ("bench", "rgbd")
     )
-    modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # whose key is named otherwise
+    modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # its key has another name
     assert {modules.get(library, library) for library in bench} <= asked_for()
-    assert rgbd - bench == {"cv2"}, "what DELTACHARGER_EXTRAS=vision brings"
+    assert rgbd - bench == {"cv2"}, "the packages of DELTACHARGER_EXTRAS=vision"
 
 
 def test_every_extra_has_its_reason() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     for extra in project()["optional-dependencies"]:
-        assert re.search(rf"^# .*\.\n{extra} = \[", text, re.MULTILINE), f"say above '{extra}' what it is for"
+        assert re.search(rf"^# .*\.\n{extra} = \[", text, re.MULTILINE), f"state the purpose above '{extra}'"
     for name in ("numpy", "pyyaml", "pyserial", "dynamixel-sdk", "ros-rclpy", "ros-ament-index-python"):
-        assert re.search(rf'^  # .*\.\n  "{name}[\["<>]', text, re.MULTILINE), f"say above '{name}' what it is for"
+        assert re.search(rf'^  # .*\.\n  "{name}[\["<>]', text, re.MULTILINE), f"state the purpose above '{name}'"
 
 
-def test_the_readme_tells_what_each_library_is_for_and_which_extra_brings_it() -> None:
+def test_the_readme_lists_the_purpose_and_extra_of_each_library() -> None:
     rows = re.findall(r"^\| (.+) \| .+ \| (.+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    told = {(library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")}
+    have = {(library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")}
     extras = {**project()["optional-dependencies"], "always": project()["dependencies"]}
     del extras["dev"]
-    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - told
+    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - have
     assert all(library.endswith("-msgs") or library in _INTERFACES for library, _ in missing), missing
 
 
-def test_nothing_else_is_imported_before_it_is_needed() -> None:
+def test_optional_libraries_are_imported_only_when_needed() -> None:
     for path in sorted(ROOT.glob("deltacharger_*/**/*.py")):
         for node in outside_functions(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -152,7 +152,7 @@ def test_nothing_else_is_imported_before_it_is_needed() -> None:
 
 
 def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield what importing a module runs; hints for type checkers are no imports."""
+    """Yield the statements that run when a module is imported, without imports for type checkers."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             continue
@@ -162,7 +162,7 @@ def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
         yield from outside_functions(node)
 
 
-def test_every_template_reaches_the_wheel() -> None:
+def test_the_wheel_contains_every_template() -> None:
     toml = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "pip._vendor.tomli")
     data = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
     packaged = {path for package, patterns in data.items() for each in patterns for path in (ROOT / package).glob(each)}
@@ -171,7 +171,7 @@ def test_every_template_reaches_the_wheel() -> None:
     assert templates <= packaged
 
 
-def test_a_missing_extra_is_told_with_its_name(
+def test_the_error_names_a_missing_extra(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     from deltacharger_bringup.cli import calibrate_kinematics as cli_calibrate
@@ -185,7 +185,7 @@ def test_a_missing_extra_is_told_with_its_name(
     assert set(cli._EXTRA_OF.values()) <= set(project()["optional-dependencies"])
 
 
-def test_the_manifest_says_who_where_and_under_which_licence() -> None:
+def test_the_manifest_states_author_address_and_licence() -> None:
     assert MANIFEST.get("format") == "3"
     assert MANIFEST.findtext("name") == project()["name"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", MANIFEST.findtext("version") or "")
@@ -197,14 +197,14 @@ def test_the_manifest_says_who_where_and_under_which_licence() -> None:
     assert "rosidl_interface_packages" in keys("member_of_group")
 
 
-def test_every_key_is_one_that_rosdep_knows() -> None:
+def test_rosdep_knows_every_key() -> None:
     known = RELEASED | OF_THE_SYSTEM | set(HARD.values())
     tags = {each.tag for each in MANIFEST if each.tag.endswith("depend")}
     assert keys(*tags) <= known, "look it up in ros/rosdistro, then name it here"
     assert known <= keys(*tags), "no longer asked for"
 
 
-def test_interfaces_are_built_from_what_the_manifest_depends_on() -> None:
+def test_interfaces_use_only_dependencies_of_the_manifest() -> None:
     text = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
     found = re.search(r"set\(interface_dependencies\s+([^)]*)\)", text)
     assert found is not None
@@ -215,13 +215,13 @@ def test_colcon_runs_every_folder_that_has_tests_without_ros() -> None:
     text = (ROOT / "test" / "suite.cmake").read_text(encoding="utf-8")
     found = re.search(r"set\(tests\s+([^)]*)\)", text)
     assert found is not None
-    told = set(found[1].split())
+    listed = set(found[1].split())
     found_there = {path.relative_to(ROOT / "test").parts[0] for path in ROOT.glob("test/**/test_*.py")}
     files = {path.name for path in ROOT.glob("test/test_*.py") if "\npytestmark = " in path.read_text(encoding="utf-8")}
-    assert told == found_there - files, "without those that speak ROS as a whole"
+    assert listed == found_there - files, "without folders that need ROS"
 
 
-def test_every_executable_is_there() -> None:
+def test_every_executable_exists() -> None:
     text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
     found = re.findall(r"^ {4}(\w+) = ([\w.]+):(\w+)$", text, re.MULTILINE)
     assert ("deltacharger", "deltacharger_bringup.cli.main", "main") in found
@@ -235,7 +235,7 @@ def test_every_executable_is_there() -> None:
         assert any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body), module
 
 
-def test_every_source_begins_with_its_licence() -> None:
+def test_every_source_begins_with_the_licence() -> None:
     without = []
     for path in sources():
         first = path.read_text(encoding="utf-8").splitlines()[:2]  # the second where the first is #! or <?xml

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What publishes transforms on a robot: robot_state_publisher and localization, in a few lines."""
+"""Minimal publishers of a robot's transforms: robot_state_publisher and localization."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class Robot(Node):
 
     @property
     def heard(self) -> bool:
-        """Whether somebody subscribes to both topics."""
+        """Whether both topics have subscribers."""
         return min(self._moving.get_subscription_count(), self._fixed.get_subscription_count()) > 0
 
     def fix(self, parent: str, child: str, pose: Sequence[float]) -> None:
-        """Tell once that a frame never moves in its parent (7 numbers)."""
-        self._fixed.publish(self._kind(transforms=[self._told(parent, child, pose, time.time())]))
+        """Publish once the fixed pose of a frame in its parent (7 numbers)."""
+        self._fixed.publish(self._kind(transforms=[self._message(parent, child, pose, time.time())]))
 
     def move(self, *links: tuple[str, str, Sequence[float]], when: float | None = None) -> None:
-        """Tell where frames are: parent, child and pose of each, now or at another time (s since 1970)."""
+        """Publish poses of frames (parent, child, pose), now or at another time (s since 1970)."""
         at = time.time() if when is None else when
-        self._moving.publish(self._kind(transforms=[self._told(*link, at) for link in links]))
+        self._moving.publish(self._kind(transforms=[self._message(*link, at) for link in links]))
 
-    def _told(self, parent: str, child: str, pose: Sequence[float], when: float) -> TransformStamped:
+    def _message(self, parent: str, child: str, pose: Sequence[float], when: float) -> TransformStamped:
         message = TransformStamped(child_frame_id=child)
         message.header.frame_id, message.header.stamp = parent, stamp(when)
         place, turn = message.transform.translation, message.transform.rotation

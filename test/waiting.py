@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waiting for what a test is about: by its condition, never by sleeping for luck."""
+"""Waits for a condition with a deadline, never for a fixed time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TypeVar
 
 Value = TypeVar("Value")
 
-DEADLINE = 60.0  # s; far longer than anything takes, so that a loaded machine fails no test
+DEADLINE = 60.0  # s; far longer than needed, so that a busy computer fails no test
 
 
-def wait_until(condition: Callable[[], Value], what: str = "what was waited for", deadline: float = DEADLINE) -> Value:
-    """Return the first true value of `condition`, or fail saying what was waited for."""
+def wait_until(condition: Callable[[], Value], what: str = "a condition", deadline: float = DEADLINE) -> Value:
+    """Return the first true value of `condition`, or fail and name the awaited condition."""
     end = time.monotonic() + deadline
     while not (value := condition()):
         assert time.monotonic() < end, f"waited {deadline:g} s for: {what}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that run tests side by side (`pytest -n 2`): none hears another's nodes or takes its locks and sockets."""
+"""Isolates processes that run tests in parallel (`pytest -n 2`): separate nodes, locks and sockets."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pathlib import Path
 from deltacharger_core.environment import LARGEST_DOMAIN
 
 DOMAIN = "88"
-"""ROS domain of the tests where the user has chosen none."""
+"""Default ROS domain of the tests."""
 APART = 10
-"""Domains between two workers; some tests take the next ones too."""
+"""Domains between two workers; some tests also use the next ones."""
 
 
 def stay_apart() -> None:
-    """Give a worker a ROS domain, folders and a core of its own; call before the first import of rclpy and numpy."""
+    """Give a worker its own ROS domain, folders and core; call before the first import of rclpy and numpy."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # threads that spin for each other starve what runs beside them
-    worker = os.environ.pop("PYTEST_XDIST_WORKER", None)  # a pytest that a test starts is none
+        os.environ.setdefault(name, "1")  # threads that spin for each other starve other processes
+    worker = os.environ.pop("PYTEST_XDIST_WORKER", None)  # not for a pytest started by a test
     if worker is None:
         return
     number = int(os.environ["ROS_DOMAIN_ID"]) + APART * (1 + int(worker.removeprefix("gw")))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of one arm: its dimensions from measured poses, its servos by the weight that they hold."""
+"""Calibration of one arm: dimensions from measured poses, servos from the weight that they hold."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinematic calibration: from measured poses of the platform to the dimensions of this one arm.
+"""Kinematic calibration: estimates the dimensions of an arm from measured poses of the platform.
 
-Per limb six numbers are fitted, those of `LimbAdjustment`. Base and platform radius are observable only as their
-difference, and the frame of the measurements counts as charger_base. Each number has a tolerance, which enters as a
-Gaussian prior of that standard deviation: what the measurements do not say stays near the nominal value.
+Six numbers per limb are fitted (`LimbAdjustment`). Base and platform radius are observable only as their difference,
+and the measuring frame counts as charger_base. Each number has a tolerance, used as a Gaussian prior of that standard
+deviation, so unobserved numbers stay near their nominal values.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
 Rows = Mask
 
 FEWEST_ROWS = COUNT // 3
-_UNOBSERVED = 1e-8  # of the largest singular value; exact degeneracy comes out below 1e-10
+_UNOBSERVED = 1e-8  # of the largest singular value; exact degeneracy gives less than 1e-10
 _OUTLIER = 6.0  # times the scatter of the other rows
-_CELLS = 6  # along each edge of the workspace box, for means over it
-_MEDIAN_LENGTH = 1.538  # of three standard normal numbers
+_CELLS = 6  # along each edge of the workspace box, for means over the box
+_MEDIAN_LENGTH = 1.538  # median length of three standard normal numbers
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class GeometryFit:
     """One least-squares fit.
 
     Attributes:
-        geometry: that explains the measurements best.
+        geometry: the fitted geometry.
         residuals: (n, 3) m, measured minus predicted.
         covariance: (18, 18) of the fitted numbers, in units of their tolerances.
-        singular_values: (18,) falling, of the data alone, without the prior: how many standard deviations of the
-            measurements a change by one tolerance makes, per direction; below 1 the tolerance says more than the data.
+        singular_values: (18,) descending, of the data without the prior: change in standard deviations of the
+            measurements per change by one tolerance. Below 1 the tolerance dominates the data.
         weakest: (18,) unit vector, in tolerances, of the last singular value.
-        scatter: of the residuals, against what the stated uncertainties explain: 1 = as stated. Above 1 it has widened
-            the standard deviations of the measurements, in covariance and singular values too.
+        scatter: scatter of the residuals relative to the stated uncertainties; 1 = as stated. Above 1 it has widened
+            the standard deviations of the measurements, also in covariance and singular values.
     """
 
     geometry: DeltaGeometry
@@ -63,17 +63,17 @@ class GeometryFit:
 
 @dataclass(frozen=True)
 class GeometryCalibration:
-    """What a calibration found: the geometry from all rows, the held-out error from a fit that did not see them.
+    """Result of a calibration: geometry from all rows, held-out error from a fit without the held-out rows.
 
     Attributes:
         nominal: the geometry before.
         measurements: all rows.
         uncertainty: as given.
-        fit: to all rows.
+        fit: fit to all rows.
         before: (n, 3) m, measured minus predicted by the nominal geometry.
-        held_out: (n,) the rows that the held-out error comes from.
+        held_out: (n,) mask of the held-out rows.
         held_out_after: (n held out, 3) m, measured minus predicted by a fit to the other rows.
-        outliers: (n,) rows that the others contradict.
+        outliers: (n,) mask of rows that contradict the others.
         expected: (rms, largest) m over the workspace box: 1σ of the distance between predicted and true position.
     """
 
@@ -89,7 +89,7 @@ class GeometryCalibration:
 
     @property
     def standard_deviations(self) -> Array:
-        """Of the 18 fitted numbers (m, rad)."""
+        """Standard deviations of the 18 fitted numbers (m, rad)."""
         return np.asarray(np.sqrt(np.diag(self.fit.covariance)) * self.uncertainty.tolerances)
 
     @property
@@ -99,7 +99,7 @@ class GeometryCalibration:
 
     @property
     def improves(self) -> bool:
-        """Whether rows that the fit did not see are predicted better than by the nominal geometry."""
+        """Whether the held-out error is smaller than with the nominal geometry."""
         before, after = self.held_out_rms
         return after < before
 
@@ -111,17 +111,17 @@ def calibrate(
     held_out: float = 0.25,
     seed: int = 0,
 ) -> GeometryCalibration:
-    """Fit the 18 numbers, and say how well.
+    """Fit the 18 numbers and judge the fit.
 
     Args:
         measurements: at least seven rows that span the workspace.
         nominal: the geometry as drawn, or as calibrated before.
         uncertainty: of measurement and manufacture.
-        held_out: share of the rows kept out to judge the fit, where the measurements do not say which.
-        seed: of the draw.
+        held_out: share of rows held out to judge the fit, if the measurements do not select them.
+        seed: seed of the random selection.
 
     Raises:
-        CalibrationError: the measurements cannot be used; says why and names the lines.
+        CalibrationError: the measurements cannot be used; states why and names the lines.
     """
     nominal, uncertainty = nominal or DeltaGeometry(), uncertainty or Uncertainty()
     before = errors(nominal, measurements)
@@ -131,7 +131,7 @@ def calibrate(
     rows = measurements.held_out if measurements.held_out is not None else _draw(len(measurements), held_out, seed)
     if 3 * int((~rows).sum()) < COUNT or not rows.any():
         raise CalibrationError(
-            f"{(~rows).sum()} rows are left for a fit of {COUNT} numbers and {rows.sum()} to judge it: measure more "
+            f"{(~rows).sum()} rows to fit {COUNT} numbers and {rows.sum()} to judge the fit are too few: measure more "
             f"poses, at least {FEWEST_ROWS} and 1, better 27 and 9"
         )
     check_spread(measurements.positions[~rows], nominal)
@@ -150,17 +150,17 @@ def calibrate(
 
 
 def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncertainty) -> GeometryFit:
-    """Fit the 18 numbers to all rows by Levenberg and Marquardt.
+    """Fit the 18 numbers to all rows by Levenberg–Marquardt.
 
-    Where the rows scatter more than stated, as with play in the gears, they are weighted by what they really scatter.
+    If the rows scatter more than stated, for example because of gear play, their actual scatter weights them.
 
     Raises:
-        CalibrationError: fewer numbers than 18, or a direction that the rows say nothing about.
+        CalibrationError: there are fewer than 18 measured numbers, or a direction is not observable.
     """
     from scipy.optimize import least_squares
 
     if 3 * len(measurements) < COUNT:
-        raise CalibrationError(f"{len(measurements)} poses cannot tell {COUNT} numbers: measure {FEWEST_ROWS} or more")
+        raise CalibrationError(f"{len(measurements)} poses cannot fit {COUNT} numbers: measure {FEWEST_ROWS} or more")
     x, scatter = np.zeros(COUNT), 1.0
     for _ in range(2):
         problem = Problem(measurements, nominal, uncertainty, max(scatter, 1.0))
@@ -168,18 +168,18 @@ def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncerta
         _, values, directions = np.linalg.svd(problem.jacobian(x)[:-COUNT], full_matrices=False)
         if values[-1] < _UNOBSERVED * values[0]:
             raise CalibrationError(
-                f"the poses say nothing about {describe(directions[-1])}: measure more poses, different in all three "
+                f"the poses do not determine {describe(directions[-1])}: measure more poses, different in all three "
                 "coordinates"
             )
-        told = values**2 / (1.0 + values**2)  # how much of a number the data decide in each direction
+        from_data = values**2 / (1.0 + values**2)  # share of each direction that the data determine
         squares = float(np.sum(problem.residuals(x)[:-COUNT] ** 2))
-        scatter = problem.scatter * math.sqrt(squares / (3 * len(measurements) - float(told.sum())))
+        scatter = problem.scatter * math.sqrt(squares / (3 * len(measurements) - float(from_data.sum())))
         if scatter <= 1.0:
             break
     return GeometryFit(
         problem.geometry(x),
         measurements.positions - problem.predict(x),
-        directions.T * (1.0 - told) @ directions,
+        directions.T * (1.0 - from_data) @ directions,
         values,
         directions[-1],
         scatter,
@@ -187,9 +187,9 @@ def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncerta
 
 
 def find_outliers(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncertainty) -> Rows:
-    """Return the rows (n,) that lie further from a fit than six times the scatter of the others.
+    """Return the rows (n,) that deviate from a fit by more than six times the scatter of the others.
 
-    The fit is a robust one, which a few wrong rows do not draw to themselves.
+    The fit is robust, so that a few wrong rows do not distort it.
     """
     from scipy.optimize import least_squares
 
@@ -203,7 +203,7 @@ def find_outliers(measurements: Measurements, nominal: DeltaGeometry, uncertaint
 
 
 def describe(direction: Array) -> str:
-    """Return in words which of the 18 numbers a direction changes, those with at least half the largest share."""
+    """Return as text which of the 18 numbers a direction changes by at least half the largest share."""
     shares = direction.reshape(LIMB_COUNT, len(NAMES)).T * np.sign(direction[np.abs(direction).argmax()])
     parts = []
     for word, signed in (("larger", shares), ("smaller", -shares)):
@@ -221,7 +221,7 @@ def _draw(count: int, share: float, seed: int) -> Rows:
 
 
 def _expected(fit: GeometryFit, nominal: DeltaGeometry, uncertainty: Uncertainty) -> tuple[float, float]:
-    """Return the standard deviation (m) of a predicted position: rms over the workspace box, and largest in it."""
+    """Return the standard deviation (m) of a predicted position: rms over the workspace box, and maximum in it."""
     low, high = np.array(nominal.workspace_min), np.array(nominal.workspace_max)
     cells = (np.arange(_CELLS) + 0.5) / _CELLS
     shares = [np.stack(np.meshgrid(*[along] * 3), axis=-1).reshape(-1, 3) for along in (cells, np.array([0.0, 1.0]))]
@@ -229,5 +229,5 @@ def _expected(fit: GeometryFit, nominal: DeltaGeometry, uncertainty: Uncertainty
     x = (numbers(fit.geometry) - numbers(nominal)) / uncertainty.tolerances
     slope = Problem(Measurements(np.zeros_like(angles), angles, None, ()), nominal, uncertainty).sensitivity(x)
     deviation = np.sqrt(np.einsum("nij,jk,nik->n", slope, fit.covariance, slope))
-    inside = deviation[: len(shares[0])]  # the corners, where it is largest, stand for no volume
+    inside = deviation[: len(shares[0])]  # without the corners, which have the largest deviation but no volume
     return math.sqrt(float(np.nanmean(inside**2))), float(np.nanmax(deviation))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes measured poses unfit for a calibration, each as a sentence that says what to do."""
+"""Checks whether measured poses are fit for a calibration; each error states the remedy."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from deltacharger_kinematics.calibration.data import Measurements
 from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
 from deltacharger_kinematics.geometry import DeltaGeometry
 
-_FAR = 4.0  # times the error that the tolerances explain; beyond it, something else than tolerances is wrong
-_BEYOND = 0.2  # rad; servo_node keeps to the limits, and zero ticks may be off by a tolerance or two
-_SLIP = 3.0  # a ratio of 1000 within this factor is a slip of the unit
-_LEAST_SPREAD = 0.15  # standard deviation along any direction, of half the workspace box; a full grid has 0.8
+_FAR = 4.0  # times the error explained by the tolerances; larger errors have another cause
+_BEYOND = 0.2  # rad; servo_node keeps the limits, but zero ticks may be off by a tolerance or two
+_SLIP = 3.0  # a ratio of 1000 within this factor is a wrong unit
+_LEAST_SPREAD = 0.15  # standard deviation along any direction, per half workspace box; a full grid has 0.8
 
 
 def check_reached(errors: Array, measurements: Measurements, geometry: DeltaGeometry) -> None:
-    """Refuse rows whose angles the arm cannot take: far beyond its joint limits, or where `errors` (n, 3) is NaN.
+    """Refuse rows with impossible angles: far beyond the joint limits, or `errors` (n, 3) is NaN.
 
     Raises:
         CalibrationError: names the lines.
@@ -36,43 +36,43 @@ def check_reached(errors: Array, measurements: Measurements, geometry: DeltaGeom
     if lost.any():
         lines = _lines(measurements, lost)
         raise CalibrationError(
-            f"{named(lines)}: the arm cannot have these angles, its rods would not meet; check the columns' order",
+            f"{named(lines)}: the arm cannot have these angles: its rods would not meet; check the column order",
             lines,
         )
 
 
 def check_near(errors: Array, measurements: Measurements, explained: float) -> None:
-    """Refuse positions that lie further from the predicted ones than tolerances could move them.
+    """Refuse positions that deviate from the predicted ones by more than tolerances explain.
 
     Args:
         errors: (n, 3) m, measured minus predicted by the nominal geometry.
         measurements: the rows.
-        explained: m, rms of what the tolerances alone would cause.
+        explained: m, rms of the errors caused by the tolerances.
 
     Raises:
-        CalibrationError: says how far, and where to look.
+        CalibrationError: states the distance and what to check.
     """
     predicted = measurements.positions - errors
     ratio = float(
         np.median(np.linalg.norm(measurements.positions, axis=1)) / np.median(np.linalg.norm(predicted, axis=1))
     )
-    for factor, hint in ((1e3, "millimetres in columns that say metres"), (1e-3, "metres in columns that say mm")):
+    for factor, hint in ((1e3, "millimetres in columns of metres"), (1e-3, "metres in columns of mm")):
         if factor / _SLIP < ratio < factor * _SLIP:
             raise CalibrationError(f"the measured positions are {ratio:.3g} times the predicted ones: are they {hint}?")
     distance = float(np.median(np.linalg.norm(errors, axis=1)))
     if distance > _FAR * explained:
         raise CalibrationError(
-            f"the measured positions lie {distance / MILLIMETRE:.1f} mm from the predicted ones (median), and the "
+            f"the measured positions are {distance / MILLIMETRE:.1f} mm from the predicted ones (median), but the "
             f"tolerances explain {explained / MILLIMETRE:.1f} mm: check the axes and origin of the measuring frame, "
             "zero ticks and direction, or widen the tolerances"
         )
 
 
 def check_spread(positions: Array, geometry: DeltaGeometry) -> None:
-    """Refuse `positions` (n, 3) m that stay in one plane, on one line or at one point of the workspace.
+    """Refuse `positions` (n, 3) m in one plane, on one line or at one point of the workspace.
 
     Raises:
-        CalibrationError: names the direction in which poses are missing.
+        CalibrationError: names the direction without poses.
     """
     half = 0.5 * (np.array(geometry.workspace_max) - np.array(geometry.workspace_min))
     scaled = (positions - positions.mean(axis=0)) / half
@@ -84,13 +84,13 @@ def check_spread(positions: Array, geometry: DeltaGeometry) -> None:
     shape = ("in one plane", "on one line", "at one point")[flat - 1]
     missing = " and ".join(_extent(positions, direction / half) for direction in directions[: -1 - flat : -1])
     raise CalibrationError(
-        f"the poses lie {shape}: they cover only {missing}, so nothing says how the arm errs there; spread them over "
-        "the workspace"
+        f"the poses lie {shape}: they cover only {missing}, so errors there are not observable; spread them over the "
+        "workspace"
     )
 
 
 def _extent(positions: Array, along: Array) -> str:
-    """Return how much `positions` cover in a direction, as '3.1 mm along z'."""
+    """Return the extent of `positions` in a direction, as '3.1 mm along z'."""
     unit = along / np.linalg.norm(along)
     largest = int(np.abs(unit).argmax())
     unit = unit * np.sign(unit[largest])
@@ -101,7 +101,7 @@ def _extent(positions: Array, along: Array) -> str:
 
 
 def named(lines: tuple[int, ...]) -> str:
-    """Return 'line 3' or 'lines 3, 7, 9'; after ten only how many more."""
+    """Return 'line 3' or 'lines 3, 7, 9'; after ten the number of further ones."""
     shown = ", ".join(str(line) for line in lines[:10])
     more = f" and {len(lines) - 10} more" if len(lines) > 10 else ""
     return f"line{'s' if len(lines) > 1 else ''} {shown}{more}"

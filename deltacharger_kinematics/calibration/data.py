@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured poses for a calibration, and the files of them; docs/calibration.md lists the columns."""
+"""Measured poses for a calibration and their files; docs/calibration.md lists the columns."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad; encoder of the MX-64
 
 @dataclass(frozen=True)
 class Encoder:
-    """How the encoders sit: angle = direction · (ticks − zero_ticks) · 2π/4096, as servo_node has it.
+    """Zero and direction of the encoders: angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node.
 
     Raises:
         CalibrationError: a direction is not 1 or −1, or a count is out of range.
@@ -46,7 +46,7 @@ class Encoder:
 
     @property
     def statement(self) -> str:
-        """As comment lines of a file of measurements."""
+        """The encoder as comment lines of a measurement file."""
         named = (("zero_ticks", self.zero_ticks), ("direction", self.direction))
         return "".join(f"# {name} {' '.join(map(str, values))}\n" for name, values in named)
 
@@ -61,15 +61,15 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Poses of the platform with the arm angles that led there.
+    """Measured poses of the platform with their arm angles.
 
     Attributes:
-        positions: (n, 3) m in charger_base, measured from outside.
-        angles: (n, 3) rad, as servo_node reports them.
-        held_out: (n,) rows to keep out of the fit; None = to be drawn.
-        lines: (n,) line of the file each row stands on.
-        angle_stddev: of each angle (rad) by the encoder's resolution; 0 where the file gives angles.
-        encoder: that turned ticks into angles; None where the file gives angles.
+        positions: (n, 3) m in charger_base, measured externally.
+        angles: (n, 3) rad, as reported by servo_node.
+        held_out: (n,) mask of rows to hold out of the fit; None = select at random.
+        lines: (n,) line number of each row in the file.
+        angle_stddev: standard deviation of each angle (rad) by the encoder's resolution; 0 if the file has angles.
+        encoder: conversion of ticks to angles; None if the file has angles.
     """
 
     positions: Array
@@ -83,7 +83,7 @@ class Measurements:
         return len(self.positions)
 
     def subset(self, rows: Mask) -> Measurements:
-        """Return the rows that `rows` (n,) marks."""
+        """Return the rows selected by the mask `rows` (n,)."""
         return Measurements(
             self.positions[rows],
             self.angles[rows],
@@ -98,12 +98,12 @@ def read_measurements(path: str | Path, encoder: Encoder | None = None) -> Measu
     """Read a file of measured poses.
 
     Args:
-        path: of the file.
-        encoder: how ticks become angles; None = as the file states, or else as servo_node's defaults have it.
+        path: file.
+        encoder: conversion of ticks to angles; None = as stated in the file, otherwise servo_node's defaults.
 
     Raises:
         OSError: the file cannot be read.
-        CalibrationError: what is wrong with it, with the line.
+        CalibrationError: the file is invalid; names the line.
     """
     table = read_table(path)
     positions, unit = _positions(table)
@@ -122,7 +122,7 @@ def read_measurements(path: str | Path, encoder: Encoder | None = None) -> Measu
 
 
 def _group(table: Table, groups: Sequence[tuple[str, ...]], what: str) -> tuple[str, ...]:
-    """Return the one group of columns that the table has, whole."""
+    """Return the only group of columns that the table has; it must be complete."""
     started = [group for group in groups if set(group) & set(table.names)]
     choices = " or ".join(",".join(group) for group in groups)
     if not started:
@@ -143,7 +143,7 @@ def _positions(table: Table) -> tuple[Array, float]:
 
 
 def _agreed(table: Table, encoder: Encoder | None) -> Encoder:
-    """Return the encoder that the file states, unless the caller says the same or more."""
+    """Return the caller's encoder, or the one stated in the file; both must agree."""
     if encoder is None:
         return Encoder(**table.stated)
     for name, value in table.stated.items():
@@ -153,7 +153,7 @@ def _agreed(table: Table, encoder: Encoder | None) -> Encoder:
 
 
 def _check_angles(names: tuple[str, ...], values: Array, angles: Array, lines: Sequence[int]) -> None:
-    """Refuse angles in the wrong unit: no arm turns by more than half a turn, and none stays within 0.06 rad."""
+    """Refuse angles in the wrong unit: no arm turns by more than half a turn or stays within 0.06 rad."""
     beyond = np.argwhere(np.abs(angles) > math.pi)
     if len(beyond):
         row, limb = beyond[0]

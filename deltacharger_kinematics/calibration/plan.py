@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which poses to measure for a calibration: a grid that spans the workspace, and others to judge the fit by."""
+"""Plans the poses to measure for a calibration: a grid over the workspace, and held-out poses to judge the fit."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from deltacharger_kinematics.status import Status
 
 GRID = 3  # poses along each edge of the box
 HELD_OUT_POSES = 9
-_INSET = 0.95  # of the box; as built, an arm reaches some millimetres less than as drawn
+_INSET = 0.95  # of the box; a real arm reaches some millimetres less than its drawing
 _TARGETS = tuple(f"target_{axis}_mm" for axis in AXES)
 _MEASURED = (*TICKS, *(f"{axis}_mm" for axis in AXES))
 
 
 @dataclass(frozen=True)
 class PlannedPose:
-    """A pose to measure: its number from 1, whether it is kept out of the fit, and where (m, charger_base)."""
+    """A pose to measure: number from 1, whether it is held out of the fit, position (m, charger_base)."""
 
     number: int
     held_out: bool
@@ -42,9 +42,9 @@ class PlannedPose:
 
 
 def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[PlannedPose, ...]:
-    """Return a grid of 27 poses, ordered so that neighbours follow each other, and 9 held-out ones between them.
+    """Return a grid of 27 poses in an order of neighbours, and 9 held-out poses between them.
 
-    The held-out ones are a Latin hypercube: in each coordinate one pose in each ninth of the box.
+    The held-out poses are a Latin hypercube: in each coordinate one pose in each ninth of the box.
     """
     middle = 0.5 * (np.array(geometry.workspace_max) + np.array(geometry.workspace_min))
     reach = 0.5 * _INSET * (np.array(geometry.workspace_max) - np.array(geometry.workspace_min))
@@ -65,10 +65,10 @@ def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[PlannedPose, ...]:
 
 
 def write_plan(path: str | Path, poses: Sequence[PlannedPose], geometry: DeltaGeometry, encoder: Encoder) -> None:
-    """Write a table of `poses` with commanded angles and goal ticks, and empty columns for what is measured.
+    """Write a table of `poses` with commanded angles and goal ticks, and empty columns for the measurements.
 
     Raises:
-        CalibrationError: the arm cannot take a pose.
+        CalibrationError: the arm cannot reach a pose.
         OSError: the file cannot be written.
     """
     positions = np.array([pose.position for pose in poses])
@@ -76,7 +76,7 @@ def write_plan(path: str | Path, poses: Sequence[PlannedPose], geometry: DeltaGe
     for pose, status in zip(poses, np.atleast_1d(np.asarray(solved.status)), strict=True):
         if status:
             raise CalibrationError(
-                f"pose {pose.number}: {Status(int(status)).name}; give the geometry a workspace box that it reaches"
+                f"pose {pose.number}: {Status(int(status)).name}; reduce the geometry's workspace box to its reach"
             )
     rows = [
         (pose.number, int(pose.held_out))
@@ -88,8 +88,8 @@ def write_plan(path: str | Path, poses: Sequence[PlannedPose], geometry: DeltaGe
     ]
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         file.write(
-            "# Go to each pose and let it rest. Fill in the ticks as read back from the servos, and x, y, z as\n"
-            f"# measured in charger_base. Delete the rows that were not measured.\n{encoder.statement}"
+            "# Go to each pose and wait until the arm rests. Enter the ticks read from the servos, and x, y, z as\n"
+            f"# measured in charger_base. Delete rows that were not measured.\n{encoder.statement}"
         )
         csv.writer(file, lineterminator="\n").writerows([("pose", HELD_OUT, *PLAN_COLUMNS[1:], *_MEASURED), *rows])
 
@@ -99,12 +99,12 @@ def read_plan(path: str | Path) -> tuple[PlannedPose, ...]:
 
     Raises:
         OSError: the file cannot be read.
-        CalibrationError: what is wrong with it, with the line.
+        CalibrationError: the file is invalid; names the line.
     """
     table = read_table(path)
     for name in ("pose", HELD_OUT, *_TARGETS):
         if name not in table.names:
-            raise CalibrationError(f"column '{name}' is missing: give a file that --plan wrote")
+            raise CalibrationError(f"column '{name}' is missing: give a file written by --plan")
     positions = table.columns(_TARGETS) * MILLIMETRE
     numbers, held_out = table.column("pose"), table.column(HELD_OUT)
     if len(set(numbers)) != len(numbers):

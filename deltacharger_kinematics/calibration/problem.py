@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least-squares problem of a calibration: 18 numbers of the geometry, measured poses, and what is known beforehand.
+"""The least-squares problem of a calibration: 18 numbers of the geometry, measured poses, and prior knowledge.
 
-The model is `Delta.forward` itself, and its derivatives by the 18 numbers are central differences: with steps of 1/1000
-of a tolerance they are good to ten digits, so that no second set of formulas has to be kept true.
+The model is `Delta.forward`. Its derivatives by the 18 numbers are central differences: with steps of 1/1000 of a
+tolerance they have ten correct digits, so no second set of formulas is needed.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ NAMES = ("radius_offset", "tangential_offset", "height_offset", "arm", "rod", "a
 """The numbers of one limb, in the order of every vector of 18: limb 0's six, then limb 1's, then limb 2's."""
 COUNT = LIMB_COUNT * len(NAMES)
 _STEP = 1e-3  # of a tolerance
-_UNREACHED = 1e6  # standard deviations; what a step costs that takes the arm apart, so that it is not taken
+_UNREACHED = 1e6  # standard deviations; cost of an impossible arm, so that the solver avoids the step
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is known beforehand, each as a standard deviation.
+    """Prior knowledge, as standard deviations.
 
     Attributes:
-        measurement: of each coordinate of a measured position (m).
-        length: of each length and offset of the arm as built (m).
-        angle: of each arm's angle (rad).
+        measurement: each coordinate of a measured position (m).
+        length: each length and offset of the built arm (m).
+        angle: each arm's angle (rad).
 
     Raises:
-        CalibrationError: one is not positive and finite.
+        CalibrationError: a value is not positive and finite.
     """
 
     measurement: float = 0.05e-3
@@ -49,12 +49,12 @@ class Uncertainty:
 
     @property
     def tolerances(self) -> Array:
-        """Of the 18 numbers (m, rad)."""
+        """Tolerances of the 18 numbers (m, rad)."""
         return np.tile([self.length] * 5 + [self.angle], LIMB_COUNT)
 
 
 def errors(geometry: DeltaGeometry, measurements: Measurements) -> Array:
-    """Return measured minus predicted position (n, 3) m; NaN where the geometry cannot have the angles."""
+    """Return measured minus predicted position (n, 3) m; NaN if the angles are impossible for the geometry."""
     return measurements.positions - np.asarray(Delta(geometry).forward(measurements.angles).position)
 
 
@@ -80,10 +80,10 @@ def with_numbers(geometry: DeltaGeometry, values: Array) -> DeltaGeometry:
 
 
 class Problem:
-    """Residuals over x (18,): by how many tolerances each number differs from nominal.
+    """Residuals over x (18,), each number's deviation from nominal in tolerances.
 
     Residuals are in standard deviations: three per row, whitened with the covariance of measurement and encoder times
-    `scatter`², then the 18 of the prior.
+    `scatter`², then 18 of the prior.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Problem:
         return with_numbers(self._nominal, self._start + x * self._tolerances)
 
     def predict(self, x: Array) -> Array:
-        """Return positions (n, 3) m; NaN where x makes no arm that could have the angles."""
+        """Return positions (n, 3) m; NaN if the arm at x cannot have the angles."""
         try:
             delta = Delta(self.geometry(x))
         except ValueError:
@@ -130,9 +130,9 @@ class Problem:
 
 
 def _whitening(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncertainty) -> Array:
-    """Return (n, 3, 3) what turns an error (m) into standard deviations, the encoder's resolution included."""
+    """Return matrices (n, 3, 3) that convert errors (m) to standard deviations, encoder resolution included."""
     delta = Delta(nominal)
     slope = delta.jacobian(delta.forward(measurements.angles).position).matrix
-    per_angle = np.nan_to_num(slope) * measurements.angle_stddev  # NaN on the edge of reach: a weight need not be exact
+    per_angle = np.nan_to_num(slope) * measurements.angle_stddev  # NaN at the edge of reach; weights need not be exact
     covariance = per_angle @ per_angle.transpose(0, 2, 1) + uncertainty.measurement**2 * np.eye(3)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file that measured poses are appended to one by one, so that nothing measured is lost and a recording resumes."""
+"""Appends measured poses to a file one by one, so that no measurement is lost and a recording can resume."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class PoseRecording:
     """Measured poses in a file that `read_measurements` reads.
 
     Args:
-        path: of the file; created where there is none, continued where there is one.
-        encoder: that the ticks belong to.
+        path: file; created if missing, otherwise continued.
+        encoder: encoder of the ticks.
 
     Attributes:
         encoder: as given.
-        done: numbers of the poses that it holds.
+        done: numbers of the recorded poses.
 
     Raises:
         OSError: the file cannot be read or written.
-        CalibrationError: the file is something else, or was recorded with another encoder.
+        CalibrationError: the file is no recording, or was recorded with another encoder.
     """
 
     def __init__(self, path: str | Path, encoder: Encoder) -> None:
@@ -48,7 +48,7 @@ class PoseRecording:
             return
         table = read_table(self._path)
         if table.names != COLUMNS or table.decimal_comma:
-            raise CalibrationError(f"{path} is no recording of --measure: give a new file, or one that --measure began")
+            raise CalibrationError(f"{path} is no recording of --measure: give a new file, or one written by --measure")
         if Encoder(**table.stated) != encoder:
             raise CalibrationError(f"{path} was recorded with other zero ticks or directions: give a new file")
         self.done = {int(number) for number in table.column("pose")}
@@ -56,11 +56,11 @@ class PoseRecording:
             self._write("\n")
 
     def append(self, pose: PlannedPose, ticks: Vector, position: Vector) -> None:
-        """Add one row and wait until it is on the disk.
+        """Add one row and sync it to the disk.
 
         Args:
-            pose: that was measured.
-            ticks: counts of the encoders.
+            pose: the measured pose.
+            ticks: encoder counts.
             position: m in charger_base.
         """
         cells = [str(pose.number), str(int(pose.held_out)), *(f"{value:.2f}" for value in ticks)]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the measuring of servos asks of an arm, and what it learns at a place of rest.
+"""Interface to an arm whose servos are measured, and its readings at rest.
 
-The same procedure runs over ROS and in virtual time; each gives it a `ServoArm`.
+The same procedure runs over ROS and in virtual time; each provides a `ServoArm`.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 WEIGHT_TOLERANCE = 0.02
-"""Relative standard deviation of what platform and rods weigh, where nobody says otherwise."""
+"""Default relative standard deviation of the weight of platform and rods."""
 
 
 class ServoTrouble(RuntimeError):
-    """The servos cannot be measured, or what was measured cannot be believed; the message says why and what to do."""
+    """The servos cannot be measured, or the result is not credible. The message states the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class ServoTask:
-    """What is known of the arm whose servos are measured.
+    """Task of a measurement: known properties of the arm, duration, seed.
 
     Attributes:
-        geometry: its dimensions and masses.
+        geometry: dimensions and masses.
         gravity: in charger_base, m/s².
-        torque_constant: N·m/A that servo_node turns torque bounds into currents with.
+        torque_constant: N·m/A by which servo_node converts torque bounds to currents.
         weight_tolerance: relative standard deviation of the weight of platform and rods.
-        seconds: how long to measure.
-        seed: of the order of the poses.
+        seconds: duration of the measurement.
+        seed: seed of the order of the poses.
     """
 
     geometry: DeltaGeometry = field(default_factory=DeltaGeometry)
@@ -49,26 +49,26 @@ class ServoTask:
 
 @dataclass(frozen=True)
 class ArmReadings:
-    """Readings of a while, one row each: angles (n, 3) rad and currents (n, 3) A, signed, as servo_state tells them."""
+    """Readings over some time, one per row: angles (n, 3) rad and signed currents (n, 3) A, as in servo_state."""
 
     angles: Array
     currents: Array
 
 
 class ServoArm(Protocol):
-    """An arm with its torque on whose goals may be led."""
+    """An arm with its torque on and free to move."""
 
     def clock(self) -> float:
-        """Return the time, s from any beginning."""
+        """Return the time, s, from an arbitrary zero."""
 
     def goals(self) -> Vector:
         """Return the commanded angles, rad."""
 
     def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
-        """Lead the goals straight from point to point (s from now, rad), torque bounded (N·m); return at the end."""
+        """Move the goals linearly from point to point (s from now, rad), torque bounded (N·m); return at the end."""
 
     def read(self, seconds: float) -> ArmReadings:
-        """Return what the servos tell in the next `seconds`."""
+        """Return the servo readings of the next `seconds`."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,10 @@ class StaticReading:
 
     Attributes:
         goals: commanded angles, rad, whole ticks.
-        angles: as the encoders tell them, rad.
+        angles: encoder angles, rad.
         currents: means, A.
         current_errors: their standard errors, A.
-        directions: +1 or −1 where a servo came to rest turning that way, so that its friction is known; 0 = unknown.
+        directions: last direction of rotation of each servo, +1 or −1, which gives the sign of friction; 0 = unknown.
     """
 
     goals: Vector
@@ -91,16 +91,16 @@ class StaticReading:
 
 
 def whole_ticks(angles: Sequence[float]) -> Vector:
-    """Return the nearest goals that a servo can hold (rad)."""
+    """Return angles (rad) rounded to whole encoder ticks."""
     first, second, third = (round(angle / TICK) * TICK for angle in angles)
     return first, second, third
 
 
 def at_rest(goals: Vector, readings: ArmReadings, directions: tuple[int, int, int]) -> StaticReading:
-    """Return the means of readings at rest."""
+    """Average readings at rest."""
     count = len(readings.currents)
     spread = np.std(readings.currents, axis=0, ddof=1)
-    # The register's own steps of 3.36 mA are dithered by the noise; a quiet one still tells no better than these.
+    # Noise dithers the register's steps of 3.36 mA; a reading without noise is no more precise than the steps.
     errors = np.maximum(spread, 2e-3) / math.sqrt(count)
     return StaticReading(
         goals,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether measured servos can be believed and used, what differs between them, and what goes into their file."""
+"""Checks whether measured servos are credible and usable, finds differences between them, and builds their file."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from deltacharger_kinematics.geometry import LIMB_COUNT
 NAMES = ("stiffness", "torque constant", "friction")
 UNITS = ("N·m/rad", "N·m/A", "N·m")
 SOFTEST, STIFFEST = 2.0, 40.0
-"""N·m/rad with which docking was tried."""
+"""N·m/rad, range of stiffness with which docking was tested."""
 UNEXPLAINED = 2.0
-"""Scatter from which on the weight does not explain what the servos bore."""
+"""Scatter above which the weight does not explain the torques."""
 FAR_CONSTANT = 0.3
-"""Share by which a torque constant may differ from the vendor's."""
-_DIFFERS, _NOTICED = 4.0, 0.08  # standard errors, and share, from which on a servo differs from the others
-_UNSURE = 0.15  # standard error of a stiffness, as a share, above which it is not told
-_TURNED = math.radians(8.0)  # of gravity, from which on it is said
+"""Largest relative difference of a torque constant from the vendor's."""
+_DIFFERS, _NOTICED = 4.0, 0.08  # standard errors and share above which a servo differs from the others
+_UNSURE = 0.15  # largest relative standard error of a stiffness
+_TURNED = math.radians(8.0)  # rotation of gravity that is reported
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Of the position loop, as the servos held them while they were measured."""
+    """Gains of the position loop during the measurement."""
 
     p: int = POSITION_P_GAIN
     i: int = 0
@@ -40,11 +40,11 @@ class Gains:
 
 
 def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
-    """Return why what was measured should not be used; empty where it should."""
+    """Return the reasons not to use the measurement; empty = use it."""
     found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains)]
-    if not found:  # else that explains it
+    if not found:  # otherwise these explain it
         found = [
-            f"servo {servo + 1} does not turn back as play and friction explain: look for a rod or a horn that is loose"
+            f"play and friction do not explain how servo {servo + 1} turns back: check for a loose rod or horn"
             for servo in measured.play.strange
         ]
     return found
@@ -57,22 +57,22 @@ def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
         angle = math.acos(float(np.clip(turned @ np.array(task.gravity) / np.linalg.norm(task.gravity), -1.0, 1.0)))
         hint = ", ".join(f"{9.81 * value:.1f}" for value in turned)
         found.append(
-            f"the servos did not bear the weight that they should: what they told scatters {fit.scatter:.1f} times as "
-            "much as noise and ticks explain; "
+            f"the torques do not match the arm's weight: they scatter {fit.scatter:.1f} times as much as noise and "
+            "ticks explain; "
             + (
-                f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from what docking_node is told: "
+                f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from docking_node's parameters: "
                 "correct gravity_x, gravity_y, gravity_z"
                 if angle > _TURNED
-                else "take the target away; look for a platform, rod or horn that is loose, for a cable that pulls, "
-                "and at the geometry"
+                else "remove the target; check for a loose platform, rod or horn and a pulling cable, and check the "
+                "geometry"
             )
         )
     mean = fit.common(CONSTANT)[0]
     if abs(mean / TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
         share = TORQUE_CONSTANT / mean
         found.append(
-            f"a torque constant of {mean:.2f} N·m/A is far from the vendor's {TORQUE_CONSTANT:.2f}: rather the arm "
-            f"weighs {share:.2f} times what platform_mass and rod_mass say; weigh the end effector, or screw it on"
+            f"the torque constant of {mean:.2f} N·m/A is far from the vendor's {TORQUE_CONSTANT:.2f}: probably the arm "
+            f"weighs {share:.2f} times platform_mass and rod_mass; weigh the end effector, or screw it on"
         )
     return found
 
@@ -83,26 +83,26 @@ def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
         if value + 2.0 * error < SOFTEST or value - 2.0 * error > STIFFEST:
             better = max(1, round(gains.p * SERVO_STIFFNESS / value))
             found.append(
-                f"servo {servo + 1} has {value:.1f} N·m/rad, outside of {SOFTEST:g} to {STIFFEST:g} with which docking "
-                f"was tried: set position_p_gain of servo_node to about {better}, and measure again"
+                f"servo {servo + 1} has {value:.1f} N·m/rad, but docking was tested with {SOFTEST:g} to {STIFFEST:g}: "
+                f"set position_p_gain of servo_node to about {better}, and measure again"
             )
     for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
         if error > _UNSURE * value:
             found.append(
-                f"the stiffness of servo {servo + 1} is told to {100 * error / value:.0f} % only: give more --seconds, "
+                f"the stiffness of servo {servo + 1} has an error of {100 * error / value:.0f} %: give more --seconds, "
                 "or lower position_p_gain"
             )
     for servo, value in enumerate(fit.friction):
         if value <= 0.0:
             found.append(
-                f"servo {servo + 1} seems to be pushed by its own friction ({value:.3f} N·m): something follows the "
-                "arm, such as a cable or a hand"
+                f"the friction of servo {servo + 1} is {value:.3f} N·m, which is not positive: something pulls the arm "
+                "along, such as a cable or a hand; remove it"
             )
     return found
 
 
 def gravity_felt(measured: MeasuredArm, task: ServoTask) -> Array:
-    """Return the direction (3,) of gravity that explains the currents best, were the weight's own unknown."""
+    """Return the direction (3,) of gravity that fits the currents best."""
     angles = np.array([reading.angles for reading in measured.readings])
     currents = np.array([reading.currents for reading in measured.readings])
     signs = np.array([reading.directions for reading in measured.readings], dtype=float)
@@ -119,7 +119,7 @@ def gravity_felt(measured: MeasuredArm, task: ServoTask) -> Array:
 
 
 def differing(measured: MeasuredArm) -> list[str]:
-    """Return which servo differs from the other two by more than errors explain, in what, and by how much."""
+    """Return as text which servos differ from the other two by more than errors explain, and how."""
     fit, found = measured.fit, []
     for what, values in ((STIFFNESS, fit.stiffness), (CONSTANT, fit.torque_constant), (FRICTION, fit.friction)):
         errors = fit.own_error(what)
@@ -130,20 +130,20 @@ def differing(measured: MeasuredArm) -> list[str]:
             sigmas = abs(values[servo] - mean) / math.hypot(errors[servo], spread)
             if alike and sigmas > _DIFFERS and abs(values[servo] / mean - 1.0) > _NOTICED:
                 found.append(
-                    f"the {NAMES[what]} of servo {servo + 1} differs from that of the others: {values[servo]:.3g} "
-                    f"against {mean:.3g} {UNITS[what]}"
+                    f"the {NAMES[what]} of servo {servo + 1} differs from the others: {values[servo]:.3g} against "
+                    f"{mean:.3g} {UNITS[what]}"
                 )
     return found
 
 
 def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
-    """Return what the file of these servos says.
+    """Return the content of the servos file.
 
     Raises:
-        ParameterError: a value lies outside of what nodes can take.
+        ParameterError: a value lies outside the bounds of the nodes.
     """
     fit, play = measured.fit, measured.play
-    told = [
+    servos = [
         MeasuredServo(
             **_numbers(
                 (fit.stiffness[servo], fit.error(STIFFNESS)[servo]),
@@ -159,7 +159,7 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
     if seen.any():
         common_play = (float(play.width[seen].mean()), float(np.hypot.reduce(play.error[seen]) / seen.sum()))
     common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play)
-    first, second, third = told
+    first, second, third = servos
     return MeasuredServos(
         **common,
         position_p_gain=gains.p,

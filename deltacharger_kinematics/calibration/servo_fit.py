@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stiffness, torque constant and friction of each servo by one least squares over all places of rest.
+"""Estimates stiffness, torque constant and friction of each servo by one least-squares fit over all readings at rest.
 
-At rest, servo i came to its place turning in direction s and holds T = w L + s f: its share L of the weight of platform
-and rods, known by pose up to a common factor w near 1, and its friction f. The motor gives that torque, which shows
-twice: current = T / Kt, and goal − angle = T / k. Unknown are k, Kt and f of each servo, and w, about which only the
-weight's tolerance is known; it is what k, Kt and f share, so that it enters the standard errors of all. Unknown, too,
-is by how much each arm stands beside its encoder: by play, on one side of which it hangs, and by what a calibration of
-the geometry leaves. Where k turns a load into few ticks of the encoder, these are counted (`servo_ticks`).
+At rest, a servo that last turned in direction s holds the torque T = w L + s f. L is its share of the weight of
+platform and rods, known from the pose up to a common factor w near 1; f is its friction. The torque is visible twice:
+current = T / Kt, and goal − angle = T / k. Unknown are k, Kt and f of each servo, and w, of which only the tolerance is
+known. As k, Kt and f all depend on w, it enters all their standard errors. Also unknown is each arm's offset from its
+encoder, caused by play (the arm hangs on one side of it) and by remaining errors of the geometry. If k turns a load
+into few encoder ticks, `servo_ticks` counts them.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LIMB_COUNT
 
 ANGLE_ERROR = TICK / math.sqrt(12.0)
-"""rad; goals are whole ticks, readings are rounded to them."""
+"""rad; goals are whole ticks, and readings are rounded to ticks."""
 OFFSET_ERROR = 0.003
-"""rad, standard deviation of an arm beside its encoder: half of the play that the vendor states, 20 arcminutes."""
-_MANY_TICKS = 8.0  # rms of goal − angle, from which on rounding averages out by itself
+"""rad, standard deviation of an arm's offset from its encoder: half of the vendor's play of 20 arcminutes."""
+_MANY_TICKS = 8.0  # rms of goal − angle above which rounding averages out
 _CREEP = 1e-4  # rad that an arm may still be short of rest
 _ROUNDS = 12
 _TURNED = 1e-4  # rad, for slopes of the loads
-_WEIGHT = 3 * LIMB_COUNT  # place of the weight's factor among the numbers; behind it stand the three offsets
-_TOO_FEW = "too few readings of servo {} to tell anything: give it more --seconds"
-_FEWEST = 6  # readings of a servo, of each direction 2
+_WEIGHT = 3 * LIMB_COUNT  # index of the weight's factor; the three offsets follow
+_TOO_FEW = "too few readings of servo {}: give more --seconds"
+_FEWEST = 6  # readings of a servo, at least 2 per direction
 
 STIFFNESS, CONSTANT, FRICTION = range(3)
-"""Place of a servo's numbers among its three."""
+"""Index of a servo's numbers."""
 
 
 @dataclass(frozen=True)
 class ServoFit:
-    """What was found of all servos.
+    """Fitted values of all servos.
 
     Attributes:
         stiffness: N·m/rad, (3,).
         torque_constant: N·m/A, (3,).
         friction: N·m, (3,).
-        weight: factor of the weight, 1 unless the data say otherwise.
+        weight: factor of the weight, near 1.
         covariance: of 3 × (stiffness, torque_constant, friction) and weight, (10, 10), in their units.
-        current_residuals: of each reading and servo in standard deviations, (n, 3); NaN where a servo did not count.
-        angle_residuals: the same of goal − angle.
-        loads: the weight's share of each servo at each reading, N·m, (n, 3).
+        current_residuals: in standard deviations, (n readings, 3); NaN if a servo's reading was not used.
+        angle_residuals: the same for goal − angle.
+        loads: each servo's share of the weight, N·m, (n, 3).
     """
 
     stiffness: Array
@@ -66,7 +66,7 @@ class ServoFit:
 
     @property
     def scatter(self) -> float:
-        """Root mean square of all residuals; about 1 where what is known of the errors is right."""
+        """Root mean square of all residuals; about 1 if the assumed errors are correct."""
         both = np.concatenate([self.current_residuals, self.angle_residuals])
         return float(np.sqrt(np.nanmean(both**2)))
 
@@ -77,7 +77,7 @@ class ServoFit:
     def common(self, what: int) -> tuple[float, float]:
         """Return the mean of STIFFNESS, CONSTANT or FRICTION over the servos, and its standard error.
 
-        A servo that was measured worse counts less, unless the servos differ by more than their errors.
+        Less precise servos have less weight, unless the servos differ by more than their errors.
         """
         rows = slice(what, 3 * LIMB_COUNT, 3)
         values = (self.stiffness, self.torque_constant, self.friction)[what]
@@ -88,7 +88,7 @@ class ServoFit:
         return float(weights @ values), float(np.sqrt(weights @ self.covariance[rows, rows] @ weights))
 
     def own_error(self, what: int) -> Array:
-        """Return the standard errors (3,) were the weight known exactly: what tells one servo from another."""
+        """Return the standard errors (3,) for an exactly known weight, for comparing servos with each other."""
         rows = slice(what, 3 * LIMB_COUNT, 3)
         shared = self.covariance[rows, -1] ** 2 / self.covariance[-1, -1]
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance)[rows] - shared, 1e-18)))
@@ -103,11 +103,11 @@ class _Table:
     currents: Array
     current_errors: Array
     errors: Array
-    turning: Array  # (n, 3, 3): by how much each servo's load changes with the angle of each arm, N·m/rad
+    turning: Array  # (n, 3, 3): derivative of each servo's load by each arm's angle, N·m/rad
 
 
 def loads_at(angles: Array, task: ServoTask) -> Array:
-    """Return each servo's share of the weight (n, 3) N·m at arm angles (n, 3) rad, NaN where these have no position."""
+    """Return each servo's share of the weight (n, 3) N·m at arm angles (n, 3) rad; NaN for impossible angles."""
     delta = Delta(task.geometry)
     return delta.holding_torque(delta.forward(angles).position, task.gravity)
 
@@ -117,11 +117,11 @@ def fit_servos(readings: Sequence[StaticReading], task: ServoTask, play: Array |
 
     Args:
         readings: at rest.
-        task: what is known of the arm.
-        play: between encoder and arm of each servo, rad (3,); 0 where it is not known.
+        task: known properties of the arm.
+        play: play between encoder and arm of each servo, rad (3,); 0 = unknown.
 
     Raises:
-        ServoTrouble: there are too few readings, or the currents do not follow the weight at all.
+        ServoTrouble: there are too few readings, or the currents do not follow the weight.
     """
     if len(readings) < _FEWEST:
         raise ServoTrouble(_TOO_FEW.format(1))
@@ -154,7 +154,7 @@ def _table(readings: Sequence[StaticReading], task: ServoTask, play: Array) -> _
 
 
 def _first_guess(table: _Table) -> Array:
-    """Return ln k, ln Kt, f of each servo and the weight's factor by lines through the single servos' readings."""
+    """Return a first estimate of all numbers by linear fits to each servo's readings."""
     numbers = [1.0] * (_WEIGHT + 1) + [0.0] * LIMB_COUNT
     for servo in range(LIMB_COUNT):
         used = table.signs[:, servo] != 0.0
@@ -166,16 +166,15 @@ def _first_guess(table: _Table) -> Array:
         (softness, _), *_ = np.linalg.lstsq(rows, table.errors[used, servo], rcond=None)
         if per_torque <= 0.0 or softness <= 0.0:
             raise ServoTrouble(
-                f"the current of servo {servo + 1} does not grow with the weight it should carry: gravity_x, "
-                "gravity_y, gravity_z of docking_node point another way than gravity does, `direction` of servo_node "
-                "is wrong, or the platform hangs loose"
+                f"the current of servo {servo + 1} does not grow with the weight it should carry: correct gravity_x, "
+                "gravity_y, gravity_z of docking_node or `direction` of servo_node, or fasten the platform"
             )
         numbers[3 * servo : 3 * servo + 3] = -math.log(softness), -math.log(per_torque), rubbing / per_torque
     return np.array(numbers)
 
 
 def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, Array]:
-    """Return residuals (rows) in standard deviations and their slopes (rows, 13), what is known beforehand last."""
+    """Return residuals (rows) in standard deviations and their slopes (rows, 13); the priors are last."""
     residuals, slopes = [], []
     weight, offsets = numbers[_WEIGHT], numbers[_WEIGHT + 1 :]
     angle_error = math.hypot(ANGLE_ERROR, _CREEP)
@@ -198,14 +197,14 @@ def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, 
             rows[:, _WEIGHT + 1 :] = weight * turning * per_torque[:, None]
             residuals.append(torque * per_torque - values / errors)
             slopes.append(rows)
-    beforehand = np.zeros((LIMB_COUNT + 1, len(numbers)))
-    beforehand[:, _WEIGHT:] = np.diag([1.0 / tolerance] + [1.0 / OFFSET_ERROR] * LIMB_COUNT)
-    residuals.append(beforehand @ (numbers - np.eye(len(numbers))[_WEIGHT]))
-    return np.concatenate(residuals), np.concatenate([*slopes, beforehand])
+    priors = np.zeros((LIMB_COUNT + 1, len(numbers)))
+    priors[:, _WEIGHT:] = np.diag([1.0 / tolerance] + [1.0 / OFFSET_ERROR] * LIMB_COUNT)
+    residuals.append(priors @ (numbers - np.eye(len(numbers))[_WEIGHT]))
+    return np.concatenate(residuals), np.concatenate([*slopes, priors])
 
 
 def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, scatter: float) -> None:
-    """Replace a stiffness that few ticks tell, and the part of its variance that is theirs, in place."""
+    """Replace, in place, a stiffness that depends on few ticks and the part of its variance due to them."""
     used = table.signs[:, servo] != 0.0
     errors = table.errors[used, servo]
     if float(np.sqrt(np.mean(errors**2))) > _MANY_TICKS * TICK:
@@ -222,12 +221,12 @@ def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, s
 def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
     residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
     logarithms = numbers[:_WEIGHT].reshape(LIMB_COUNT, 3)
-    told = np.full((2, *table.signs.shape), math.nan)
+    by_reading = np.full((2, *table.signs.shape), math.nan)
     start = 0
     for servo in range(LIMB_COUNT):
         used = table.signs[:, servo] != 0.0
         for kind in range(2):
-            told[kind, used, servo] = residuals[start : start + used.sum()]
+            by_reading[kind, used, servo] = residuals[start : start + used.sum()]
             start += int(used.sum())
     rows = len(residuals) - LIMB_COUNT - 1
     scatter = float(np.sum(residuals[:rows] ** 2) / max(1, rows - _WEIGHT))
@@ -244,7 +243,7 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
         logarithms[:, FRICTION],
         float(numbers[_WEIGHT]),
         np.asarray(covariance),
-        told[1],
-        told[0],
+        by_reading[1],
+        by_reading[0],
         table.loads,
     )

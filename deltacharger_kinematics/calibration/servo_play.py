@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Play between a servo's encoder and its arm, where friction alone can hold the arm.
+"""Measures the play between a servo's encoder and its arm, at places where friction alone can hold the arm.
 
-A servo that bears a load never shows its play: the encoder stands on one side of it, and goal − angle is torque over
-stiffness all the same. Where its share of the weight is smaller than its friction, the goal can be led from one side to
-the other under an arm that stands still. Its torque then falls from L + f to 0, stays there while the goal passes the
-play, and falls on to L − f: the width of that step is the play. Both ways are gone, at several places, in whole ticks;
-what the ticks leave open is left open in the answer, which is the mean and spread of the plays that explain the
-readings.
+A loaded servo does not reveal its play: the encoder stays on one side of it, and goal − angle is still torque over
+stiffness. If its share of the weight is smaller than its friction, the goal can sweep from one side to the other while
+the arm stands still. The torque then falls from L + f to 0, stays there while the goal crosses the play, and falls on
+to L − f. The width of that step is the play. Sweeps in both directions at several places move in whole ticks. The
+result is mean and spread of all plays that explain the readings, which includes the uncertainty due to ticks.
 """
 
 from __future__ import annotations
@@ -24,26 +23,26 @@ from deltacharger_kinematics.calibration.servo_walk import ArmWalk
 from deltacharger_kinematics.geometry import Vector
 
 WIDEST = 0.05
-"""rad of play that is looked for."""
-_LIGHT = 0.6  # of a servo's friction; a share of the weight below it lets the arm stand by itself
-_SWEEPS = 12  # there and back, at most
+"""rad, largest detectable play."""
+_LIGHT = 0.6  # of a servo's friction; friction holds the arm at a smaller share of the weight
+_SWEEPS = 12  # maximum, both directions counted
 _WAIT, _READ = 0.06, 0.12  # s at each goal
 _FINE = 0.2  # of the friction; change of torque from goal to goal
-_ENOUGH = 0.6  # of the friction on the other side, where a sweep ends
+_ENOUGH = 0.6  # of the friction on the other side, end of a sweep
 _GRID = np.arange(0.0, WIDEST, 5e-5)
-_DRAWS = 400  # of what is not known exactly
-_GIVE = 0.0025  # rad/(N·m) by which a gear yields before it slips, and how well that is known
-_VAGUE = 0.005  # rad of standard deviation, from which on a play is not told
+_DRAWS = 400  # random draws of uncertain values
+_GIVE = 0.0025  # rad/(N·m), compliance of a gear before it slips; also its standard deviation
+_VAGUE = 0.005  # rad, standard deviation from which a play is not reported
 _MODEL_ERROR = 1e-3  # N·m
 
 
 class Sweep(NamedTuple):
-    """Goals of one servo led back from where it had slipped.
+    """Sweep of one servo's goal back from the place where it had slipped.
 
     Attributes:
-        direction: in which the servo had turned before, +1 or −1.
-        load: the weight's share there, N·m.
-        back: how far the goal was led back, rad, (n,).
+        direction: direction of rotation before, +1 or −1.
+        load: share of the weight there, N·m.
+        back: distance of the goal from the start, rad, (n,).
         currents: A, (n,).
         current_errors: A, (n,).
     """
@@ -59,9 +58,9 @@ class Play(NamedTuple):
     """Play between encoder and arm.
 
     Attributes:
-        width: of each servo, rad (3,); NaN where it is not told, since the arm's weight hides it.
-        error: its standard deviation, rad (3,).
-        strange: servos that turned back as no play explains.
+        width: of each servo, rad (3,); NaN if unknown, because the arm's weight hides it.
+        error: standard deviation, rad (3,).
+        strange: servos whose sweeps no play explains.
     """
 
     width: Array
@@ -70,21 +69,21 @@ class Play(NamedTuple):
 
 
 def untold() -> Play:
-    """Return what is known of play without any sweep."""
+    """Return unknown play for all servos."""
     return Play(np.full(3, math.nan), np.full(3, math.nan))
 
 
 def sweep_play(walk: ArmWalk, planner: PosePlanner, fit: ServoFit, seconds: float) -> Play:
-    """Look for the play of every servo that can stand by its friction somewhere in the workspace.
+    """Measure the play of every servo whose friction can hold the arm somewhere in the workspace.
 
     Args:
         walk: the arm.
-        planner: knows the places.
-        fit: what was found at rest.
-        seconds: for all servos together.
+        planner: provides the places.
+        fit: fit of the readings at rest.
+        seconds: time for all servos together.
 
     Raises:
-        ServoTrouble: as `ArmWalk` does.
+        ServoTrouble: as in `ArmWalk`.
     """
     found, strange = untold(), []
     light = [servo for servo in range(3) if planner.lightest(servo) < _LIGHT * max(fit.friction[servo], 0.0)]
@@ -100,7 +99,7 @@ def sweep_play(walk: ArmWalk, planner: PosePlanner, fit: ServoFit, seconds: floa
 
 
 def _sweeps(walk: ArmWalk, planner: PosePlanner, fit: ServoFit, servo: int, seconds: float) -> list[Sweep]:
-    """Go to places where a servo bears little and sweep there in both directions."""
+    """Move to places with a small load of a servo and sweep there in both directions."""
     end, sweeps = walk.spent + seconds, list[Sweep]()
     stiffness, friction = float(fit.stiffness[servo]), float(fit.friction[servo])
     turn = 3.0 * friction / stiffness + 0.02
@@ -128,12 +127,12 @@ def _moved(goals: Vector, servo: int, by: float) -> Vector:
 
 
 def _sweep(walk: ArmWalk, servo: int, direction: int, load: float, fit: ServoFit) -> Sweep:
-    """Lead one servo's goal back, tick by tick where its torque is small, until it pulls the other way."""
+    """Move one servo's goal back, in small steps while its torque is small, until it pulls the other way."""
     friction, stiffness, constant = (
         float(values[servo]) for values in (fit.friction, fit.stiffness, fit.torque_constant)
     )
     start, fine = walk.arm.goals(), max(1, round(_FINE * friction / stiffness / TICK))
-    # The first step leaves a part of the friction; smaller ones cross the rest.
+    # The first step leaves part of the friction; smaller ones cross the rest.
     ticks = max(1, round((direction * load + (1.0 - 2.0 * _FINE) * friction) / stiffness / TICK))
     rows = []
     while ticks * TICK < WIDEST + 3.0 * friction / stiffness:
@@ -142,15 +141,14 @@ def _sweep(walk: ArmWalk, servo: int, direction: int, load: float, fit: ServoFit
         if direction * constant * rows[-1][1] < direction * load - _ENOUGH * friction and rows[-1][1] * direction < 0.0:
             break
         ticks += fine
-    told = np.array(rows)
-    return Sweep(direction, load, told[:, 0], told[:, 1], told[:, 2])
+    readings = np.array(rows)
+    return Sweep(direction, load, readings[:, 0], readings[:, 1], readings[:, 2])
 
 
 def play_of(sweeps: list[Sweep], fit: ServoFit, servo: int) -> tuple[float, float]:
-    """Return mean and standard deviation (rad) of the plays that explain the sweeps of a servo.
+    """Return mean and standard deviation (rad) of the plays that explain a servo's sweeps; NaN if none does.
 
-    Every play of a grid is tried with draws of load, friction, stiffness and give of the gear within their errors. NaN
-    where none explains them.
+    Each play of a grid is tested with random draws of load, friction, stiffness and gear compliance.
     """
     random = np.random.default_rng(0)
     friction = fit.friction[servo] + fit.own_error(FRICTION)[servo] * random.normal(size=_DRAWS)
@@ -178,9 +176,9 @@ def play_of(sweeps: list[Sweep], fit: ServoFit, servo: int) -> tuple[float, floa
 
 
 def torque_swept(back: float, play: Array, first: Array, last: Array, stiffness: Array) -> Array:
-    """Return the torque (N·m) where a goal was led back by `back` (rad) from where the torque was `first`.
+    """Return the torque (N·m) after a goal has moved back by `back` (rad) from where the torque was `first`.
 
-    It falls by `stiffness`, rests at 0 over the width of the play, and falls on down to `last`, where the arm slips.
+    It falls by `stiffness`, stays at 0 over the width of the play, and falls on to `last`, where the arm slips.
     """
     at_zero = np.maximum(first, 0.0) / stiffness
     before = first - stiffness * back

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the servos of an arm that stands free: from place to place, at rest in each, until the time is over."""
+"""Measures the servos of a free arm: moves from place to place and reads at rest until the time is over."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from deltacharger_kinematics.calibration.servo_plan import PosePlanner
 from deltacharger_kinematics.calibration.servo_play import Play, sweep_play
 from deltacharger_kinematics.calibration.servo_walk import ArmWalk
 
-_FIRST_TURN, _TURN = 0.12, 0.03  # rad that a servo turns at least, before and after its friction is known
-_ROUGH = 8  # readings, after which and every so many the model is fitted anew
-_SURELY_TURNED = 0.015  # rad that an encoder shows, beyond any play
-_AT_REST = 0.8  # of the time; the rest is for play
+_FIRST_TURN, _TURN = 0.12, 0.03  # rad, smallest rotation of a servo before and after its friction is known
+_ROUGH = 8  # readings between fits of the model
+_SURELY_TURNED = 0.015  # rad of encoder rotation, more than any play
+_AT_REST = 0.8  # share of the time for readings at rest; the other share is for play
 
 
 @dataclass(frozen=True)
 class MeasuredArm:
-    """What was measured of an arm's servos.
+    """Measured servos of an arm.
 
     Attributes:
-        readings: at rest, in their order.
+        readings: at rest, in order.
         fit: stiffness, torque constant and friction.
-        play: between encoder and arm.
-        seconds: that it took.
+        play: play between encoder and arm.
+        seconds: duration of the measurement.
     """
 
     readings: tuple[StaticReading, ...]
@@ -43,12 +43,12 @@ def measure_servos(arm: ServoArm, task: ServoTask, say: Callable[[float], None] 
     """Measure the servos of an arm.
 
     Args:
-        arm: with its torque on and nothing in its way.
-        task: what is known of it.
-        say: is told how far it is, as a share of 1.
+        arm: with torque on and free to move.
+        task: known properties of the arm.
+        say: called with the progress, 0 to 1.
 
     Raises:
-        ServoTrouble: something is in the way, the arm does not come to rest, or the currents do not follow the weight.
+        ServoTrouble: the arm is blocked or does not come to rest, or the currents do not follow the weight.
     """
     walk, planner, readings = ArmWalk(arm, task), PosePlanner(task), list[StaticReading]()
     angles = _begin(walk, planner)
@@ -74,17 +74,17 @@ def measure_servos(arm: ServoArm, task: ServoTask, say: Callable[[float], None] 
 
 
 def _begin(walk: ArmWalk, planner: PosePlanner) -> Array:
-    """Look at how stiff the servos are, roughly, and go to the middle."""
+    """Estimate the stiffness roughly, and move to the middle."""
     reading = walk.rest()
     walk.look(reading)
-    for _ in range(2):  # the first way is led by a guess
+    for _ in range(2):  # the first move uses a guess
         reading = walk.visit(planner.middle(np.array(reading.angles), walk.model))
         walk.look(reading)
     return np.array(reading.angles)
 
 
 def _surely_turned(reading: StaticReading, before: Array) -> StaticReading:
-    """Return a reading that counts for those servos alone that turned the way that was meant."""
+    """Return a reading that counts only for the servos that turned in the planned direction."""
     turned = np.subtract(reading.angles, before) * reading.directions
     first, second, third = (
         direction if turn > _SURELY_TURNED and math.isfinite(turn) else 0

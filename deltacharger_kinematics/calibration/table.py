@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A comma-separated file of poses as cells and numbers, read strictly: whatever is doubtful is refused with its line.
+"""Strict reader of CSV files of poses: any doubtful cell is refused with its line.
 
-Spreadsheets that separate with semicolons or tabs and write decimal commas are understood, as are a byte order mark and
-any line ending. Lines that start with # are comments; `# zero_ticks 2048 2048 2048` and `# direction 1 1 1` among them
-state how the encoders sit.
+It accepts semicolons or tabs as separators with decimal commas, a byte order mark and any line ending. Lines that start
+with # are comments. The comments `# zero_ticks 2048 2048 2048` and `# direction 1 1 1` state zero and direction of the
+encoders.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ POSITION_COLUMNS = {
     tuple(f"{axis}_mm" for axis in AXES): MILLIMETRE,
     tuple(f"{axis}_m" for axis in AXES): 1.0,
 }
-"""Where the platform was measured, in charger_base, with the unit in m."""
+"""Columns of the measured position in charger_base, with their unit in m."""
 TICKS = tuple(f"ticks_{limb}" for limb in LIMBS)
 DEGREES = tuple(f"angle_{limb}_deg" for limb in LIMBS)
 RADIANS = tuple(f"angle_{limb}_rad" for limb in LIMBS)
@@ -42,21 +42,21 @@ PLAN_COLUMNS = (
     *(f"command_{limb}_deg" for limb in LIMBS),
     *(f"goal_ticks_{limb}" for limb in LIMBS),
 )
-"""What a plan tells the person or program that moves the arm; no measurement, so nothing here is read."""
+"""Columns of a plan for the person or program that moves the arm; ignored as measurements."""
 KNOWN = (*(name for group in POSITION_COLUMNS for name in group), *TICKS, *DEGREES, *RADIANS, HELD_OUT, *PLAN_COLUMNS)
 
 LARGEST_FILE = 4 * 2**20
-"""Bytes of a file; far beyond what anybody measures."""
+"""Maximum bytes of a file, far above any real measurement."""
 _MOST_LINES, _MOST_ROWS, _LONGEST_LINE = 100_000, 10_000, 2000
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _STATEMENT = re.compile(r"#\s*(zero_ticks|direction)\b(.*)")
 
 
 class CalibrationError(ValueError):
-    """The measurements cannot be used as they are.
+    """The measurements cannot be used.
 
     Attributes:
-        lines: of the file, that are concerned; empty where it is the whole.
+        lines: affected lines of the file; empty = the entire file.
     """
 
     def __init__(self, message: str, lines: Sequence[int] = ()) -> None:
@@ -66,7 +66,7 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True)
 class Table:
-    """A file as it stands: cells by column name, the line of each row, and what its comments state."""
+    """Content of a file: cells by column name, line number of each row, encoder statements in comments."""
 
     names: tuple[str, ...]
     rows: tuple[dict[str, str], ...]
@@ -78,7 +78,7 @@ class Table:
         """Return a column as numbers (n,).
 
         Raises:
-            CalibrationError: a cell is empty or no finite number; names its line.
+            CalibrationError: a cell is empty or no finite number; names the line.
         """
         return np.array([self._number(row[name], name, line) for row, line in zip(self.rows, self.lines, strict=True)])
 
@@ -100,9 +100,9 @@ def read_table(path: str | Path, known: Sequence[str] = KNOWN, page: str = "docs
     """Read a file into cells; errors as in `read_measurements`.
 
     Args:
-        path: of the file.
-        known: names of columns.
-        page: which tells of them.
+        path: file.
+        known: valid column names.
+        page: documentation page of the columns.
     """
     header: list[str] = []
     rows, lines = list[dict[str, str]](), list[int]()
@@ -150,7 +150,7 @@ def _decoded(path: Path) -> str:
         line = content.count(b"\n", 0, error.start) + 1
         raise CalibrationError(f"line {line} is not UTF-8: save the file as 'CSV UTF-8'", [line]) from None
     if "\0" in text:
-        raise CalibrationError("the file holds zero bytes, so it is no text: save it as 'CSV UTF-8'")
+        raise CalibrationError("the file holds zero bytes, so it is not text: save it as 'CSV UTF-8'")
     return text
 
 
@@ -173,7 +173,7 @@ def _cells(text: str, delimiter: str, line: int) -> list[str]:
 
 
 def _drop_empty(cells: list[str], wanted: int) -> None:
-    """Drop the empty cells with which a spreadsheet fills a row up to the width of its widest line."""
+    """Drop the empty cells that a spreadsheet adds up to the width of its widest line."""
     while len(cells) > wanted and not cells[-1]:
         cells.pop()
 

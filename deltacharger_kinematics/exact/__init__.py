@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arithmetic beyond doubles, for where rounding decides the answer."""
+"""Arithmetic beyond doubles, for points whose result depends on rounding."""

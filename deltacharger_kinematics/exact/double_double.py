@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Double-double arithmetic: a number as an unevaluated sum (high, low) of two doubles, about 106 bits.
 
-Everything works on floats and on numpy arrays alike. Error-free sums after Knuth, products after Dekker and Veltkamp;
-relative error of one operation below 2^-102 (Joldes, Muller and Popescu, "Tight and rigorous error bounds for basic
-building blocks of double-word arithmetic", 2017). Operands beyond 1e300 overflow in the split and are for the caller to
-keep out.
+All functions work on floats and numpy arrays. Error-free sums after Knuth, products after Dekker and Veltkamp; relative
+error of one operation below 2^-102 (Joldes, Muller and Popescu, "Tight and rigorous error bounds for basic building
+blocks of double-word arithmetic", 2017). Operands above 1e300 overflow in the split; the caller must exclude them.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-# A float or an array of floats; both have the operators used here, and no common type says so.
+# A float or an array of floats; they have no common type for the operators used here.
 Number = Any
 DoubleDouble = tuple[Number, Number]
 
@@ -27,7 +26,7 @@ def two_sum(a: Number, b: Number) -> DoubleDouble:
 
 
 def two_product(a: Number, b: Number) -> DoubleDouble:
-    """Return a·b exactly, but for underflow."""
+    """Return a·b exactly, except for underflow."""
     product = a * b
     wide = _SPLITTER * a
     a_high = wide - (wide - a)
@@ -44,7 +43,7 @@ def _renormalise(high: Number, low: Number) -> DoubleDouble:
 
 
 def add(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
-    """Return a + b, accurate also where the two cancel."""
+    """Return a + b, accurate even under cancellation."""
     high, error = two_sum(a[0], b[0])
     low, rest = two_sum(a[1], b[1])
     high, error = _renormalise(high, error + low)

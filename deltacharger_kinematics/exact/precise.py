@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One limb solved in double-double, for where rounding to double decides the answer.
+"""Solves one limb in double-double, for points whose result depends on rounding to double.
 
-Near the edge of reach the angle depends on √Q, and an error ε in Q costs √ε: 1e-8 rad in doubles. Here u, v, w, K and
-Q of `deltacharger_kinematics.delta` carry about 106 bits, with the doubles of position and lengths taken as exact, cos
-and sin of 120° as −1/2 and ±√3/2; where even that leaves the sign of Q open, it is decided in exact arithmetic.
+Near the edge of reach the angle depends on √Q, and an error ε in Q causes √ε: 1e-8 rad in doubles. Here u, v, w, K and
+Q of `deltacharger_kinematics.delta` have about 106 bits. The doubles of position and lengths count as exact, cos and
+sin of 120° as −1/2 and ±√3/2. If the sign of Q is still undecided, exact arithmetic decides it.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from deltacharger_kinematics.exact import double_double as dd
 from deltacharger_kinematics.exact.double_double import DoubleDouble, Number
 from deltacharger_kinematics.geometry import Limb
 
-# √Q as a share of u² + v² + w² + a² + L² below which plain doubles are not enough. Their error grows with its inverse,
-# 1e-15 rad here; nowhere in the default workspace is the share below 0.26.
+# √Q as a share of u² + v² + w² + a² + L² below which plain doubles are not precise enough. Their error grows with its
+# inverse, 1e-15 rad here. In the default workspace the share is at least 0.26.
 DOUBTFUL_ROOT = 0.25
 HOPELESS = 1e-13  # share of the same sum squared; a more negative Q is negative in any arithmetic
-_UNDECIDED = 2.0**-88  # of (u² + v² + w² + a² + L²)²; below it √Q in double-double is not good to 1e-17 of its scale
+_UNDECIDED = 2.0**-88  # of (u² + v² + w² + a² + L²)²; below it √Q in double-double is not precise to 1e-17 of its scale
 _ROOT_THREE = Fraction(math.isqrt(3 << 1200), 1 << 600)
 Surd = tuple[Fraction, Fraction]  # p + q√3
 
 
 def solve_limb(x: Array, y: Array, z: Array, limb: Limb, knee: int) -> tuple[Array, Array]:
-    """Return the commanded angles (n,) rad and Q (n,) m⁴ of one limb at positions (n,) each, m in charger_base.
+    """Return the commanded angles (n,) rad and Q (n,) m⁴ of one limb at positions x, y, z (n,) m in charger_base.
 
-    The error of an angle stays below 4e-16 rad. The sign of Q is exact; where it is negative the angle is NaN.
+    The error of an angle is below 4e-16 rad. The sign of Q is exact; if it is negative, the angle is NaN.
     """
     u, w, k, (high, low) = _terms(x, y, z, limb)
     size = k[0] + 2.0 * limb.rod**2
@@ -41,13 +41,13 @@ def solve_limb(x: Array, y: Array, z: Array, limb: Limb, knee: int) -> tuple[Arr
     root = dd.square_root((high, low), np.where(plain > 0.0, plain, 1.0))
     root = np.where(plain > 0.0, root[0], plain), np.where(plain > 0.0, root[1], 0.0)
     sine, cosine = _direction(u, w, k, root, knee)
-    # The platform's long double: numpy's vectorised arc tangent of doubles is good to 0.76 ulp only.
+    # In long double, because numpy's vectorised arc tangent of doubles is precise to 0.76 ulp only.
     angle = np.arctan2(_extended(sine), _extended(cosine)) - limb.angle_offset
     return angle.astype(np.float64), high
 
 
 def solve_limb_at(x: float, y: float, z: float, limb: Limb, knee: int) -> tuple[float, float]:
-    """Return commanded angle and Q as `solve_limb`, for one finite position."""
+    """Return commanded angle and Q, as `solve_limb`, for one finite position."""
     u, w, k, (high, low) = _terms(x, y, z, limb)
     if abs(high) < _UNDECIDED * (k[0] + 2.0 * limb.rod**2) ** 2:
         high, low = exact_discriminant(x, y, z, limb), 0.0
@@ -96,7 +96,7 @@ def _direction(
 
 
 def exact_discriminant(x: float, y: float, z: float, limb: Limb) -> float:
-    """Return Q (m⁴) of the exact values of the doubles, rounded once; 0.0 only where it is zero."""
+    """Return Q (m⁴) of the exact values of the doubles, rounded once; 0.0 only if it is exactly zero."""
     px, py, pz = Fraction(x), Fraction(y), Fraction(z)
     cosine, sine = (Fraction(1), Fraction(0)) if limb.sine == 0.0 else (Fraction(-1, 2), Fraction(1, 2))
     if limb.sine < 0.0:
@@ -122,10 +122,10 @@ def _square(a: Surd) -> Surd:
 
 
 def _rounded(p: Fraction, q: Fraction) -> float:
-    """Return p + q√3 as a double that keeps its sign."""
+    """Return p + q√3 as a double with the exact sign."""
     if p == 0 and q == 0:
         return 0.0
-    # √3 is irrational, so p² = 3q² only for p = q = 0, and comparing them decides.
+    # √3 is irrational, so p² = 3q² only for p = q = 0; the comparison decides the sign.
     positive = (p > 0) if p * p > 3 * q * q else (q > 0)
     value = abs(float(p + q * _ROOT_THREE))
     return math.copysign(max(value, 5e-324), 1.0 if positive else -1.0)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes share that need the arm: its geometry as parameters."""
+"""Geometry parameters of nodes that use the arm."""

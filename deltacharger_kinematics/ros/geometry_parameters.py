@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm's geometry as parameters of a node: of its own, or out of a file."""
+"""Geometry of the arm from a node's parameters or from a file."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from deltacharger_ros.parameters import declare_all
 def declare_geometry(node: Node) -> DeltaGeometry:
     """Declare the geometry as parameters of `node` and return it.
 
-    With `geometry_file` the file alone decides, limb by limb, and the single parameters show what it says; one that was
-    given beside it must say the same.
+    With a `geometry_file` its values are used, limb by limb, and shown in the single parameters. A parameter that is
+    given as well must have the same value.
 
     Raises:
-        StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
+        StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
     """
     file = declare_all(node, GeometryFileParameters).geometry_file
     base = _load(node, file) if file else DeltaGeometry()
@@ -31,10 +31,10 @@ def declare_geometry(node: Node) -> DeltaGeometry:
     except node_support.StartupError as error:
         raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
     for name, value in given.items():
-        if file and value != (told := getattr(base, name)):
+        if file and value != (from_file := getattr(base, name)):
             raise node_support.StartupError(
-                f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') says "
-                f"{told!r}; the file decides, so remove '{name}' or correct the file"
+                f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') has "
+                f"{from_file!r}; remove '{name}', or correct the file"
             )
     try:
         return dataclasses.replace(base, **given)
@@ -47,7 +47,7 @@ def _load(node: Node, file: str) -> DeltaGeometry:
     try:
         return load_geometry(where)
     except OSError as error:
-        problem = f"'{where}' cannot be read: {error.strerror or error}; give a geometry file's path, or leave it out"
+        problem = f"'{where}' cannot be read: {error.strerror or error}; give a geometry file's path, or remove it"
     except ValueError as error:
         problem = str(error)
     raise node_support.StartupError(f"{node.get_name()}: parameter 'geometry_file': {problem}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whom the nodes of a process reach, and what is said of it."""
+"""Network reach of a process's nodes, and its description."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "text"),
     [
         ({}, "every computer of this network"),
         ({RANGE: ""}, "every computer of this network"),
@@ -29,21 +29,21 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
         ({RANGE: "LOCALHOTS"}, "every program on this computer"),
         ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program on this computer"),
         ({RANGE: "OFF"}, "this process alone"),
-        ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "whom the profile of the middleware lets in"),
-        (ENFORCED, "nodes with a key of this keystore alone"),
+        ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "programs that the middleware's profile admits"),
+        (ENFORCED, "only nodes with a key of this keystore"),
         ({**ENFORCED, "ROS_SECURITY_STRATEGY": "Permissive"}, "every computer of this network"),
     ],
 )
-def test_it_is_said_who_can_command_the_nodes(
-    monkeypatch: pytest.MonkeyPatch, settings: dict[str, str], said: str
+def test_the_text_states_who_can_command_the_nodes(
+    monkeypatch: pytest.MonkeyPatch, settings: dict[str, str], text: str
 ) -> None:
     for name, value in settings.items():
         monkeypatch.setenv(name, value)
-    assert environment.openness() == said
+    assert environment.openness() == text
 
 
 @pytest.mark.parametrize(("set_before", "reached"), [("", "SUBNET"), ("LOCALHOST", "LOCALHOST")])
-def test_what_the_user_has_set_counts_more_than_the_scene(
+def test_settings_of_the_user_override_the_scene(
     monkeypatch: pytest.MonkeyPatch, set_before: str, reached: str
 ) -> None:
     monkeypatch.setenv(RANGE, set_before)

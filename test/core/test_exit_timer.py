@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-_HANGS = "import ctypes; ctypes.PyDLL(None).pause()"  # for ever, with Python's lock
+_HANGS = "import ctypes; ctypes.PyDLL(None).pause()"  # blocks for ever with Python's lock
 
 
 def _run(limit: float, code: int, then: str) -> int:
@@ -21,5 +21,5 @@ def test_a_process_that_hangs_ends_within_its_limit(limit: float, code: int) -> 
     assert _run(limit, code, _HANGS) == code
 
 
-def test_one_that_ends_by_itself_keeps_its_own_code() -> None:
+def test_a_process_that_ends_in_time_keeps_its_exit_code() -> None:
     assert _run(30.0, 0, "raise SystemExit(3)") == 3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file is there whole or as it was; links are followed, pipes written to."""
+"""Files are written completely or not at all; links are followed, pipes written directly."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from deltacharger_core import files
 
 
-def test_a_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path) -> None:
+def test_a_failure_leaves_only_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "f"
     files.write_text(path, "old")
     with contextlib.suppress(ZeroDivisionError), files.whole(path) as beside:
@@ -35,7 +35,7 @@ def test_a_link_is_followed_and_a_pipe_is_written_to(tmp_path: Path) -> None:
     os.close(reader)
 
 
-def test_a_disk_without_sync_is_taken_and_one_that_fails_is_told(
+def test_a_disk_without_sync_is_accepted_and_a_failing_one_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(number: int) -> None:

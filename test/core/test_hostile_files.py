@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever stands where a file should: a named refusal or a sound value, in 2 s and 200 MB more, by every reader.
+"""Every reader refuses a bad file by name or returns a valid value, within 2 s and 200 MB more memory.
 
-What readers there are, their good files and what is sound stands in benchmarks/fuzz_files.py; here and in
-benchmarks/files_fuzz.py these are changed at random, and replaced by what people and programs do to each other.
+benchmarks/fuzz_files.py defines the readers, their good files and valid values. This file and benchmarks/files_fuzz.py
+change good files at random, and replace them by typical mistakes and attacks.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ KINDS = ("yaml", "csv", "npz", "npy", "picture", "mcap", "json", "parquet")
 
 
 def run(*words: object) -> dict[str, Any]:
-    """Run it in processes of its own, so that memory is measured from the beginning and a crash is told."""
+    """Run it in separate processes, to measure memory from the start and to report crashes."""
     command = [sys.executable, str(FUZZ), "--json", "--processes", "1", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=590)
     assert done.stdout, done.stderr[-3000:]
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(("files", "first"), [(200, 0), slow(10_000, 1_000_000)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_changed_files_are_refused_by_name_or_sound(kind: str, files: int, first: int) -> None:
-    told = run("--kind", kind, "--files", files, "--first", first)[kind]
-    assert not told["broken"], "\n".join(told["broken"])
-    assert told["files"] == files
-    assert min(told["taken"], told["refused"]) > 0, told
+def test_changed_files_are_refused_by_name_or_valid(kind: str, files: int, first: int) -> None:
+    result = run("--kind", kind, "--files", files, "--first", first)[kind]
+    assert not result["broken"], "\n".join(result["broken"])
+    assert result["files"] == files
+    assert min(result["taken"], result["refused"]) > 0, result
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_attacks_on_every_reader_are_refused_by_name(kind: str) -> None:
-    told = run("--kind", kind, "--attacks")[kind]
-    assert not told["broken"], "\n".join(told["broken"])
-    assert told["refused"] >= 6, told
+    result = run("--kind", kind, "--attacks")[kind]
+    assert not result["broken"], "\n".join(result["broken"])
+    assert result["refused"] >= 6, result

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One reader for every recording: indexed or not, in chunks or not, whole, cut short or damaged."""
+"""One reader for every recording: with or without index and chunks, complete, truncated or damaged."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write(path: Path, chunk_size: int = 600, messages: list[Raw] = MESSAGES, **o
         {"repeat_channels": False, "repeat_schemas": False},
     ],
 )
-def test_all_that_stands_in_a_file_is_told_however_it_was_written(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, options: dict[str, Any]) -> None:
     file = McapFile(write(tmp_path / "a.mcap", **options))
     assert list(file.messages()) == MESSAGES
     assert list(file.messages("/b")) == MESSAGES[1::2]
@@ -60,13 +60,13 @@ def test_a_long_recording_in_small_chunks_is_read_to_its_end(tmp_path: Path, ind
     assert sum(1 for _ in file.messages()) == file.counts.total()
 
 
-def test_attachments_come_by_name(tmp_path: Path) -> None:
+def test_attachments_are_found_by_name(tmp_path: Path) -> None:
     assert McapFile(write(tmp_path / "a.mcap")).attachment("note.txt") == b"hello"
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
 @pytest.mark.parametrize("chunks", [True, False])
-def test_what_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path, share: float, chunks: bool) -> None:
+def test_a_truncated_file_is_read_to_its_end(tmp_path: Path, share: float, chunks: bool) -> None:
     path = write(tmp_path / "a.mcap", use_chunking=chunks)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
@@ -78,7 +78,7 @@ def test_what_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path, share: float
     assert (file.damage, file.first, file.last) == (CUT_SHORT, 1000, found[-1].received)
 
 
-def test_damage_inside_ends_the_messages_and_says_so(tmp_path: Path) -> None:
+def test_damage_inside_ends_the_messages_with_an_error(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap")
     data = bytearray(path.read_bytes())
     data[data.index(b"message 50") + 3] ^= 0xFF

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A declared parameter refuses what it cannot be, by name, however it is given."""
+"""A declared parameter refuses invalid values by name, from any source."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
 
 
 @pytest.mark.parametrize(("content", "key", "problem"), WRONG, ids=str)
-def test_what_is_refused_is_named_with_what_is_allowed(content: dict[str, Any], key: str, problem: str) -> None:
+def test_a_refusal_names_the_key_and_the_allowed_values(content: dict[str, Any], key: str, problem: str) -> None:
     with pytest.raises(ParameterError) as refusal:
         from_mapping(content, Arm, "arm")
     assert refusal.value.key == key
     assert problem in refusal.value.problem
 
 
-def test_a_mapping_gives_what_it_says_and_the_defaults() -> None:
+def test_a_mapping_sets_its_keys_and_leaves_other_defaults() -> None:
     arm = from_mapping({"spring": {"stiffness": 5}, "springs": [{"turns": 2}], "corner": [0, 1], "limit": None}, Arm)
     assert arm == Arm(spring=Spring(5.0), springs=(Spring(turns=2),), corner=(0.0, 1.0))
     assert isinstance(arm.spring.stiffness, float)
@@ -89,7 +89,7 @@ def test_bounds_hold_in_python_too() -> None:
         Spring(turns=0)
 
 
-def test_the_declarations_tell_name_bounds_default_and_text() -> None:
+def test_declarations_provide_name_bounds_default_and_text() -> None:
     known = {each.name: each for each in declared(Arm, "arm")}
     assert list(known)[:3] == ["arm.spring.stiffness", "arm.spring.turns", "arm.springs"]
     stiffness = known["arm.spring.stiffness"]

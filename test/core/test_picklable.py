@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every exception of the package leaves a worker process as it was raised there."""
+"""Every exception of the package survives the transfer from a worker process."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def kinds() -> list[type[BaseException]]:
         if DEFINES.search(path.read_text("utf-8")):
             try:
                 importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-            except ModuleNotFoundError:  # of an extra, or of ROS
+            except ModuleNotFoundError:  # needs an extra or ROS
                 continue
     return sorted({kind for kind in below(BaseException) if kind.__module__.startswith("deltacharger_")}, key=repr)
 
 
-def test_every_kind_keeps_message_and_values() -> None:
+def test_every_exception_keeps_message_and_values() -> None:
     found = kinds()
     assert {ModelError, ParameterError, PortMissing} < set(found)
     for kind in found:
@@ -59,7 +59,7 @@ def test_every_kind_keeps_message_and_values() -> None:
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_it_says_the_same_on_the_other_side(error: Exception) -> None:
+def test_the_message_survives_pickling(error: Exception) -> None:
     back = pickle.loads(pickle.dumps(error))
     assert (type(back), str(back), vars(back)) == (type(error), str(error), vars(error))
     assert getattr(back, "filename", None) == getattr(error, "filename", None)

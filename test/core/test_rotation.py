@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The signs of lean: yaw about +y, pitch about +x, and no part of either in a roll about z; poses."""
+"""Signs of lean (yaw about +y, pitch about +x, independent of roll about z), and poses."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def about(axis: str, angle: float) -> tuple[float, float, float, float]:
 
 
 @given(angles)
-def test_a_turn_about_one_axis_leans_about_that_axis_alone(angle: float) -> None:
+def test_a_rotation_about_one_axis_leans_only_about_that_axis(angle: float) -> None:
     assert lean(rotation(*about("y", angle))) == pytest.approx((angle, 0.0), abs=1e-12)
     assert lean(rotation(*about("x", angle))) == pytest.approx((0.0, angle), abs=1e-12)
     assert lean(rotation(*about("z", angle))) == (0.0, 0.0)
 
 
 @given(angles, angles, st.floats(-math.pi, math.pi))
-def test_a_roll_about_the_leaning_axis_changes_no_lean(yaw: float, pitch: float, roll: float) -> None:
+def test_roll_about_the_leaning_axis_does_not_change_the_lean(yaw: float, pitch: float, roll: float) -> None:
     (ax, ay, az, aw), (_, _, bz, bw) = about("y", yaw), about("z", roll)
     if pitch:
         px, _, _, pw = about("x", pitch)
@@ -51,7 +51,7 @@ def matrix(pose: Pose) -> np.ndarray[Any, Any]:
     return found
 
 
-def test_poses_compose_and_invert_as_their_matrices_do() -> None:
+def test_poses_compose_and_invert_like_matrices() -> None:
     source = random.Random(5)
     for _ in range(100):
         a, b = drawn(source), drawn(source)

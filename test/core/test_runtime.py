@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lock that lets one charger run: whoever lives and holds it has it, and nothing else counts."""
+"""The lock that allows one charger: only a living holder counts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ except runtime.Taken as taken:
 
 
 class Holder:
-    """A process that asks for the lock of domain 7 when told, and keeps it until told again or killed."""
+    """A process that takes the lock of domain 7 on command, and keeps it until the next command or until killed."""
 
     def __init__(self, namespace: str) -> None:
         self.process = subprocess.Popen(
@@ -43,7 +43,7 @@ class Holder:
         self.process.stdin.write("\n")
         self.process.stdin.flush()
 
-    def said(self) -> str:
+    def answer(self) -> str:
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
@@ -67,30 +67,30 @@ def holder() -> Iterator[Callable[[str], Holder]]:
         each.process.communicate(timeout=DEADLINE)
 
 
-def test_of_processes_that_ask_at_the_same_instant_exactly_one_wins(holder: Callable[[str], Holder]) -> None:
+def test_exactly_one_of_simultaneous_processes_gets_the_lock(holder: Callable[[str], Holder]) -> None:
     asking = [holder("left") for _ in range(6)]
     for each in asking:
         each.go_on()
-    answers = [each.said() for each in asking]
+    answers = [each.answer() for each in asking]
     winner = asking[answers.index("won")]
     assert answers.count("won") == 1
     assert set(answers) <= {"won", f"refused: {winner.process.pid}", "refused:"}  # it may not have written its id yet
 
 
-def test_each_domain_and_namespace_has_a_lock_of_its_own(holder: Callable[[str], Holder]) -> None:
+def test_each_domain_and_namespace_has_its_own_lock(holder: Callable[[str], Holder]) -> None:
     left = holder("left")
     left.go_on()
-    assert left.said() == "won"
+    assert left.answer() == "won"
     with pytest.raises(runtime.Taken, match=f"process {left.process.pid}"), runtime.only_one(7, "left"):
         pass
     with runtime.only_one(7, "/a/left"), runtime.only_one(7, ""), runtime.only_one(8, "left"):
         pass
 
 
-def test_a_holder_that_is_killed_leaves_a_file_that_keeps_nobody_away(holder: Callable[[str], Holder]) -> None:
+def test_the_file_of_a_killed_holder_blocks_no_process(holder: Callable[[str], Holder]) -> None:
     killed = holder("left")
     killed.go_on()
-    assert killed.said() == "won"
+    assert killed.answer() == "won"
     killed.process.send_signal(signal.SIGKILL)
     killed.process.wait(DEADLINE)
     [file] = runtime.folder().glob("*.lock")
@@ -99,21 +99,21 @@ def test_a_holder_that_is_killed_leaves_a_file_that_keeps_nobody_away(holder: Ca
         assert file.read_text() == f"{os.getpid()}\n"
 
 
-def test_a_lock_given_back_can_be_taken_again_by_another_process(holder: Callable[[str], Holder]) -> None:
+def test_another_process_can_take_a_released_lock(holder: Callable[[str], Holder]) -> None:
     with runtime.only_one(7, ""):
         refused = holder("")
         refused.go_on()
-        assert refused.said() == f"refused: {os.getpid()}"
+        assert refused.answer() == f"refused: {os.getpid()}"
     second = holder("")
     second.go_on()
-    assert second.said() == "won"
+    assert second.answer() == "won"
     second.go_on()
     wait_until(lambda: second.process.poll() is not None, "its end")
     with runtime.only_one(7, ""):
         pass
 
 
-def test_the_folder_is_private_and_one_of_somebody_else_is_refused(tmp_path: Path) -> None:
+def test_the_folder_is_private_and_another_users_folder_is_refused(tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     runtime.folder().symlink_to(elsewhere)
@@ -124,9 +124,7 @@ def test_the_folder_is_private_and_one_of_somebody_else_is_refused(tmp_path: Pat
         assert runtime.folder().stat().st_mode & 0o077 == 0
 
 
-def test_without_a_runtime_folder_that_can_be_used_it_lies_below_tmp(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_usable_runtime_folder_it_is_below_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert runtime.folder().parent == tmp_path
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
     assert runtime.folder().parent == Path("/tmp")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file of measured servos: what it says comes back, and what is none is refused by name."""
+"""Files of measured servos: values survive writing and reading, invalid files are refused by name."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ WHOLE = MeasuredServos(
 )
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_a_written_file_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "servos.yaml"
     save_servos(WHOLE, path, "measured today")
     assert load_servos(path) == WHOLE
     assert path.read_text().startswith("# measured today\n")
-    assert "null" not in path.read_text()  # what is not told is left out
+    assert "null" not in path.read_text()  # missing values are omitted
 
 
-def test_what_a_file_leaves_out_is_as_usual(tmp_path: Path) -> None:
+def test_missing_keys_have_their_defaults(tmp_path: Path) -> None:
     path = tmp_path / "servos.yaml"
     path.write_text("stiffness: 8.5\n")
-    told = load_servos(path)
-    assert (told.stiffness, told.torque_constant, told.position_p_gain) == (8.5, TORQUE_CONSTANT, POSITION_P_GAIN)
-    assert told.friction is None
-    assert told.servos[0].stiffness == SERVO_STIFFNESS
+    loaded = load_servos(path)
+    assert (loaded.stiffness, loaded.torque_constant, loaded.position_p_gain) == (8.5, TORQUE_CONSTANT, POSITION_P_GAIN)
+    assert loaded.friction is None
+    assert loaded.servos[0].stiffness == SERVO_STIFFNESS
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_what_a_file_leaves_out_is_as_usual(tmp_path: Path) -> None:
         ("[1, 2]", "not a mapping"),
     ],
 )
-def test_what_is_none_is_refused_by_name(tmp_path: Path, content: str, reason: str) -> None:
+def test_an_invalid_file_is_refused_by_name(tmp_path: Path, content: str, reason: str) -> None:
     path = tmp_path / "servos.yaml"
     path.write_text(content)
     with pytest.raises(ValueError, match=f"(?s)servos.yaml.*{reason}"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A port is a simulated charger's only where the charger beside it lists it, in time and in so many words."""
+"""A port belongs to a simulated charger only if the charger beside it lists the port in time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deltacharger_sim.charger.fault_channel import ControlServer
 
 @contextlib.contextmanager
 def terminal(port: Path) -> Iterator[str]:
-    """Make a terminal with a link to it, and give its name."""
+    """Create a terminal with a link to it, and return its name."""
     master, slave = pty.openpty()
     port.symlink_to(os.ttyname(slave))
     try:
@@ -30,13 +30,13 @@ def terminal(port: Path) -> Iterator[str]:
         os.close(slave)
 
 
-def test_only_a_terminal_beside_which_a_simulated_charger_listens_is_its_port(tmp_path: Path) -> None:
+def test_only_a_terminal_beside_a_listening_simulated_charger_is_its_port(tmp_path: Path) -> None:
     port = tmp_path / "servo"
     with terminal(port) as name:
         assert not is_simulated(str(port)), "a cable passed on by a terminal is as real as any"
         server = ControlServer(tmp_path / CONTROL, lambda request: {})
         try:
-            assert not is_simulated(str(port)), "a listener that says nothing of it"
+            assert not is_simulated(str(port)), "a listener that does not list it"
         finally:
             server.close()
         served = ["/dev/pts/none", name]
@@ -57,7 +57,7 @@ def test_only_a_terminal_beside_which_a_simulated_charger_listens_is_its_port(tm
 
 
 class Answerer:
-    """Listens where a charger would and answers with bytes, one every `pause` s."""
+    """Listens in place of a charger and answers with one byte every `pause` s."""
 
     def __init__(self, path: Path, answer: bytes, pause: float = 0.0) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
@@ -69,7 +69,7 @@ class Answerer:
 
     def _serve(self) -> None:
         caller, _ = self._socket.accept()
-        with caller, contextlib.suppress(OSError):  # a caller that has lost its patience
+        with caller, contextlib.suppress(OSError):  # the caller's timeout
             for index in range(len(self._answer)):
                 time.sleep(self._pause)  # the answerer's pace
                 caller.sendall(self._answer[index : index + 1])
@@ -95,18 +95,18 @@ def test_an_answer_that_lists_no_ports_proves_nothing(tmp_path: Path, answer: by
             answerer.close()
 
 
-def test_an_answer_byte_by_byte_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_slow_answer_times_out(tmp_path: Path) -> None:
     with terminal(tmp_path / "servo") as name:
         answerer = Answerer(tmp_path / CONTROL, f'{{"ports": ["{name}"]}}\n'.encode(), 0.1)
         try:
             began = time.monotonic()
             assert not is_simulated(str(tmp_path / "servo"))
-            assert time.monotonic() - began < 1.5, "each byte was waited for anew"
+            assert time.monotonic() - began < 1.5, "each byte restarted the timeout"
         finally:
             answerer.close()
 
 
-def test_a_charger_in_a_deep_folder_is_asked_like_any_other(tmp_path: Path) -> None:
+def test_a_charger_in_a_deep_folder_is_found(tmp_path: Path) -> None:
     folder = tmp_path / ("deep" * 30)
     folder.mkdir()
     with terminal(folder / "servo") as name:
@@ -118,5 +118,5 @@ def test_a_charger_in_a_deep_folder_is_asked_like_any_other(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("port", ["a\0b", "x" * 5000])
-def test_a_name_that_can_be_no_file_is_no_simulated_port(port: str) -> None:
+def test_an_impossible_path_is_no_simulated_port(port: str) -> None:
     assert not is_simulated(port)

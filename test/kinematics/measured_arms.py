@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms drawn within the tolerances and what an operator would measure of them."""
+"""Random arms within the tolerances, and an operator's measurements of them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inverse problem in 60 digits, the judge of every precision test."""
+"""Inverse kinematics in 60 digits, the reference of every precision test."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def discriminants(point: Sequence[Real], geometry: DeltaGeometry) -> list[mpf]:
 def angles(
     point: Sequence[Real], geometry: DeltaGeometry, working_mode: tuple[int, int, int] = KNEE_OUT
 ) -> list[mpf | None]:
-    """Return the arm angles; None where the limb does not reach the point."""
+    """Return the arm angles; None if the limb does not reach the point."""
     found: list[mpf | None] = []
     for index, knee in enumerate(working_mode):
         u, w, k, q = limb_terms(point, geometry, index)
@@ -56,7 +56,7 @@ def angles(
 
 
 def worst_error(given: np.ndarray, points: np.ndarray, geometry: DeltaGeometry) -> float:
-    """Return the largest error (rad) of `given` angles (n, 3); infinite where reached and not reached are mistaken."""
+    """Return the largest error (rad) of `given` angles (n, 3); infinite if reachability is wrong."""
     worst = 0.0
     for row, point in zip(given, points, strict=True):
         for angle, true in zip(row, angles([float(value) for value in point], geometry), strict=True):
@@ -68,7 +68,7 @@ def worst_error(given: np.ndarray, points: np.ndarray, geometry: DeltaGeometry) 
 
 
 def edge_of_reach(start: Sequence[float], direction: Sequence[float], geometry: DeltaGeometry) -> mpf:
-    """Return how far from `start` along `direction` the first limb loses its reach, to 1e-24 m."""
+    """Return the distance from `start` along `direction` at which the first limb loses its reach, to 1e-24 m."""
     low, high = mpf(0), mpf(1)
     for _ in range(80):
         middle = (low + high) / 2

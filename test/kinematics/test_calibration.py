@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the calibration: what it recovers, how it errs, and what it refuses to work with."""
+"""Laws of the calibration: accuracy, errors and refusals."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ def workspace_error(arm: DeltaGeometry, model: DeltaGeometry) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_exact_measurements_give_the_arm_back(seed: int) -> None:
+def test_exact_measurements_recover_the_arm(seed: int) -> None:
     arm = drawn_arm(seed)
-    exact = Uncertainty(measurement=1e-9)  # so small that the tolerances have no say
+    exact = Uncertainty(measurement=1e-9)  # so small that the tolerances have no effect
     found = fit(measured(arm, noise=0.0), NOMINAL, exact)
     assert np.abs(numbers(found.geometry) - numbers(arm)).max() < 1e-9
     assert rms(found.residuals) < 1e-13
     assert workspace_error(arm, found.geometry) < 1e-12
 
 
-def test_the_derivatives_are_those_of_the_geometry() -> None:
-    """Of the closure r·(dp − dc) = L dL that Delta.forward satisfies, worked out by hand."""
+def test_derivatives_match_the_geometry() -> None:
+    """Compared with the closure r·(dp − dc) = L dL of Delta.forward, derived by hand."""
     arm, angles = drawn_arm(3), Delta(NOMINAL).inverse(BOX).angles
     p = Delta(arm).forward(angles).position
     rods, rates = np.zeros((len(p), 3, 3)), np.zeros((len(p), 3, COUNT))
@@ -78,7 +78,7 @@ def test_the_derivatives_are_those_of_the_geometry() -> None:
 
 
 @pytest.mark.slow
-def test_what_a_calibration_wins() -> None:
+def test_a_calibration_improves_accuracy() -> None:
     """Trial figures of the design note: 2.37 mm uncalibrated, 0.71 with angle offsets only, 0.048 with 18 numbers."""
     arms = [drawn_arm(seed) for seed in range(8)]
     angles_only = replace(STATED, length=1e-9)
@@ -103,8 +103,8 @@ def test_what_a_calibration_wins() -> None:
 
 
 @pytest.mark.slow
-def test_the_stated_uncertainty_is_the_real_one() -> None:
-    """Fitted minus true scatters by one of the standard deviations that the fit states, and the workspace error too."""
+def test_the_stated_uncertainty_matches_the_real_errors() -> None:
+    """The scatter of fitted minus true values and the workspace error match the stated standard deviations."""
     deviations, expected, real = [], [], []
     for seed in range(12):
         arm = drawn_arm(100 + seed)
@@ -116,7 +116,7 @@ def test_the_stated_uncertainty_is_the_real_one() -> None:
     assert 0.8 < rms(np.array([real])) / rms(np.array([expected])) < 1.25
 
 
-def test_rows_that_scatter_more_than_stated_count_less() -> None:
+def test_rows_that_scatter_more_than_stated_have_less_weight() -> None:
     arm = drawn_arm(4)
     found = fit(measured(arm, noise=0.25 * MILLIMETRE), NOMINAL, STATED)
     same = fit(measured(arm, noise=0.25 * MILLIMETRE), NOMINAL, replace(STATED, measurement=0.25 * MILLIMETRE))
@@ -125,7 +125,7 @@ def test_rows_that_scatter_more_than_stated_count_less() -> None:
     assert np.allclose(found.singular_values, same.singular_values, rtol=0.2)
 
 
-def test_tolerances_hold_what_nine_poses_cannot_tell() -> None:
+def test_tolerances_constrain_what_nine_poses_do_not_determine() -> None:
     for seed in range(5):
         arm = drawn_arm(seed)
         nine = np.random.default_rng(seed).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (9, 3))
@@ -145,7 +145,7 @@ def test_whole_ticks_are_weighted_by_their_resolution(tmp_path: Path) -> None:
     assert read_measurements(write(tmp_path / "ticks.csv", rows)).angle_stddev == pytest.approx(TICK / math.sqrt(12.0))
 
 
-def test_a_geometry_that_was_calibrated_before_is_a_start_like_any_other() -> None:
+def test_a_calibrated_geometry_is_a_valid_start() -> None:
     arm = drawn_arm(7)
     start = with_numbers(arm, numbers(arm) + 0.3 * STATED.tolerances)
     found = calibrate(measured(arm), start, STATED)
@@ -153,7 +153,7 @@ def test_a_geometry_that_was_calibrated_before_is_a_start_like_any_other() -> No
     assert workspace_error(arm, found.fit.geometry) < 0.06 * MILLIMETRE
 
 
-def test_outliers_are_named_and_only_they() -> None:
+def test_exactly_the_outliers_are_named() -> None:
     arm = drawn_arm(8)
     rows = measured(arm)
     rows.positions[4, 0] += 1.0 * MILLIMETRE
@@ -171,13 +171,13 @@ def test_the_held_out_rows_are_drawn_by_the_seed_or_taken_from_the_file() -> Non
     assert (drawn[0] != drawn[2]).any()
 
 
-def test_an_arm_that_is_as_drawn_is_not_made_worse_in_silence() -> None:
+def test_a_calibration_that_does_not_improve_is_reported() -> None:
     results = [calibrate(measured(NOMINAL, seed=seed), NOMINAL, STATED) for seed in range(6)]
     assert all(result.held_out_rms[1] < 0.2 * MILLIMETRE for result in results)
     assert not all(result.improves for result in results)
 
 
-def test_the_weakest_direction_in_words() -> None:
+def test_the_weakest_direction_is_described() -> None:
     direction = np.zeros(COUNT)
     direction[[4, 10]] = 0.6
     direction[2] = -0.5
@@ -213,9 +213,9 @@ def test_poses_that_do_not_span_the_workspace_are_refused(points: np.ndarray, wh
     assert where in str(refused.value)
 
 
-def test_four_poses_measured_again_and_again_are_refused_with_what_they_leave_open() -> None:
+def test_four_repeated_poses_are_refused_with_the_undetermined_numbers() -> None:
     corners = POINTS[[0, 2, 8, 26]]
-    with pytest.raises(CalibrationError, match=r"say nothing about .* of limb"):
+    with pytest.raises(CalibrationError, match=r"do not determine .* of limb"):
         calibrate(replace(measured(NOMINAL, np.repeat(corners, 8, axis=0)), held_out=None), NOMINAL, STATED)
 
 
@@ -227,7 +227,7 @@ def test_too_few_rows_are_refused(count: int) -> None:
         fit(measured(NOMINAL, BOX[:5]), NOMINAL, STATED)
 
 
-@pytest.mark.parametrize(("factor", "hint"), [(1e3, "millimetres in columns that say metres"), (1e-3, "say mm")])
+@pytest.mark.parametrize(("factor", "hint"), [(1e3, "millimetres in columns of metres"), (1e-3, "columns of mm")])
 def test_positions_in_the_wrong_unit_are_refused(factor: float, hint: str) -> None:
     rows = measured(drawn_arm(1))
     with pytest.raises(CalibrationError, match=hint):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of measurements, plans and recordings: what is read, written and refused."""
+"""Reading, writing and refusing files of measurements, plans and recordings."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_angles_instead_of_ticks(tmp_path: Path) -> None:
         assert rows.angle_stddev == 0.0
 
 
-def test_zero_ticks_and_direction_come_from_the_file_or_the_caller_but_not_both_ways(tmp_path: Path) -> None:
+def test_zero_ticks_and_direction_of_file_and_caller_must_agree(tmp_path: Path) -> None:
     stated = (
         f"# zero_ticks 2000 2048 2048\n# direction: 1 1 -1\n# direction of the probe: from above\n{HEADER}\n{GOOD}\n"
     )
@@ -114,12 +114,12 @@ def test_zero_ticks_and_direction_come_from_the_file_or_the_caller_but_not_both_
         (b"#" * 4_200_000, "more than the 4 MB"),
     ],
 )
-def test_what_is_doubtful_in_a_file_is_refused_with_its_line(tmp_path: Path, text: str | bytes, message: str) -> None:
+def test_doubtful_cells_are_refused_with_their_line(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
         read(tmp_path, text)
 
 
-def test_a_file_gives_what_the_measurements_give(tmp_path: Path) -> None:
+def test_measurements_survive_writing_and_reading(tmp_path: Path) -> None:
     encoder = Encoder((2100, 1990, 2048), (1, -1, 1))
     rows = measured(drawn_arm(5))
     again = read_measurements(write(tmp_path / "data.csv", rows, encoder), encoder)
@@ -150,13 +150,13 @@ def test_a_plan_beyond_the_reach_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["pose,held_out\n1,0\n", "target_x_mm\n3\n", ""])
-def test_what_is_no_plan_is_refused(tmp_path: Path, text: str) -> None:
+def test_an_invalid_plan_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "plan.csv").write_text(text)
     with pytest.raises(CalibrationError):
         read_plan(tmp_path / "plan.csv")
 
 
-def test_a_recording_is_a_file_of_measurements_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_a_recording_is_a_measurement_file_and_can_resume(tmp_path: Path) -> None:
     path, encoder, rows = tmp_path / "measured.csv", Encoder(direction=(1, -1, 1)), measured(drawn_arm(5))
 
     def record(recording: PoseRecording, poses: range) -> None:
@@ -166,7 +166,7 @@ def test_a_recording_is_a_file_of_measurements_and_goes_on_where_it_stopped(tmp_
             recording.append(POSES[index], (first, second, third), (x, y, z))
 
     record(PoseRecording(path, encoder), range(10))
-    path.write_bytes(path.read_bytes().rstrip(b"\n"))  # as an editor leaves it
+    path.write_bytes(path.read_bytes().rstrip(b"\n"))  # as saved by an editor
     resumed = PoseRecording(path, encoder)
     assert resumed.done == set(range(1, 11))
     record(resumed, range(10, 36))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the kinematics: round trips, finite differences, virtual work, and what bad points return."""
+"""Laws of the kinematics: round trips, finite differences, virtual work, results of bad points."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def workspace_points(count: int, seed: int = 1) -> np.ndarray:
 
 
 @given(lateral, lateral, forward)
-def test_forward_undoes_inverse_in_the_whole_workspace(x: float, y: float, z: float) -> None:
+def test_forward_inverts_inverse_in_the_complete_workspace(x: float, y: float, z: float) -> None:
     solved = DELTA.inverse((x, y, z))
     assert solved.status == Status.OK
     assert np.allclose(DELTA.forward(solved.angles).position, (x, y, z), atol=1e-14)
@@ -125,7 +125,7 @@ def test_contact_force_is_free_of_the_arms_weight() -> None:
     assert np.allclose(DELTA.contact_force(DOCK, current), push, atol=1e-12)
 
 
-def test_a_bad_point_leaves_its_neighbours_alone() -> None:
+def test_a_bad_point_does_not_affect_its_neighbours() -> None:
     points = np.array([DOCK, (math.nan, 0, 0), (0, 0, 9.0), DOCK])
     solved = DELTA.inverse(points)
     assert solved.status.tolist()[0::3] == [0, 0]
@@ -134,13 +134,13 @@ def test_a_bad_point_leaves_its_neighbours_alone() -> None:
     assert solved.margin[2] < 0
 
 
-def test_strict_names_the_offenders() -> None:
+def test_strict_names_the_bad_points() -> None:
     with pytest.raises(KinematicsError, match="point 1") as caught:
         DELTA.inverse([DOCK, (0, 0, 9.0)], strict=True)
     assert caught.value.indices == [1]
 
 
-def test_outside_the_box_but_reachable_is_a_flag_and_an_answer() -> None:
+def test_a_reachable_point_outside_the_box_has_a_flag_and_a_solution() -> None:
     solved = DELTA.inverse((0.0, 0.0, 0.115))
     assert solved.status == Status.OUTSIDE_WORKSPACE
     assert np.isfinite(solved.angles).all()
@@ -152,7 +152,7 @@ def test_joint_limit_names_the_limb() -> None:
     assert Status.LIMB_0 in solved.status
 
 
-def test_reachable_points_of_the_mirror_assembly_are_told() -> None:
+def test_reachable_points_of_the_mirror_assembly_are_flagged() -> None:
     points = np.random.default_rng(5).uniform((-0.2, -0.2, 0), (0.2, 0.2, 0.2), (5000, 3))
     solved = DELTA.inverse(points)
     good = np.isfinite(solved.angles).all(-1)
@@ -181,7 +181,7 @@ def test_a_mirrored_point_swaps_the_outer_limbs(x: float, y: float, z: float) ->
 
 
 @given(st.lists(st.tuples(lateral, lateral, forward), min_size=1, max_size=5))
-def test_a_point_is_solved_alike_alone_and_among_others(points: list[tuple[float, float, float]]) -> None:
+def test_a_point_has_the_same_solution_alone_and_in_a_batch(points: list[tuple[float, float, float]]) -> None:
     together = DELTA.inverse(points)
     for row, point in enumerate(points):
         alone = DELTA.inverse(point)
@@ -191,7 +191,7 @@ def test_a_point_is_solved_alike_alone_and_among_others(points: list[tuple[float
 
 
 @given(st.tuples(*[st.floats(-1.2, 1.3)] * 3), st.sampled_from([AHEAD, BEHIND]))
-def test_forward_kinematics_agree_alone_and_among_others(arms: tuple[float, float, float], assembly: int) -> None:
+def test_forward_kinematics_agree_alone_and_in_a_batch(arms: tuple[float, float, float], assembly: int) -> None:
     delta = Delta(CALIBRATED, assembly=assembly)
     alone, together = delta.forward(arms), delta.forward([arms, (0.1, 0.2, 0.3)])
     assert alone.status == np.asarray(together.status)[0]
@@ -202,7 +202,7 @@ def test_forward_kinematics_agree_alone_and_among_others(arms: tuple[float, floa
 @pytest.mark.parametrize("mode", WORKING_MODES)
 @pytest.mark.parametrize("assembly", [AHEAD, BEHIND])
 def test_every_mode_and_assembly_is_consistent(mode: tuple[int, int, int], assembly: int) -> None:
-    """Round trip, derivative and statics hold wherever the status says that the assembly is the right one."""
+    """Round trip, derivative and statics hold wherever the status reports the right assembly."""
     delta, scalar = (kind(CALIBRATED, working_mode=mode, assembly=assembly) for kind in (Delta, ScalarDelta))
     points = np.random.default_rng(4).uniform((-0.1, -0.1, -0.25), (0.1, 0.1, 0.15), (400, 3))
     solved = delta.inverse(points)
@@ -242,7 +242,7 @@ def test_an_adjusted_limb_moves_only_its_own_angle() -> None:
         assert moved.tolist() == [index == limb for index in range(3)]
 
 
-def test_angle_offset_is_the_true_angle_less_the_commanded_one() -> None:
+def test_angle_offset_is_true_angle_minus_commanded_angle() -> None:
     offset = Delta(DeltaGeometry(limbs=(LimbAdjustment(angle_offset=0.02),) * 3))
     assert np.allclose(offset.inverse(DOCK).angles + 0.02, DELTA.inverse(DOCK).angles, atol=1e-15)
     assert np.allclose(offset.holding_torque(DOCK), DELTA.holding_torque(DOCK), atol=1e-15)

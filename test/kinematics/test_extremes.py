@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stiff and extreme inputs: what each returns, without a warning, alone and in the middle of a batch."""
+"""Results of extreme inputs, without numpy warnings, alone and inside a batch."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def alone_and_in_a_batch(delta: Delta, point: tuple[float, float, float]) -> Inv
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("axis", range(3))
-def test_what_is_not_finite_is_invalid(value: float, axis: int) -> None:
+def test_non_finite_input_is_invalid(value: float, axis: int) -> None:
     point = [*DOCK]
     point[axis] = value
     solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
@@ -57,7 +57,7 @@ def test_what_is_not_finite_is_invalid(value: float, axis: int) -> None:
 
 @pytest.mark.parametrize("value", [1e200, -1e200, 1e308, -1.7976931348623157e308])
 @pytest.mark.parametrize("axis", range(3))
-def test_what_overflows_is_far(value: float, axis: int) -> None:
+def test_overflow_is_unreachable_far(value: float, axis: int) -> None:
     point = [*DOCK]
     point[axis] = value
     solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
@@ -85,7 +85,7 @@ def test_denormals_and_negative_zero_are_exact(tiny: float) -> None:
         ((0.0, 0.0, 1e5), Status.UNREACHABLE_FAR),
     ],
 )
-def test_out_of_reach_says_why_and_on_which_limb(point: tuple[float, float, float], reason: Status) -> None:
+def test_out_of_reach_states_reason_and_limb(point: tuple[float, float, float], reason: Status) -> None:
     solved = alone_and_in_a_batch(DELTA, point)
     limbs = [bool(solved.status & bit) for bit in (Status.LIMB_0, Status.LIMB_1, Status.LIMB_2)]
     assert reason in solved.status
@@ -101,7 +101,7 @@ def test_an_arm_longer_than_the_rod_has_a_near_edge_too() -> None:
 
 
 @pytest.mark.parametrize(("x", "angle"), [(0.125 + 0.75, 0.0), (0.125 + 0.25, math.pi)])
-def test_exactly_at_the_edge_is_an_angle_without_margin(x: float, angle: float) -> None:
+def test_exactly_at_the_edge_there_is_an_angle_and_no_margin(x: float, angle: float) -> None:
     solved = alone_and_in_a_batch(Delta(BINARY), (x, 0.0, -0.5))
     assert solved.angles[0] == angle
     assert np.isnan(solved.angles[1:]).all() or solved.margin == 0.0
@@ -119,7 +119,7 @@ def test_a_platform_joint_on_its_motor_axis_turns_freely() -> None:
 
 
 @pytest.mark.parametrize("distance", [5e-324, 1e-170, 1e-30, 1e-20])
-def test_a_platform_joint_as_good_as_on_its_motor_axis(distance: float) -> None:
+def test_a_platform_joint_almost_on_its_motor_axis(distance: float) -> None:
     limbs = (LimbAdjustment(radius_offset=distance), LimbAdjustment(), LimbAdjustment())
     solved = alone_and_in_a_batch(Delta(dataclasses.replace(SQUARE, limbs=limbs)), (0.125, 0.0, -0.5))
     assert solved.status == Status.INDETERMINATE | Status.LIMB_0
@@ -128,7 +128,7 @@ def test_a_platform_joint_as_good_as_on_its_motor_axis(distance: float) -> None:
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int64, np.uint8, ">f8", np.longdouble, object])
-def test_other_numbers_are_computed_in_doubles(kind: Any) -> None:
+def test_other_number_types_are_computed_in_doubles(kind: Any) -> None:
     points = np.array([[0, 0, 0], [0, 0, 0]]).astype(kind)
     solved = DELTA.inverse(points)
     assert solved.angles.dtype == np.float64
@@ -183,7 +183,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=list(BAD))
-def test_what_is_no_array_of_points_is_refused_by_name(bad: Any) -> None:
+def test_an_invalid_array_is_refused_by_name(bad: Any) -> None:
     calls = {
         "position": [DELTA.inverse, DELTA.jacobian, lambda value: DELTA.torque(value, DOCK)],
         "angles": [DELTA.forward],
@@ -198,13 +198,13 @@ def test_what_is_no_array_of_points_is_refused_by_name(bad: Any) -> None:
                 function(bad)
 
 
-def test_shapes_that_do_not_fit_are_refused_by_name() -> None:
+def test_mismatched_shapes_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match=r"^force: shape \(5, 3\) does not fit \(4, 3\)"):
         DELTA.torque(np.zeros((4, 3)), np.zeros((5, 3)))
     assert DELTA.torque(np.zeros((4, 1, 3)), np.zeros((5, 3))).shape == (4, 5, 3)
 
 
-def test_statics_pass_on_what_is_unknown() -> None:
+def test_statics_propagate_nan() -> None:
     assert np.isnan(DELTA.torque(DOCK, (math.nan, 0.0, 0.0))).any()
     assert np.isnan(DELTA.torque((0.0, 0.0, 0.8), (0.0, 0.0, 1.0))).all()
     assert np.isnan(DELTA.force((0.0, 0.0, 0.8), (0.1, 0.1, 0.1))).all()
@@ -214,7 +214,7 @@ def test_statics_pass_on_what_is_unknown() -> None:
 
 def test_elbows_in_a_line_or_too_far_apart() -> None:
     level = Delta(DeltaGeometry(base_radius=0.05, platform_radius=0.05))
-    straight_up = (math.pi / 2,) * 3  # the three elbows meet in one place
+    straight_up = (math.pi / 2,) * 3  # the three elbows coincide
     apart = Delta(DeltaGeometry(base_radius=0.4, rod=0.11))
     for delta, arms, status in (
         (level, straight_up, Status.DEGENERATE),
@@ -233,7 +233,7 @@ def test_elbows_in_a_line_or_too_far_apart() -> None:
 
 
 @pytest.mark.parametrize("turn", [1e3, 1e15, 1e308])
-def test_arms_turned_many_times_stand_where_their_angle_says(turn: float) -> None:
+def test_angles_of_many_turns_are_equivalent(turn: float) -> None:
     wound = DELTA.forward((turn, 0.1, 0.1))
     plain = DELTA.forward((math.atan2(math.sin(turn), math.cos(turn)), 0.1, 0.1))
     assert np.allclose(wound.position, plain.position, atol=1e-15, equal_nan=True)
@@ -243,7 +243,7 @@ def test_arms_turned_many_times_stand_where_their_angle_says(turn: float) -> Non
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.1, 0.18), (0.01, 1.0), (0.001, 1.0), (0.18, 0.17)])
 def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:
-    """The round trip is as good as the pose lets rounded angles be: the error grows with 1/|det| only."""
+    """The round-trip error grows only with 1/|det|, as expected from rounded angles."""
     geometry = DeltaGeometry(base_radius=0.055, platform_radius=0.05, arm=arm, rod=rod, z_offset=0.1)
     delta = Delta(scaled(geometry, scale))
     arms = np.random.default_rng(6).uniform(-1.2, 1.2, (4000, 3))
@@ -262,7 +262,7 @@ def scaled(geometry: DeltaGeometry, scale: float) -> DeltaGeometry:
     return dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths})
 
 
-def test_a_singular_pose_is_flagged_and_does_not_hurt_its_neighbours() -> None:
+def test_a_singular_pose_is_flagged_and_does_not_affect_its_neighbours() -> None:
     """All rods in one plane: the platform at the height of the elbows, in the middle."""
     geometry = DeltaGeometry(base_radius=0.125, platform_radius=0.0625, arm=0.125, rod=0.1875, z_offset=0.0)
     delta = Delta(geometry)
@@ -274,7 +274,7 @@ def test_a_singular_pose_is_flagged_and_does_not_hurt_its_neighbours() -> None:
     assert np.isfinite(jacobian.matrix[1]).all()
 
 
-def test_strict_raises_for_the_indices_concerned_and_for_no_others() -> None:
+def test_strict_names_exactly_the_bad_indices() -> None:
     points = [DOCK, (0.0, 0.0, 9.0), (math.nan, 0.0, 0.0), DOCK]
     with pytest.raises(KinematicsError, match=r"point 1: .*FAR.*point 2: INVALID_INPUT") as caught:
         DELTA.inverse(points, strict=True)
@@ -298,6 +298,6 @@ def test_unknown_assemblies_are_refused(assembly: Any) -> None:
         Delta(assembly=assembly)
 
 
-def test_something_else_than_a_geometry_is_refused() -> None:
+def test_any_other_type_than_a_geometry_is_refused() -> None:
     with pytest.raises(ValueError, match="geometry"):
         Delta({"arm": 0.1})  # type: ignore[arg-type]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometries, as values and as files: what is impossible is refused by name."""
+"""Geometries as values and files: impossible ones are refused by name."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_impossible_values_are_refused_by_name(changes: dict[str, Any], named: s
         DeltaGeometry(**changes)
 
 
-def test_an_adjustment_reaches_its_limb() -> None:
+def test_an_adjustment_applies_to_its_limb() -> None:
     limbs = [CALIBRATED.limb(index) for index in range(3)]
     assert [limb.rod for limb in limbs] == [0.1801, 0.180, 0.180]
     assert [limb.arm for limb in limbs] == [0.1002] * 3
@@ -56,14 +56,14 @@ def test_an_adjustment_reaches_its_limb() -> None:
     assert limbs[2].tangential_offset == -3.1e-4
 
 
-def test_a_file_gives_back_every_digit(tmp_path: Path) -> None:
+def test_a_file_keeps_every_digit(tmp_path: Path) -> None:
     path = tmp_path / "geometry.yaml"
     save_geometry(CALIBRATED, path, "made by a test\nsecond line")
     assert load_geometry(path) == CALIBRATED
     assert path.read_text().startswith("# made by a test\n# second line\n")
 
 
-def test_keys_left_out_keep_their_defaults(tmp_path: Path) -> None:
+def test_missing_keys_keep_their_defaults(tmp_path: Path) -> None:
     path = tmp_path / "geometry.yaml"
     path.write_text("arm: 0.11\nlimbs: [{}, {rod: 0.181}, {}]\n")
     assert load_geometry(path) == DeltaGeometry(
@@ -93,7 +93,7 @@ def test_a_bad_file_is_refused_with_its_name_and_the_key(tmp_path: Path, content
         load_geometry(path)
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_binary_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "geometry.yaml"
     path.write_bytes(b"\xff\xfe\x00arm")
     with pytest.raises(ValueError, match=r"geometry\.yaml"):

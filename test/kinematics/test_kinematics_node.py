@@ -38,7 +38,7 @@ DELTA = ScalarDelta()
 
 
 class Bench:
-    """The node under test beside one that asks it."""
+    """The node under test with a client node."""
 
     def __init__(self, context: Any, **parameters: Any) -> None:
         namespace = new_namespace()
@@ -71,7 +71,7 @@ def bench(context: Any) -> Iterator[Bench]:
     bench.close()
 
 
-def test_forward_undoes_inverse_and_one_bad_point_fails_no_other(bench: Bench) -> None:
+def test_forward_inverts_inverse_and_a_bad_point_does_not_affect_others(bench: Bench) -> None:
     points = [0.0, 0.0, 0.08, 0.03, -0.02, 0.05, 9.0, 0.0, 0.0, math.nan, 0.0, 0.0]
     solved = call(bench.inverse, SolveInverseKinematics.Request(positions=points))
     assert list(solved.status[:2]) == [0, 0]
@@ -89,14 +89,12 @@ def test_an_incomplete_last_point_is_invalid_input(bench: Bench) -> None:
     assert len(solved.angles) == 6
 
 
-def test_no_points_is_no_error(bench: Bench) -> None:
+def test_an_empty_request_is_no_error(bench: Bench) -> None:
     solved = call(bench.inverse, SolveInverseKinematics.Request())
     assert (len(solved.angles), len(solved.status), len(solved.margin)) == (0, 0, 0)
 
 
-def test_more_points_than_are_answered_at_once_are_answered_by_nothing(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_with_too_many_points_gets_an_empty_answer(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kinematics_node, "POINTS_MAX", 100)
     for count, answered in ((100, 100), (101, 0)):
         values = array("d", [0.0, 0.0, 0.08] * count)
@@ -111,7 +109,7 @@ def test_the_status_constants_of_both_services_are_those_of_the_library() -> Non
 
 
 @pytest.mark.parametrize("count", [10_000, 10_001])
-def test_many_points_come_back_in_their_order_as_the_library_solves_them(bench: Bench, count: int) -> None:
+def test_many_points_are_solved_in_order_like_the_library(bench: Bench, count: int) -> None:
     positions = np.random.default_rng(3).uniform((-0.3, -0.3, -0.1), (0.3, 0.3, 0.3), (count, 3))
     positions[[0, -1]] = (0.0, 0.0, 0.08), (math.nan, 0.0, 0.0)
     solved = call(bench.inverse, SolveInverseKinematics.Request(positions=array("d", positions.tobytes())))
@@ -126,7 +124,7 @@ def test_many_points_come_back_in_their_order_as_the_library_solves_them(bench: 
 
 
 def servo_state(position: tuple[float, float, float], current: Sequence[float], /, **fields: Any) -> ServoState:
-    """Return what the servos of an arm at `position` would say; `fields` change it."""
+    """Return the servo_state of an arm at `position`, changed by `fields`."""
     state = ServoState(position=DELTA.inverse(*position), velocity=[0.0] * 3, current=current)
     state.valid = state.torque_enabled = [True] * 3
     for name, value in fields.items():
@@ -144,7 +142,7 @@ def force(message: WrenchStamped) -> tuple[float, float, float]:
     return message.wrench.force.x, message.wrench.force.y, message.wrench.force.z
 
 
-def test_the_wrench_is_the_target_pushing_back_without_the_arms_weight(bench: Bench) -> None:
+def test_the_wrench_is_the_targets_reaction_without_the_arms_weight(bench: Bench) -> None:
     position, pressed = (0.01, -0.02, 0.08), (1.0, -2.0, 17.0)
     torques = zip(DELTA.holding_torque(*position, GRAVITY), DELTA.torque(*position, pressed), strict=True)
     push(bench, servo_state(position, [sum(torque) / TORQUE_CONSTANT for torque in torques]))
@@ -158,7 +156,7 @@ def test_the_wrench_is_the_target_pushing_back_without_the_arms_weight(bench: Be
     assert pose.pose.orientation == Quaternion(w=1.0)
 
 
-def test_half_an_ampere_more_on_every_servo_presses_along_z_and_is_pressed_back(bench: Bench) -> None:
+def test_half_an_ampere_more_on_every_servo_gives_a_reaction_along_z(bench: Bench) -> None:
     dock = (0.0, 0.0, 0.08)
     held = [torque / TORQUE_CONSTANT for torque in DELTA.holding_torque(*dock, GRAVITY)]
     for more, expected in ((0.0, 0.0), (0.521, -20.0), (-0.521, 20.0)):
@@ -177,21 +175,21 @@ def test_pose_and_wrench_carry_the_stamp_of_their_measurement(bench: Bench) -> N
 
 
 def what_follows(bench: Bench, **fields: Any) -> tuple[int, int]:
-    """Return how many poses and wrenches follow from a servo_state that `fields` spoil."""
+    """Return the number of poses and wrenches after a servo_state changed by `fields`."""
     bench.poses.clear()
     bench.wrenches.clear()
-    # Handed over without the topic, which keeps only the latest, so that it is surely seen before the next one.
+    # Passed directly: the topic keeps only the latest message, so this one might be lost.
     bench.spinners[0].node._on_servo_state(servo_state((0.0, 0.0, 0.05), [0.1] * 3, **fields))
     bench.state.publish(servo_state((0.0, 0.0, 0.06), [0.2] * 3, header=Header(stamp=Time(sec=99))))
 
     def arrived() -> bool:
         return all(seen and seen[-1].header.stamp.sec == 99 for seen in (bench.poses, bench.wrenches))
 
-    wait_until(arrived, "what follows from the next message")
+    wait_until(arrived, "the results of the next message")
     return len(bench.poses) - 1, len(bench.wrenches) - 1
 
 
-def test_a_whole_message_gives_one_of_each(bench: Bench) -> None:
+def test_a_complete_message_gives_one_pose_and_one_wrench(bench: Bench) -> None:
     assert what_follows(bench) == (1, 1)
 
 
@@ -204,14 +202,14 @@ def test_a_whole_message_gives_one_of_each(bench: Bench) -> None:
         {"position": [0.1, 0.1]},
     ],
 )
-def test_where_an_angle_is_not_known_nothing_follows(bench: Bench, fields: dict[str, Any]) -> None:
+def test_an_unknown_angle_gives_nothing(bench: Bench, fields: dict[str, Any]) -> None:
     assert what_follows(bench, **fields) == (0, 0)
 
 
 @pytest.mark.parametrize(
     "fields", [{"current": [math.nan, 0.1, 0.1]}, {"current": []}, {"torque_enabled": [True, True, False]}]
 )
-def test_a_current_that_says_nothing_gives_a_pose_and_no_force(bench: Bench, fields: dict[str, Any]) -> None:
+def test_a_meaningless_current_gives_a_pose_and_no_force(bench: Bench, fields: dict[str, Any]) -> None:
     assert what_follows(bench, **fields) == (1, 0)
 
 
@@ -233,7 +231,7 @@ def geometry_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_geometry_file_decides_limb_by_limb(context: Any, geometry_file: Path) -> None:
+def test_a_geometry_file_sets_each_limb(context: Any, geometry_file: Path) -> None:
     bench = Bench(context, geometry_file=str(geometry_file), arm=0.1012)
     try:
         positions = np.random.default_rng(4).uniform((-0.06, -0.06, 0.0), (0.06, 0.06, 0.11), (50, 3))
@@ -253,7 +251,7 @@ def test_a_geometry_file_decides_limb_by_limb(context: Any, geometry_file: Path)
 def test_a_dimension_that_contradicts_the_geometry_file_stops_the_node_with_both_names(
     kind: type[Node], context: Any, geometry_file: Path
 ) -> None:
-    with pytest.raises(StartupError, match=r"'z_offset' is 0\.095, .*'geometry_file'.* says 0\.096"):
+    with pytest.raises(StartupError, match=r"'z_offset' is 0\.095, .*'geometry_file'.* has 0\.096"):
         kind(**options(context, new_namespace(), geometry_file=str(geometry_file), z_offset=0.095))
     with pytest.raises(StartupError, match=r"'workspace_max' is .*'geometry_file'"):
         kind(**options(context, new_namespace(), geometry_file=str(geometry_file), workspace_max=[0.06, 0.06, 0.11]))

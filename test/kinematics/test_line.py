@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of straight lines: at rest at both ends, on the line, within every limit, and refused before anything moves."""
+"""Laws of straight lines: rest at both ends, on the line, within every limit, refused before anything moves."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def lines(count: int, seed: int = 1) -> np.ndarray:
 
 
 def off_line(points: np.ndarray, start: np.ndarray, goal: np.ndarray) -> float:
-    """Return how far (m) the points lie beside the line."""
+    """Return the distances (m) of the points from the line."""
     along = (goal - start) / np.linalg.norm(goal - start)
     relative = points - start
     return float(np.linalg.norm(relative - np.outer(relative @ along, along), axis=1).max())
 
 
 def shares(line: Line, limits: ArmLimits) -> tuple[float, float]:
-    """Return how much of the arms' speed and acceleration a line uses."""
+    """Return the shares of the arms' speed and acceleration limits that a line uses."""
     return np.abs(line.velocities).max() / limits.speed, np.abs(line.accelerations).max() / limits.acceleration
 
 
@@ -62,7 +62,7 @@ def test_a_line_joins_its_ends_at_rest_and_keeps_every_limit(
     assert PEAK_SPEED * math.dist(start, goal) / line.duration <= speed * (1 + 1e-12)
 
 
-def test_every_waypoint_is_on_the_line_and_as_far_as_its_instant_says() -> None:
+def test_every_waypoint_is_on_the_line_at_the_place_of_its_time() -> None:
     for start, goal in lines(20):
         line = plan_line(DELTA, start, goal, 0.12)
         assert off_line(line.positions, start, goal) < 1e-12
@@ -71,7 +71,7 @@ def test_every_waypoint_is_on_the_line_and_as_far_as_its_instant_says() -> None:
         assert np.allclose(share, 10 * u**3 - 15 * u**4 + 6 * u**5, atol=1e-12)
 
 
-def test_the_way_back_is_the_way_there_in_reverse() -> None:
+def test_the_reverse_line_is_the_line_in_reverse() -> None:
     for start, goal in lines(10, seed=2):
         there, back = plan_line(DELTA, start, goal, 0.4), plan_line(DELTA, goal, start, 0.4)
         assert there.duration == pytest.approx(back.duration, rel=1e-9)
@@ -103,7 +103,7 @@ def test_velocities_and_accelerations_are_the_derivatives_of_the_angles(mode: tu
     assert np.allclose(platform, wanted, atol=1e-13)
 
 
-def test_the_platform_reaches_its_speed_where_the_arms_allow_it() -> None:
+def test_the_platform_reaches_its_speed_if_the_arms_allow_it() -> None:
     line = plan_line(DELTA, HOME, DOCK, 0.12)
     assert line.duration == pytest.approx(PEAK_SPEED * 0.080 / 0.12, rel=1e-12)
     assert max(shares(line, LIMITS)) < 0.5
@@ -114,7 +114,7 @@ def test_the_platform_reaches_its_speed_where_the_arms_allow_it() -> None:
     [(ArmLimits(speed=5.0, acceleration=1e4), 0), (ArmLimits(speed=100.0, acceleration=35.0), 1)],
     ids=["speed", "acceleration"],
 )
-def test_beyond_what_the_arms_can_one_limit_is_met_and_none_passed(limits: ArmLimits, limited: int) -> None:
+def test_at_excessive_speed_one_limit_is_met_and_none_exceeded(limits: ArmLimits, limited: int) -> None:
     for start, goal in lines(20, seed=3):
         line = plan_line(DELTA, start, goal, 1e3, limits, interval=1e-3)
         used = shares(line, limits)
@@ -132,9 +132,7 @@ def test_half_the_speed_takes_twice_the_time_and_a_quarter_of_the_acceleration_t
 
 
 @pytest.mark.parametrize(("speed", "bound"), [(0.12, 0.02), (0.5, 0.2), (1e3, 0.2)])
-def test_straight_in_angles_between_two_waypoints_is_straight_enough_for_the_platform(
-    speed: float, bound: float
-) -> None:
+def test_linear_interpolation_of_angles_keeps_the_platform_near_the_line(speed: float, bound: float) -> None:
     worst = 0.0
     corners = np.array(np.meshgrid(*zip(DELTA.geometry.workspace_min, DELTA.geometry.workspace_max, strict=True)))
     corners = corners.reshape(3, -1).T
@@ -178,7 +176,7 @@ def test_the_default_acceleration_takes_no_more_torque_than_docking_allows() -> 
     assert LIMITS.speed < 63 * 2 * math.pi / 60 * (1 - heaviest / servo.stall_torque)
 
 
-def test_a_goal_out_of_reach_is_refused_with_the_place_where_the_way_ends() -> None:
+def test_a_goal_out_of_reach_is_refused_with_the_last_reachable_place() -> None:
     with pytest.raises(LineRefused, match="mm") as caught:
         plan_line(DELTA, DOCK, (0.0, 0.0, 0.190), 0.12)
     error = caught.value
@@ -204,7 +202,7 @@ def test_a_goal_out_of_reach_is_refused_with_the_place_where_the_way_ends() -> N
         ((0.0, 0.0, 0.178), DOCK, Status.JOINT_LIMIT),
     ],
 )
-def test_whatever_is_wrong_along_the_line_is_told(
+def test_every_bad_status_along_the_line_is_reported(
     start: tuple[float, float, float], goal: tuple[float, float, float], bit: Status
 ) -> None:
     with pytest.raises(LineRefused) as caught:
@@ -223,7 +221,7 @@ def test_a_line_with_good_ends_that_leaves_the_limits_in_between_is_refused_even
         assert Status.LIMB_2 in caught.value.statuses[0]
 
 
-def test_no_line_leads_an_arm_through_half_a_turn_where_its_angle_starts_again() -> None:
+def test_no_line_moves_an_arm_through_half_a_turn_where_its_angle_wraps() -> None:
     delta = Delta(DeltaGeometry(joint_min=-math.pi, joint_max=math.pi), working_mode=(-1, -1, 1))
     start, goal = (-0.010, 0.015, 0.060), (0.012, -0.008, 0.085)
     assert [round(math.degrees(angle)) for angle in delta.inverse([start, goal]).angles[:, 2]] == [-179, 165]
@@ -231,7 +229,7 @@ def test_no_line_leads_an_arm_through_half_a_turn_where_its_angle_starts_again()
         plan_line(delta, start, goal, 0.12, refuse=Status.OK)
 
 
-def test_the_caller_says_what_else_is_refused_and_what_is_not() -> None:
+def test_the_caller_selects_the_refused_statuses() -> None:
     beyond = (0.0, 0.0, 0.120)
     assert plan_line(DELTA, DOCK, beyond, 0.12).duration > 0.0
     with pytest.raises(LineRefused, match="OUTSIDE_WORKSPACE"):
@@ -241,7 +239,7 @@ def test_the_caller_says_what_else_is_refused_and_what_is_not() -> None:
         plan_line(DELTA, DOCK, (0.0, 0.0, 0.5), 0.12, refuse=Status.OK)
 
 
-def test_a_stretched_arm_would_have_to_jump_and_is_refused_however_tolerant_the_caller() -> None:
+def test_a_stretched_arm_is_always_refused_because_it_would_jump() -> None:
     delta = Delta(DeltaGeometry(base_radius=0.050, z_offset=0.0, arm=0.125, rod=0.125, joint_min=-3.1, joint_max=3.1))
     reach = (0.0, 0.0, 0.250)  # arms and rods in one line, exactly
     assert delta.inverse(reach).margin == 0.0
@@ -274,7 +272,7 @@ def test_impossible_limits_are_refused_by_name(name: str, value: object) -> None
         ArmLimits(**{name: value})
 
 
-def test_a_line_too_slow_to_write_down_is_refused_by_name() -> None:
+def test_a_line_with_too_many_points_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match=r"^speed: .* longer interval"):
         plan_line(DELTA, HOME, DOCK, 1e-6)
     assert plan_line(DELTA, HOME, DOCK, 1e-4).duration == pytest.approx(1500.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near the answers come to 60-digit arithmetic, and who counts as reachable."""
+"""Precision relative to 60-digit arithmetic, and reachability."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_workspace_is_solved_to_the_last_digits() -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_precise_is_good_to_the_last_digit_everywhere(name: str) -> None:
+def test_precise_is_correct_to_the_last_digit_everywhere(name: str) -> None:
     geometry = GEOMETRIES[name]
     reach = geometry.arm + geometry.rod
     points = np.random.default_rng(3).uniform(-reach, reach, (300, 3))
@@ -85,7 +85,7 @@ def test_doubles_nearer_to_the_edge_than_one_ulp_are_decided_too() -> None:
 
 
 @pytest.mark.parametrize("mode", WORKING_MODES)
-def test_every_working_mode_is_its_own_solution(mode: tuple[int, int, int]) -> None:
+def test_every_working_mode_is_a_separate_solution(mode: tuple[int, int, int]) -> None:
     delta = Delta(CALIBRATED, working_mode=mode)
     points = box_points(CALIBRATED, 30)
     solved = delta.inverse(points).angles

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servos measured in virtual time: what is found, how sure it is said to be, and what is refused."""
+"""Servos measured in virtual time: values, stated errors and refusals."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ QUICK = ServoTask(seconds=100.0)
 def arm(
     servo: ServoParameters = SERVO, gains: Vector = (1.0, 1.0, 1.0), weight: float = 1.0, **world: Any
 ) -> VirtualArm:
-    told = DeltaGeometry()
-    true = dataclasses.replace(told, platform_mass=weight * told.platform_mass, rod_mass=weight * told.rod_mass)
+    known = DeltaGeometry()
+    true = dataclasses.replace(known, platform_mass=weight * known.platform_mass, rod_mass=weight * known.rod_mass)
     parameters = WorldParameters(**{"servo": servo, "target": ALONE, **world})
     return VirtualArm(parameters, 1, true, gains, TORQUE_CONSTANT)
 
@@ -52,7 +52,7 @@ def measured() -> MeasuredArm:
     return measure_servos(arm(), QUICK)
 
 
-def test_it_finds_what_the_servos_are(measured: MeasuredArm) -> None:
+def test_measured_values_match_the_servos(measured: MeasuredArm) -> None:
     fit = measured.fit
     assert fit.stiffness == pytest.approx(SERVO.stiffness, rel=0.05)
     assert fit.torque_constant == pytest.approx(SERVO.torque_constant, rel=0.03)
@@ -62,33 +62,33 @@ def test_it_finds_what_the_servos_are(measured: MeasuredArm) -> None:
     assert not differing(measured)
 
 
-def test_play_is_told_of_the_servo_that_bears_next_to_nothing_and_of_no_other(measured: MeasuredArm) -> None:
+def test_play_is_reported_only_for_the_nearly_unloaded_servo(measured: MeasuredArm) -> None:
     width, error = measured.play.width, measured.play.error
     assert width[0] == pytest.approx(SERVO.backlash, abs=4.0 * error[0])
     assert error[0] < 0.001
     assert np.isnan(width[1:]).all()
-    told = to_file(measured, Gains())
-    assert told.backlash == told.servos[0].backlash
-    assert told.servos[1].backlash is told.servos[2].backlash is None
+    saved = to_file(measured, Gains())
+    assert saved.backlash == saved.servos[0].backlash
+    assert saved.servos[1].backlash is saved.servos[2].backlash is None
 
 
-def test_a_charger_that_looks_up_tells_the_play_of_all_three() -> None:
+def test_a_charger_that_points_up_reports_the_play_of_all_three() -> None:
     up = {"gravity_x": 0.0, "gravity_y": 0.0, "gravity_z": -9.81}
     found = measure_servos(arm(**up), ServoTask(gravity=(0.0, 0.0, -9.81)))
     assert found.play.width == pytest.approx(SERVO.backlash, abs=0.001)
     assert found.fit.stiffness == pytest.approx(SERVO.stiffness, rel=0.05)
 
 
-def test_the_file_says_the_common_numbers_and_the_single_ones_beside(measured: MeasuredArm) -> None:
-    told = to_file(measured, Gains(500, 1, 2))
-    assert (told.position_p_gain, told.position_i_gain, told.position_d_gain) == (500, 1, 2)
-    singles = [servo.stiffness for servo in told.servos]
-    assert min(singles) <= told.stiffness <= max(singles)
-    assert told.stiffness_error is not None
-    assert 0.015 < told.stiffness_error / told.stiffness < 0.03  # the weight's tolerance, whatever the readings say
+def test_the_file_has_common_and_single_values(measured: MeasuredArm) -> None:
+    saved = to_file(measured, Gains(500, 1, 2))
+    assert (saved.position_p_gain, saved.position_i_gain, saved.position_d_gain) == (500, 1, 2)
+    singles = [servo.stiffness for servo in saved.servos]
+    assert min(singles) <= saved.stiffness <= max(singles)
+    assert saved.stiffness_error is not None
+    assert 0.015 < saved.stiffness_error / saved.stiffness < 0.03  # the weight's tolerance, for any readings
 
 
-def test_the_weight_s_tolerance_is_in_every_error_and_tells_no_servo_from_another(measured: MeasuredArm) -> None:
+def test_the_weights_tolerance_is_in_every_error_but_not_in_differences_of_servos(measured: MeasuredArm) -> None:
     surer = fit_servos(measured.readings, dataclasses.replace(QUICK, weight_tolerance=0.001))
     for what in (STIFFNESS, CONSTANT, FRICTION):
         assert (surer.error(what) < measured.fit.error(what)).all()
@@ -105,7 +105,7 @@ def test_a_servo_that_differs_is_named() -> None:
 
 
 def synthetic(count: int, draw: np.random.Generator, task: ServoTask = QUICK) -> list[StaticReading]:
-    """Readings by the formula itself, at places of the workspace, k = 10, Kt = 1.5, f = 0.05."""
+    """Exact readings by the formula at places in the workspace, k = 10, Kt = 1.5, f = 0.05."""
     points = draw.uniform((-0.05, -0.05, 0.01), (0.05, 0.05, 0.1), (count, 3))
     angles = Delta(task.geometry).inverse(points).angles
     signs = draw.choice([-1, 1], (count, 3))
@@ -114,13 +114,13 @@ def synthetic(count: int, draw: np.random.Generator, task: ServoTask = QUICK) ->
     rows = []
     for goal, torque, sign in zip(goals, torques, signs, strict=True):
         goal = np.array(whole_ticks(goal))
-        told = np.round((goal - torque / 10.0) / TICK) * TICK
+        reading = np.round((goal - torque / 10.0) / TICK) * TICK
         currents = torque / 1.5 + draw.normal(0.0, 1e-3, 3)
-        rows.append(StaticReading(tuple(goal), tuple(told), tuple(currents), (1e-3,) * 3, tuple(map(int, sign))))
+        rows.append(StaticReading(tuple(goal), tuple(reading), tuple(currents), (1e-3,) * 3, tuple(map(int, sign))))
     return rows
 
 
-def test_errors_scatter_as_the_fit_says() -> None:
+def test_errors_scatter_as_stated_by_the_fit() -> None:
     draw = np.random.default_rng(3)
     errors = []
     for _ in range(100):
@@ -128,7 +128,7 @@ def test_errors_scatter_as_the_fit_says() -> None:
         errors.append((fit.stiffness - 10.0) / fit.own_error(STIFFNESS))
         errors.append((fit.torque_constant - 1.5) / np.hypot(fit.own_error(CONSTANT), 1e-9))
         errors.append((fit.friction - 0.05) / fit.own_error(FRICTION))
-    # Offsets of the arms are none here, so that the constants err by less than what allows for them.
+    # The arms have no offsets here, so the constants' errors are smaller than stated.
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.1
 
 
@@ -139,7 +139,7 @@ def test_too_few_readings_are_refused(count: int) -> None:
 
 
 class TestPlan:
-    def test_every_way_turns_every_servo_and_stays_in_the_workspace(self) -> None:
+    def test_every_move_turns_every_servo_and_stays_in_the_workspace(self) -> None:
         planner, delta = PosePlanner(QUICK), Delta(QUICK.geometry)
         model = ServoModel(np.full(3, 12.0), np.full(3, 0.08))
         angles = np.asarray(delta.inverse((0.0, 0.0, 0.05)).angles)
@@ -160,11 +160,11 @@ class TestPlan:
             [round(goal / TICK) for goal in way.goals], abs=1e-9
         )
 
-    def test_an_arm_out_of_reach_is_told_to_be_pushed(self) -> None:
+    def test_the_error_for_an_arm_out_of_reach_says_to_push_it(self) -> None:
         with pytest.raises(ServoTrouble, match="by hand"):
             PosePlanner(QUICK).middle(np.array((3.0, -3.0, 0.0)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
 
-    def test_a_way_comes_in_slowly_and_ends_where_it_should(self) -> None:
+    def test_a_move_decelerates_and_ends_at_its_goal(self) -> None:
         points = eased((0.0, 0.0, 0.0), (0.3, -0.3, 0.0), 0.5)
         turns = np.diff([0.0, *(goals[0] for _, goals in points)])
         assert (turns > 0.0).all()
@@ -177,7 +177,7 @@ class TestSweptTorque:
         return float(torque_swept(back, np.array(play), np.array(0.06), np.array(-0.04), np.array(10.0)))
 
     @pytest.mark.parametrize("play", [0.0, 0.003, 0.01])
-    def test_it_falls_rests_over_the_play_falls_on_and_slips(self, play: float) -> None:
+    def test_torque_falls_rests_over_the_play_falls_on_and_slips(self, play: float) -> None:
         assert self.swept(0.0, play) == pytest.approx(0.06)
         assert self.swept(0.004, play) == pytest.approx(0.02)
         assert self.swept(0.006 + 0.5 * play, play) == pytest.approx(0.0, abs=1e-12)
@@ -187,18 +187,18 @@ class TestSweptTorque:
 
 class TestBadArms:
     @pytest.mark.parametrize(
-        ("gravity", "told"),
+        ("gravity", "problem_text"),
         [((0.0, 9.81, 0.0), "does not grow with the weight"), ((0.0, -9.81 * 0.866, -4.905), "look like gravity")],
     )
-    def test_wrong_gravity_is_noticed(self, gravity: Vector, told: str) -> None:
+    def test_wrong_gravity_is_detected(self, gravity: Vector, problem_text: str) -> None:
         task = dataclasses.replace(QUICK, gravity=gravity)
         try:
             problem = doubts(measure_servos(arm(), task), task, Gains())[0]
         except ServoTrouble as trouble:
             problem = str(trouble)
-        assert told in problem
+        assert problem_text in problem
 
-    def test_a_lighter_arm_than_was_told_is_doubted(self) -> None:
+    def test_an_arm_lighter_than_stated_is_doubted(self) -> None:
         found = measure_servos(arm(dataclasses.replace(SERVO, torque_constant=TORQUE_CONSTANT), weight=0.6), QUICK)
         assert "weighs 0.6" in doubts(found, QUICK, Gains())[0]
 
@@ -207,28 +207,29 @@ class TestBadArms:
             draw = np.random.default_rng(0)
 
             def read(self, seconds: float) -> ArmReadings:
-                told = super().read(seconds)
-                return ArmReadings(told.angles, told.currents + self.draw.normal(0.0, 0.02, 3))
+                readings = super().read(seconds)
+                return ArmReadings(readings.angles, readings.currents + self.draw.normal(0.0, 0.02, 3))
 
         loose = Rattling(WorldParameters(servo=SERVO, target=ALONE), 1, None, (1.0, 1.0, 1.0), TORQUE_CONSTANT)
         found = measure_servos(loose, QUICK)
-        assert "look for a platform, rod or horn that is loose" in doubts(found, QUICK, Gains())[0]
+        assert "check for a loose platform, rod or horn" in doubts(found, QUICK, Gains())[0]
 
-    def test_something_in_the_way_ends_it(self) -> None:
+    def test_an_obstacle_ends_it(self) -> None:
         with pytest.raises(ServoTrouble, match="block"):
             measure_servos(arm(target=TargetParameters(z=0.045)), QUICK)
 
     def test_an_arm_that_does_not_come_to_rest_ends_it(self) -> None:
         class Shaken(VirtualArm):
             def read(self, seconds: float) -> ArmReadings:
-                told = super().read(seconds)
-                return ArmReadings(told.angles + 3.0 * TICK * (np.arange(len(told.angles)) % 2)[:, None], told.currents)
+                readings = super().read(seconds)
+                jitter = 3.0 * TICK * (np.arange(len(readings.angles)) % 2)[:, None]
+                return ArmReadings(readings.angles + jitter, readings.currents)
 
         shaken = Shaken(WorldParameters(servo=SERVO, target=ALONE))
         with pytest.raises(ServoTrouble, match="does not come to rest"):
             measure_servos(shaken, QUICK)
 
-    def test_servos_beyond_what_docking_can_use_come_with_advice(self) -> None:
+    def test_unusable_servos_are_reported_with_a_remedy(self) -> None:
         found = measure_servos(arm(gains=(5.0, 5.0, 5.0)), QUICK)
         assert found.fit.common(STIFFNESS)[0] == pytest.approx(60.0, rel=0.15)
         problem = doubts(found, QUICK, Gains(2170))[0]
@@ -238,25 +239,23 @@ class TestBadArms:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # a second of computing for each arm, many beside a busy processor
-def test_fifty_arms_are_measured_as_well_as_the_docs_say() -> None:
+def test_fifty_arms_are_measured_with_the_documented_accuracy() -> None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
     import servos as benchmark
 
     found = [benchmark.measured(each) for each in benchmark.drawn(benchmark.SEED, 50)]
     errors, own = np.array([each.errors for each in found]), np.array([each.own for each in found])
-    told = np.array([each.own_told for each in found])
+    stated = np.array([each.own_told for each in found])
     for part, target in enumerate(benchmark.TARGETS):
-        assert np.percentile(np.abs(errors[:, part]), 95) <= 1.1 * target, benchmark.NAMES[
-            part
-        ]  # with the weights' own
+        assert np.percentile(np.abs(errors[:, part]), 95) <= 1.1 * target, benchmark.NAMES[part]  # weight included
         assert np.percentile(np.abs(own[:, part]), 95) <= 0.02, benchmark.NAMES[part]
-        within = np.mean(np.abs(own[:, part]) <= told[:, part])
+        within = np.mean(np.abs(own[:, part]) <= stated[:, part])
         assert 0.55 < within < 0.85, benchmark.NAMES[part]
     assert max(each.seconds for each in found) < 180.0
 
 
-def test_gravity_and_angles_are_where_they_are_thought_to_be() -> None:
-    """The middle servo-0 bears nothing where gravity points along −y; the others bear the same with opposite signs."""
+def test_gravity_and_angles_are_as_assumed() -> None:
+    """With gravity along −y, servo 0 has no load in the middle; the others have opposite loads."""
     middle = np.asarray(Delta(DeltaGeometry()).inverse((0.0, 0.0, 0.05)).angles)
     first, second, third = loads_at(middle[None], ServoTask(gravity=GRAVITY))[0]
     assert first == pytest.approx(0.0, abs=1e-9)
@@ -265,16 +264,16 @@ def test_gravity_and_angles_are_where_they_are_thought_to_be() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [8.0, 20.0, 45.0])
-def test_counted_ticks_tell_the_stiffness_better_than_a_line_through_them(stiffness: float) -> None:
+def test_counted_ticks_give_a_better_stiffness_than_a_linear_fit(stiffness: float) -> None:
     draw, guess = np.random.default_rng(5), 1.05 * stiffness
-    counted, drawn_through, told = [], [], []
+    counted, linear, deviations = [], [], []
     for _ in range(200):
         torques = draw.uniform(-0.09, 0.09, 60)
         exact = torques / stiffness + draw.normal(0.0, 0.05 * TICK, 60)
         errors = np.round(exact / TICK) * TICK
         mean, deviation = stiffness_by_ticks(torques, errors, guess)
         counted.append(mean - math.log(stiffness))
-        told.append(deviation)
-        drawn_through.append(float(np.log((torques @ torques) / (torques @ errors) / stiffness)))
-    assert np.sqrt(np.mean(np.square(counted))) < np.sqrt(np.mean(np.square(drawn_through)))
-    assert 0.8 < np.sqrt(np.mean(np.square(np.array(counted) / told))) < 1.2
+        deviations.append(deviation)
+        linear.append(float(np.log((torques @ torques) / (torques @ errors) / stiffness)))
+    assert np.sqrt(np.mean(np.square(counted))) < np.sqrt(np.mean(np.square(linear)))
+    assert 0.8 < np.sqrt(np.mean(np.square(np.array(counted) / deviations))) < 1.2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The client towards a charger that takes its time to answer a goal."""
+"""The client with a charger that answers goals slowly or never."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture
 def silent_charger(context: Any, namespace: str) -> Iterator[str]:
-    """Both actions of a charger that decides on no goal until the test is over; yields its namespace."""
+    """Both actions of a charger that answers no goal until the test is over; yields its namespace."""
     over = threading.Event()
 
     def decide(goal: Any) -> GoalResponse:
@@ -47,7 +47,7 @@ def silent_charger(context: Any, namespace: str) -> Iterator[str]:
     spinner.close()
 
 
-def test_a_goal_that_nobody_answers_ends_with_an_error(
+def test_an_unanswered_goal_ends_with_an_error(
     silent_charger: str, context: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with ChargerClient(silent_charger, context) as client:
@@ -57,7 +57,7 @@ def test_a_goal_that_nobody_answers_ends_with_an_error(
             client.undock()
 
 
-def test_a_cancel_does_not_wait_for_a_goal_that_nobody_answers(silent_charger: str, context: Any) -> None:
+def test_a_cancel_does_not_wait_for_an_unanswered_goal(silent_charger: str, context: Any) -> None:
     cancel = threading.Event()
     with ChargerClient(silent_charger, context) as client:
         assert client.wait_until_it_answers(DEADLINE)
@@ -68,12 +68,10 @@ def test_a_cancel_does_not_wait_for_a_goal_that_nobody_answers(silent_charger: s
         assert time.monotonic() - started < 3.0
 
 
-def test_an_answer_that_comes_while_the_goal_is_still_being_sent_is_heard(
-    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_during_sending_is_received(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
     class Late(action_client.Future):  # type: ignore[misc]
         def __init__(self, *args: Any, **kwargs: Any) -> None:
-            time.sleep(0.1)  # a stall between the request and the place where its answer is looked for
+            time.sleep(0.1)  # a stall between the request and the lookup of its answer
             super().__init__(*args, **kwargs)
 
     def execute(handle: Any) -> Dock.Result:
@@ -94,5 +92,5 @@ def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(silent_charger:
     with ChargerClient(silent_charger, context) as client:
         assert client.wait_until_it_answers(DEADLINE)
         for _ in range(2):
-            with pytest.raises(ClientError, match="did not take the goal 'undock'"):
+            with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
                 client.undock("\udcff")

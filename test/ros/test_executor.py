@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node is served: at once in one thread, at rest without one, aside where it may wait, and failing aloud."""
+"""The executor serves at once in one thread, is idle at rest, runs waiting callbacks aside, and reports errors."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
 
 @pytest.fixture
 def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let threads end with their errors unheard."""
+    """Suppress error output of ending threads."""
     monkeypatch.setattr(threading, "excepthook", lambda arguments: None)
 
 
 @pytest.mark.realtime
-def test_an_executor_rests_while_nothing_comes(node: Node) -> None:
+def test_an_idle_executor_uses_no_processor_time(node: Node) -> None:
     ticks: list[None] = []
     node.create_timer(0.05, lambda: ticks.append(None))
     spinner = Spinner(node)
@@ -55,7 +55,7 @@ def test_an_executor_rests_while_nothing_comes(node: Node) -> None:
     assert share < 0.3, f"the process used {100 * share:.0f} % of a core for nothing"
 
 
-def test_services_of_a_reentrant_group_wait_beside_each_other_and_beside_all_else(node: Node) -> None:
+def test_services_of_a_reentrant_group_wait_concurrently(node: Node) -> None:
     busy, release, ticks = threading.Semaphore(0), threading.Event(), []
 
     def slow(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -93,7 +93,7 @@ def test_services_of_a_reentrant_group_wait_beside_each_other_and_beside_all_els
         spinner.close()
 
 
-def test_goals_wait_beside_each_other_and_are_answered(node: Node) -> None:
+def test_goals_wait_concurrently_and_are_answered(node: Node) -> None:
     begun, release = threading.Semaphore(0), threading.Event()
 
     def execute(handle: Any) -> Dock.Result:
@@ -120,7 +120,7 @@ def test_goals_wait_beside_each_other_and_are_answered(node: Node) -> None:
         spinner.close(client, server)
 
 
-def test_messages_are_served_in_order_while_a_service_takes_its_time(node: Node) -> None:
+def test_messages_are_served_in_order_during_a_slow_service(node: Node) -> None:
     called, release = threading.Event(), threading.Event()
 
     def slow(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -128,11 +128,11 @@ def test_messages_are_served_in_order_while_a_service_takes_its_time(node: Node)
         release.wait(DEADLINE)
         return response
 
-    heard: list[int] = []
+    received: list[int] = []
     group = ReentrantCallbackGroup()
     node.create_service(Trigger, "service", slow, callback_group=group)
     client: Any = node.create_client(Trigger, "service", callback_group=group)
-    node.create_subscription(Int64, "topic", lambda message: heard.append(message.data), 100, callback_group=group)
+    node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 100, callback_group=group)
     publisher = node.create_publisher(Int64, "topic", 100)
     wait_until(publisher.get_subscription_count, "the subscription")
     spinner = Spinner(node)
@@ -142,8 +142,8 @@ def test_messages_are_served_in_order_while_a_service_takes_its_time(node: Node)
         assert called.wait(DEADLINE)
         for number in range(50):
             publisher.publish(Int64(data=number))
-        wait_until(lambda: len(heard) == 50, "every message")
-        assert heard == list(range(50))
+        wait_until(lambda: len(received) == 50, "every message")
+        assert received == list(range(50))
         assert not answer.done()
         release.set()
         wait_until(answer.done, "the answer")
@@ -152,25 +152,25 @@ def test_messages_are_served_in_order_while_a_service_takes_its_time(node: Node)
         spinner.close()
 
 
-def test_entities_that_come_and_go_are_served_and_forgotten(node: Node) -> None:
+def test_added_entities_are_served_and_removed_ones_released(node: Node) -> None:
     spinner = Spinner(node)
-    heard: list[int] = []
+    received: list[int] = []
     publisher = node.create_publisher(Int64, "topic", 10)
     try:
         for number in range(20):
-            subscription = node.create_subscription(Int64, "topic", lambda message: heard.append(message.data), 10)
+            subscription = node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 10)
             wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
             publisher.publish(Int64(data=number))
-            wait_until(lambda number=number: heard and heard[-1] == number, f"message {number}")
+            wait_until(lambda number=number: received and received[-1] == number, f"message {number}")
             node.destroy_subscription(subscription)
             wait_until(lambda: publisher.get_subscription_count() == 0, "its end")
         assert spinner.is_alive()
     finally:
         spinner.close()
-    assert heard == list(range(20))
+    assert received == list(range(20))
 
 
-def test_an_action_client_may_be_made_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_action_client_may_be_created_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     add = Node.add_waitable
 
     def add_early(self: Node, waitable: Any) -> None:
@@ -220,23 +220,23 @@ def test_a_service_that_raises_in_its_worker_ends_the_spinner(node: Node, quiet:
         spinner.close()
 
 
-def test_a_program_that_closes_nothing_ends_well() -> None:
-    """Also where messages pour in meanwhile."""
+def test_a_program_that_closes_nothing_ends_normally() -> None:
+    """Even while many messages arrive."""
     code = """
 import threading, rclpy
 from rclpy.node import Node
 from std_msgs.msg import Empty
 from deltacharger_ros.executor import Spinner
 rclpy.init(args=[])
-node, heard = Node("subject"), threading.Semaphore(0)
-node.create_subscription(Empty, "topic", lambda message: heard.release(), 10)
+node, received = Node("subject"), threading.Semaphore(0)
+node.create_subscription(Empty, "topic", lambda message: received.release(), 10)
 publisher = node.create_publisher(Empty, "topic", 10)
 spinner = Spinner(node)
 def pour():
     while True:
         publisher.publish(Empty())
 threading.Thread(target=pour, daemon=True).start()
-heard.acquire()
+received.acquire()
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=DEADLINE, check=False)
     assert ended.returncode == 0, ended.stderr.decode()
@@ -251,7 +251,7 @@ def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:
     spinner.close()
 
 
-def test_what_a_node_does_at_its_end_is_still_served(context: Any, namespace: str) -> None:
+def test_callbacks_work_while_a_node_closes(context: Any, namespace: str) -> None:
     class Subject(Node):
         answered = False
 
@@ -268,7 +268,7 @@ def test_what_a_node_does_at_its_end_is_still_served(context: Any, namespace: st
     assert not spinner.is_alive()
 
 
-def test_a_callback_that_never_ends_does_not_keep_a_node_from_closing(node: Node) -> None:
+def test_a_node_closes_despite_a_callback_that_never_ends(node: Node) -> None:
     called, release = threading.Event(), threading.Event()
 
     def stuck(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -286,4 +286,4 @@ def test_a_callback_that_never_ends_does_not_keep_a_node_from_closing(node: Node
         spinner.close()
         assert not spinner.is_alive()
     finally:
-        release.set()  # what it answers now, nobody hears
+        release.set()  # its answer has no receiver

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages published as bytes are those that would have been published the usual way."""
+"""Messages published as bytes equal messages published the usual way."""
 
 from __future__ import annotations
 
@@ -75,15 +75,15 @@ def is_as_ordered(message: ServoState) -> bool:
     )
 
 
-def test_numbers_and_what_stays_arrive() -> None:
+def test_changed_numbers_and_constant_fields_arrive() -> None:
     assert is_as_ordered(published())
 
 
-def test_any_order_of_fields_will_do() -> None:
+def test_fields_may_have_any_order() -> None:
     assert is_as_ordered(published(FIELDS[::-1], ROWS[::-1]))
 
 
-def test_one_message_leaves_no_trace_in_the_next() -> None:
+def test_a_message_does_not_affect_the_next() -> None:
     kept: Any = Kept()
     publisher = FlatPublisher(kept, state(), FIELDS, Stamps(Clock(clock_type=ClockType.SYSTEM_TIME)))
     publisher.publish(0.0, array("d", [9.0] * 3), array("f", [9.0] * 3), b"\xff" * 3, b"\1" * 3)
@@ -92,7 +92,7 @@ def test_one_message_leaves_no_trace_in_the_next() -> None:
 
 
 @pytest.mark.parametrize("spoil", [lambda data: data[::-1], lambda data: bytes(byte ^ 0xA5 for byte in data)])
-def test_a_middleware_that_serialises_otherwise_gets_messages(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_middleware_with_another_format_gets_usual_messages(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     serialise = flat_messages.serialize_message
     monkeypatch.setattr(flat_messages, "serialize_message", lambda message: spoil(serialise(message)))
     assert is_as_ordered(published(flat=False))
@@ -110,18 +110,18 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
     node.destroy_node()
 
 
-def test_what_the_driver_publishes_all_the_time_is_flat(node: Node) -> None:
+def test_the_drivers_frequent_messages_are_flat(node: Node) -> None:
     states = StatePublishers(node, QoSProfile(depth=1), 1.4, "charger_base")
     samples = SamplePublishers(node, QoSProfile(depth=1), 0.0024, "end_effector")
     publishers = [*vars(states).values(), *vars(samples).values()]
     assert [each.is_flat for each in publishers if isinstance(each, FlatPublisher)] == [True] * 4
 
 
-def test_a_subscriber_hears_it(node: Node, context: Any) -> None:
+def test_a_subscriber_receives_it(node: Node, context: Any) -> None:
     from rclpy.executors import SingleThreadedExecutor
 
-    heard: list[TactileFrame] = []
-    node.create_subscription(TactileFrame, "frame", heard.append, 1)
+    received: list[TactileFrame] = []
+    node.create_subscription(TactileFrame, "frame", received.append, 1)
     topic = node.create_publisher(TactileFrame, "frame", 1)
     taxels = array("f", bytes(400))
     prototype = TactileFrame(rows=10, columns=10, pitch=0.0024, left=taxels, right=taxels)
@@ -133,11 +133,11 @@ def test_a_subscriber_hears_it(node: Node, context: Any) -> None:
     def arrives() -> bool:
         publisher.publish(time.monotonic(), array("Q", [2**40 + 7]), forces, b"\1")
         executor.spin_once(timeout_sec=0.1)
-        return bool(heard)
+        return bool(received)
 
     wait_until(arrives, "the frame")
     executor.shutdown()
-    frame = heard[0]
+    frame = received[0]
     assert (frame.sequence, frame.tared, frame.rows) == (2**40 + 7, True, 10)
     np.testing.assert_array_equal(frame.left, forces)
     assert not any(frame.right)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where charger_base is in frames of tf: exactly, or not at all and by name."""
+"""Poses of charger_base in tf frames are exact or refused by name."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def robot(context: Any, spin: Spin) -> Robot:
 
 @pytest.fixture
 def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
-    """Make the frames of a node that hears the robot."""
+    """Create the frames of a node that receives the robot's tf."""
     nodes: list[Node] = []
 
     def frames(
@@ -71,10 +71,10 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
         use_sim_time: bool = False,
         **given: Any,
     ) -> Frames:
-        told: dict[str, Any] = {"use_sim_time": use_sim_time}
+        parameters: dict[str, Any] = {"use_sim_time": use_sim_time}
         if base_pose is not None:
-            told["base_pose"] = list(base_pose)
-        node = Node(f"asker_{len(nodes)}", **options(context, namespace, **told))
+            parameters["base_pose"] = list(base_pose)
+        node = Node(f"asker_{len(nodes)}", **options(context, namespace, **parameters))
         nodes.append(node)
         transform = TransformParameters(prefix, transform_timeout=timeout, **given)
         found = Frames(node, transform, "base_link", base_pose or USUAL)
@@ -86,7 +86,7 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
         node.destroy_node()
 
 
-def test_without_tf2_ros_the_parameters_tell_and_other_frames_are_refused_by_name(
+def test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name(
     context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frames_module, "installed", lambda: False)
@@ -112,11 +112,11 @@ def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make
     for number in range(20):
         place, odom = drawn(source), drawn(source)
         robot.move(("map", f"odom_{number}", odom), (f"odom_{number}", "base_link", place))
-        told: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
-        in_map = stamped(composed(composed(composed(odom, place), MOUNT), told), "map")
+        target: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
+        in_map = stamped(composed(composed(composed(odom, place), MOUNT), target), "map")
         wait_until(lambda number=number: frames._tf is not None and frames._tf.knows(f"odom_{number}"), "it")
         found = electrodes(in_map, DockingNodeParameters(), frames.charger_base_in("map"))
-        expected = electrodes(stamped(told, "charger_base"), DockingNodeParameters())
+        expected = electrodes(stamped(target, "charger_base"), DockingNodeParameters())
         assert found is not None
         assert expected is not None
         assert found.position == pytest.approx(expected.position, abs=EXACT)
@@ -125,16 +125,14 @@ def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make
         )
 
 
-def test_a_robot_whose_urdf_has_no_charger_takes_base_pose_for_it(robot: Robot, make: Make) -> None:
+def test_without_a_charger_in_the_urdf_base_pose_is_used(robot: Robot, make: Make) -> None:
     frames, place = make(base_pose=MOUNT), (1.0, 2.0, 0.0, 0.0, 0.0, math.sin(0.3), math.cos(0.3))
     robot.move(("map", "base_link", place))
     assert close(frames.charger_base_in("map"), composed(place, MOUNT))
     assert frames.charger_base_in("base_link") == MOUNT
 
 
-def test_a_transform_that_is_late_is_waited_for_and_a_goal_that_may_not_wait_is_refused(
-    robot: Robot, make: Make
-) -> None:
+def test_a_late_transform_is_awaited_unless_the_goal_must_not_wait(robot: Robot, make: Make) -> None:
     frames = make(timeout=10.0)
     with pytest.raises(TransformError):
         frames.charger_base_in("map", timeout=0.0)
@@ -147,7 +145,7 @@ def test_a_transform_that_is_late_is_waited_for_and_a_goal_that_may_not_wait_is_
     assert close(found[0], MOUNT)
 
 
-def test_only_one_waits_so_that_goals_in_unknown_frames_keep_nobody_from_being_served(robot: Robot, make: Make) -> None:
+def test_only_one_goal_waits_so_that_unknown_frames_block_no_other(robot: Robot, make: Make) -> None:
     frames = make(timeout=3.0)
     robot.fix("base_link", "charger_base", MOUNT)
     wait_until(lambda: frames._tf is not None and frames._tf.knows("charger_base"), "the charger")
@@ -164,7 +162,7 @@ def test_only_one_waits_so_that_goals_in_unknown_frames_keep_nobody_from_being_s
     for asker in askers:
         asker.join(10.0)
     assert refused[3] - refused[0] > 1.0, "one waited"
-    assert refused[2] - refused[0] < 1.0, "the others did not"
+    assert refused[2] - refused[0] < 1.0, "the others did not wait"
 
 
 def test_an_unknown_frame_is_refused_with_its_name_those_known_and_the_remedy(robot: Robot, make: Make) -> None:
@@ -182,17 +180,17 @@ def test_an_unknown_frame_is_refused_with_its_name_those_known_and_the_remedy(ro
         assert "\n" not in str(refusal.value)
 
 
-def test_trees_that_do_not_connect_are_named(robot: Robot, make: Make) -> None:
+def test_the_error_names_unconnected_trees(robot: Robot, make: Make) -> None:
     frames = make(timeout=0.1)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.fix("map", "odom", IDENTITY)
     wait_until(lambda: frames._tf is not None and frames._tf.knows("map", "charger_base"), "both")
-    with pytest.raises(UnknownFrame, match=r"does not connect 'odom' with 'charger_base'.*'map' and on 'base_link'"):
+    with pytest.raises(UnknownFrame, match=r"does not connect 'odom' with 'charger_base'.*'map' and 'base_link'"):
         frames.charger_base_in("odom")
 
 
 @pytest.mark.parametrize(("age", "words"), [(5.0, "5.. s old"), (-5.0, "s in the future")])
-def test_a_transform_of_another_time_is_named(robot: Robot, make: Make, age: float, words: str) -> None:
+def test_the_error_names_a_transform_of_another_time(robot: Robot, make: Make, age: float, words: str) -> None:
     frames = make(timeout=0.1)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.move(("map", "base_link", IDENTITY), when=time.time() - age)
@@ -211,7 +209,7 @@ def _known(frames: Frames) -> bool:
         return False
 
 
-def test_a_stamp_is_heeded_where_the_robot_moves_and_no_matter_where_nothing_does(robot: Robot, make: Make) -> None:
+def test_a_stamp_matters_only_if_a_transform_moves(robot: Robot, make: Make) -> None:
     frames = make(timeout=0.1, transform_age_max=20.0)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.fix("tool", "base_link", IDENTITY)
@@ -237,13 +235,13 @@ def _is_told(frames: Frames, frame: str) -> bool:
     return True
 
 
-def test_what_tf_says_of_the_charger_counts_where_no_base_pose_was_given(robot: Robot, make: Make) -> None:
+def test_tf_is_used_if_no_base_pose_is_given(robot: Robot, make: Make) -> None:
     robot.fix("base_link", "charger_base", MOUNT)
-    assert close(make().base_pose(), MOUNT), "from the start: what is latched is waited for"
+    assert close(make().base_pose(), MOUNT), "from the start: latched messages are awaited"
 
 
-def test_the_default_is_not_taken_while_tf_may_tell_another(robot: Robot, make: Make) -> None:
-    """Also by a second one, who does not wait; and it may ask again."""
+def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: Make) -> None:
+    """Not even by a second caller that does not wait; a retry is allowed."""
     frames = make(timeout=10.0)
     found: list[Pose] = []
     asker = threading.Thread(target=lambda: found.append(frames.charger_base_in("base_link")))
@@ -258,13 +256,13 @@ def test_the_default_is_not_taken_while_tf_may_tell_another(robot: Robot, make: 
     assert close(found[0], MOUNT)
 
 
-def test_tf_is_counted_on_where_it_is_remapped(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remapped_tf_topics_are_detected(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
     kind = transforms().TFMessage
     monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.0)
-    for number, (told, counts) in enumerate((("/a/tf_static", True), ("/tf_static", False))):
+    for number, (topic, counts) in enumerate((("/a/tf_static", True), ("/tf_static", False))):
         remapped = ["--ros-args", "-r", "/tf:=/a/tf", "-r", "/tf_static:=/a/tf_static"]
         node = Node(f"asker_{number}", **options(context, namespace), cli_args=remapped)
-        publisher = node.create_publisher(kind, told, 10) if counts else None
+        publisher = node.create_publisher(kind, topic, 10) if counts else None
         tree = tf_tree.TfTree(node, TransformParameters(transform_timeout=10.0))
         if publisher is not None:
             wait_until(lambda tree=tree: tree.settling > 0.0, "the publisher")
@@ -274,7 +272,7 @@ def test_tf_is_counted_on_where_it_is_remapped(context: Any, namespace: str, mon
         node.destroy_node()
 
 
-def test_who_has_no_tf_waits_for_none_after_the_start_and_is_told_once_what_counts(
+def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
     context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     transforms()
@@ -287,10 +285,10 @@ def test_who_has_no_tf_waits_for_none_after_the_start_and_is_told_once_what_coun
         assert frames.charger_base_in("base_link") == USUAL
     assert time.monotonic() - began < 3.0
     node.destroy_node()
-    assert "".join(capfd.readouterr()).count("base_pose tells where the charger is") == 1
+    assert "".join(capfd.readouterr()).count("base_pose is used for the charger's mount") == 1
 
 
-def test_who_waits_is_let_go_when_the_node_closes(robot: Robot, make: Make) -> None:
+def test_waiting_ends_when_the_node_closes(robot: Robot, make: Make) -> None:
     frames = make(timeout=10.0)
     refusals: list[TransformError] = []
 
@@ -308,7 +306,7 @@ def test_who_waits_is_let_go_when_the_node_closes(robot: Robot, make: Make) -> N
     assert not isinstance(refusals[0], UnknownFrame), "it may come back"
 
 
-def test_a_tf2_ros_that_cannot_be_loaded_is_named_and_charger_base_goes_on(
+def test_the_error_names_a_broken_tf2_ros_and_charger_base_still_works(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = make(timeout=0.0, base_pose=MOUNT)
@@ -320,11 +318,11 @@ def test_a_tf2_ros_that_cannot_be_loaded_is_named_and_charger_base_goes_on(
     frames._compare()
 
 
-def test_a_transform_from_the_future_or_from_before_all_time_hides_no_other(robot: Robot, make: Make) -> None:
+def test_a_transform_with_an_invalid_stamp_hides_no_other(robot: Robot, make: Make) -> None:
     frames = make(timeout=0.1)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.move(("map", "base_link", MOUNT), when=time.time() + 3600.0)
-    ancient = robot._told("map", "base_link", MOUNT, 0.0)
+    ancient = robot._message("map", "base_link", MOUNT, 0.0)
     ancient.header.stamp.sec = -1
     for publisher in (robot._moving, robot._fixed):
         publisher.publish(transforms().TFMessage(transforms=[ancient]))
@@ -334,7 +332,7 @@ def test_a_transform_from_the_future_or_from_before_all_time_hides_no_other(robo
         frames.charger_base_in("map", Stamp(sec=-1))
 
 
-def test_a_base_pose_that_contradicts_tf_is_named_and_one_that_is_rounded_is_none(robot: Robot, make: Make) -> None:
+def test_a_base_pose_that_contradicts_tf_is_an_error_but_rounding_is_not(robot: Robot, make: Make) -> None:
     rounded = (0.3105, -0.0201, 0.4195, 0.502, 0.498, 0.5, 0.5)
     for given, contradicts in ((rounded, False), ((0.31, -0.02, 0.52, 0.5, 0.5, 0.5, 0.5), True)):
         frames = make(base_pose=given)
@@ -354,20 +352,20 @@ def test_a_base_pose_that_contradicts_tf_is_named_and_one_that_is_rounded_is_non
 def test_a_contradiction_is_logged_before_any_goal(
     robot: Robot, make: Make, spin: Spin, capfd: pytest.CaptureFixture[str], use_sim_time: bool
 ) -> None:
-    """Also before the first /clock."""
+    """Even before the first /clock."""
     frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5), use_sim_time=use_sim_time)
     robot.fix("base_link", "charger_base", MOUNT)
     spin(frames._tf._node)
-    heard: list[str] = []
+    lines: list[str] = []
 
-    def told() -> bool:
-        heard.extend(capfd.readouterr())
-        return "base_pose contradicts tf" in "".join(heard)
+    def is_logged() -> bool:
+        lines.extend(capfd.readouterr())
+        return "base_pose contradicts tf" in "".join(lines)
 
-    wait_until(told, "the log")
+    wait_until(is_logged, "the log")
 
 
-def test_two_chargers_of_one_robot_have_frames_of_their_own(robot: Robot, make: Make) -> None:
+def test_two_chargers_of_one_robot_have_separate_frames(robot: Robot, make: Make) -> None:
     left, right = make("left/"), make("right/")
     other: Pose = (-0.31, 0.0, 0.42, 0.5, 0.5, -0.5, -0.5)
     robot.fix("base_link", "left/charger_base", MOUNT)
@@ -389,8 +387,8 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
     camera: Pose = (0.0, 0.12, -0.12, 0.0, -0.2669335818958115, 0.9637149282107609, 0.0)
     robot.fix("base_link", "charger_base", MOUNT)
     robot.fix("charger_base", "camera", camera)
-    told: Pose = (0.01, -0.02, 0.2, *composed(IDENTITY, (0, 0, 0, 0.0, math.sin(0.02), 0.0, math.cos(0.02)))[3:])
-    turned = composed(inverted(camera), told)
+    target: Pose = (0.01, -0.02, 0.2, *composed(IDENTITY, (0, 0, 0, 0.0, math.sin(0.02), 0.0, math.cos(0.02)))[3:])
+    turned = composed(inverted(camera), target)
     message = ElectrodeDetection()
     message.header.frame_id = "camera"
     place, turn = message.pose.pose.position, message.pose.pose.orientation
@@ -400,7 +398,7 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
     message.roll = math.atan2(axes[1][0], axes[0][0])
     wait_until(lambda: _is_told(frames, "camera"), "the camera")
     found = seen(in_charger_base(message, frames), 0.0)
-    assert found.position == pytest.approx(told[:3], abs=EXACT)
+    assert found.position == pytest.approx(target[:3], abs=EXACT)
     assert (found.roll, found.yaw, found.pitch) == pytest.approx((0.0, 0.04, 0.0), abs=EXACT)
     assert (found.roll_stddev, found.yaw_stddev) == pytest.approx((0.02, 0.02))
     for roll, named in ((math.nan, "not finite"), (message.roll + 0.01, "contradicts itself")):
@@ -413,7 +411,7 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
         in_charger_base(message, frames)
 
 
-def test_nothing_is_taken_from_tf_while_nobody_asks(robot: Robot, make: Make, spin: Spin) -> None:
+def test_tf_messages_are_not_taken_without_a_request(robot: Robot, make: Make, spin: Spin) -> None:
     frames = make()
     spin(frames._tf._node)
     for _ in range(300):
@@ -421,4 +419,4 @@ def test_nothing_is_taken_from_tf_while_nobody_asks(robot: Robot, make: Make, sp
     assert frames._tf is not None
     assert frames._tf._buffer is None
     assert not frames._tf._moving.is_open
-    assert frames._tf.knows("map"), "and what came meanwhile is there when somebody does"
+    assert frames._tf.knows("map"), "messages received before are available on request"

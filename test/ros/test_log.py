@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's log: one line each, whatever is in it, and a process that goes on where nobody reads its standard error."""
+"""A node's log: any text becomes one line, and a blocked standard error does not block the process."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ sys.stdout.write(os.read(reader, 65536).decode())
 """
 
 
-def test_what_would_control_a_terminal_is_spelt_out_on_one_line(
+def test_control_characters_are_escaped_on_one_line(
     context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     node = Node("subject", **options(context, namespace))
@@ -62,7 +62,7 @@ def test_what_would_control_a_terminal_is_spelt_out_on_one_line(
     assert len(second) < 1200
 
 
-def test_what_comes_again_and_again_is_told_once_in_a_while_and_keeps_nothing_else_back(
+def test_repeated_lines_are_throttled_and_do_not_suppress_others(
     context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     node = Node("subject", **options(context, namespace))
@@ -72,14 +72,14 @@ def test_what_comes_again_and_again_is_told_once_in_a_while_and_keeps_nothing_el
         log.error("another")
         log.warning("a third")
     node.destroy_node()
-    told = [line.rsplit(": ", 1)[1] for line in capfd.readouterr().err.splitlines()]
-    assert told == ["again", *["another", "a third"] * 3]
+    lines = [line.rsplit(": ", 1)[1] for line in capfd.readouterr().err.splitlines()]
+    assert lines == ["again", *["another", "a third"] * 3]
 
 
-def test_lines_that_standard_error_does_not_take_are_left_out_and_counted() -> None:
+def test_lines_are_dropped_and_counted_while_standard_error_is_blocked() -> None:
     ended = subprocess.run(
         [sys.executable, "-c", _BLOCKED], capture_output=True, text=True, timeout=DEADLINE, check=False
     )
     assert ended.returncode == 0, ended.stderr
-    told = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
-    assert told == ["2 lines of this log are missing here: standard error took none", "heard again"]
+    lines = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
+    assert lines == ["2 lines of this log are missing here: standard error was blocked", "heard again"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions outside the executor: nothing runs for them until somebody asks, and then the newest is there."""
+"""On-demand subscriptions do no work until requested, and then provide the newest message."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ def publish(publisher: Publisher[Int64], *numbers: int) -> None:
     assert publisher.wait_for_all_acked()
 
 
-def test_nothing_is_called_until_somebody_listens_and_then_the_newest_comes_first(
+def test_the_callback_runs_only_while_listening_and_gets_the_newest_first(
     node: Node, publisher: Publisher[Int64]
 ) -> None:
-    heard: list[int] = []
-    counts = OnDemandSubscription(node, Int64, "counts", lambda message: heard.append(message.data), QOS)
+    received: list[int] = []
+    counts = OnDemandSubscription(node, Int64, "counts", lambda message: received.append(message.data), QOS)
     publish(publisher, 1, 2, 3)
-    assert heard == []
+    assert received == []
     with counts.listening():
-        assert heard == [3]  # at once, in the thread that begins to listen
+        assert received == [3]  # at once, in the thread that starts to listen
         publish(publisher, 4)
-        wait_until(lambda: heard == [3, 4], "the next message")
+        wait_until(lambda: received == [3, 4], "the next message")
         with counts.listening():  # by another one, who leaves first
             pass
         publish(publisher, 5)
-        wait_until(lambda: heard == [3, 4, 5], "what came while one of two still listened")
+        wait_until(lambda: received == [3, 4, 5], "the message during the remaining listener")
     publish(publisher, 6, 7)
     with counts.listening():
-        assert heard == [3, 4, 5, 7]
+        assert received == [3, 4, 5, 7]
 
 
-def test_listening_to_nobody_is_no_error(node: Node) -> None:
-    heard: list[int] = []
-    with OnDemandSubscription(node, Int64, "counts", heard.append, QOS).listening():
-        assert heard == []
+def test_listening_without_a_publisher_is_no_error(node: Node) -> None:
+    received: list[int] = []
+    with OnDemandSubscription(node, Int64, "counts", received.append, QOS).listening():
+        assert received == []
 
 
 def test_a_polled_topic_keeps_as_many_as_its_depth(node: Node, publisher: Publisher[Int64]) -> None:
@@ -78,7 +78,7 @@ def test_a_polled_topic_keeps_as_many_as_its_depth(node: Node, publisher: Publis
     assert topic.name == f"{node.get_namespace()}/counts"
 
 
-def test_of_a_latest_message_the_newest_counts_however_it_came(node: Node, publisher: Publisher[Int64]) -> None:
+def test_a_latest_message_is_the_newest_from_either_path(node: Node, publisher: Publisher[Int64]) -> None:
     latest = LatestMessage(node, Int64, "counts", QOS)
     assert latest.take() is None
     publish(publisher, 1, 2)
@@ -93,7 +93,7 @@ def test_of_a_latest_message_the_newest_counts_however_it_came(node: Node, publi
     assert latest.take() is None
 
 
-def test_waiting_ends_with_a_message_and_else_with_the_time(node: Node, publisher: Publisher[Int64]) -> None:
+def test_waiting_ends_with_a_message_or_the_timeout(node: Node, publisher: Publisher[Int64]) -> None:
     latest = LatestMessage(node, Int64, "counts", QOS)
     began = time.monotonic()
     latest.wait(0.1)
@@ -105,7 +105,7 @@ def test_waiting_ends_with_a_message_and_else_with_the_time(node: Node, publishe
     assert latest.take().data == 1
 
 
-def test_after_the_shutdown_of_ros_there_is_nothing_to_take(context: Any, namespace: str) -> None:
+def test_nothing_is_taken_after_the_shutdown_of_ros(context: Any, namespace: str) -> None:
     own = rclpy.Context()
     rclpy.init(context=own, args=[])
     node = Node("listener", context=own, namespace=namespace, use_global_arguments=False)
@@ -119,7 +119,7 @@ def test_after_the_shutdown_of_ros_there_is_nothing_to_take(context: Any, namesp
 
 
 @pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
-def test_a_user_s_settings_of_fast_dds_are_left_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_dds_settings_of_the_user_are_kept(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     import os
 
     for each in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
@@ -132,9 +132,7 @@ def test_a_user_s_settings_of_fast_dds_are_left_alone(name: str, monkeypatch: py
     ]
 
 
-def test_settings_of_fast_dds_in_the_working_directory_are_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fast_dds_settings_in_the_working_directory_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import os
 
     monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")

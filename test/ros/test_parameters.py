@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's parameters are those that its package declares, with their bounds and texts, and no others."""
+"""A node has exactly the parameters that its package declares, with their bounds and texts."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ class Rates(Bounded):
     on: bool = flag(True, "whether it is")
 
 
-def test_what_is_declared_is_what_the_node_tells(context: Any, namespace: str) -> None:
+def test_the_node_describes_its_declared_parameters(context: Any, namespace: str) -> None:
     node = Node("subject", **options(context, namespace, corner=[1.0, 2.0], files=["a", "b"]))
     try:
         given = declare_all(node, Rates, defaults=Rates(rate=60.0))
         assert given == Rates(rate=60.0, corner=(1.0, 2.0), files=("a", "b"))
-        told = {name: node.describe_parameter(name) for name in Rates.__dataclass_fields__}
+        described = {name: node.describe_parameter(name) for name in Rates.__dataclass_fields__}
     finally:
         node.destroy_node()
-    assert told["rate"].description == "how often (Hz)"
-    assert told["rate"].floating_point_range[0].to_value == 500.0
-    assert told["count"].integer_range[0].from_value == 1
-    assert told["corner"].additional_constraints == "-2.0 to 2.0"
-    assert told["mode"].additional_constraints == "one of: soft, stiff"
-    assert not told["files"].additional_constraints
-    assert [each.read_only for each in told.values()] == [True, True, True, False, True, True]
+    assert described["rate"].description == "how often (Hz)"
+    assert described["rate"].floating_point_range[0].to_value == 500.0
+    assert described["count"].integer_range[0].from_value == 1
+    assert described["corner"].additional_constraints == "-2.0 to 2.0"
+    assert described["mode"].additional_constraints == "one of: soft, stiff"
+    assert not described["files"].additional_constraints
+    assert [each.read_only for each in described.values()] == [True, True, True, False, True, True]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class LiveRates(Bounded):
     count: int = like(Rates, "count", live=True)
 
 
-def test_whole_numbers_are_taken_for_floats_where_a_node_starts(context: Any, namespace: str) -> None:
+def test_integers_are_accepted_for_floats_at_the_start(context: Any, namespace: str) -> None:
     node = Node("subject", **options(context, namespace, rate=50, corner=[1, -2]))
     try:
         given = declare_all(node, Rates)
@@ -69,7 +69,7 @@ def test_whole_numbers_are_taken_for_floats_where_a_node_starts(context: Any, na
 
 
 @pytest.mark.parametrize("source", ["-p", "--params-file"])
-def test_whole_numbers_are_taken_for_floats_from_the_command_line_and_from_files(
+def test_integers_are_accepted_for_floats_from_command_line_and_files(
     context: Any, namespace: str, tmp_path: Path, source: str
 ) -> None:
     file = tmp_path / "parameters.yaml"
@@ -96,7 +96,7 @@ def test_whole_numbers_are_taken_for_floats_from_the_command_line_and_from_files
         ("nobody", 2, None),
     ],
 )
-def test_whole_numbers_are_taken_for_floats_while_a_node_runs(
+def test_integers_are_accepted_for_floats_while_a_node_runs(
     context: Any, namespace: str, name: str, value: Any, becomes: Any
 ) -> None:
     node = Node("subject", **options(context, namespace))
@@ -118,7 +118,7 @@ def test_whole_numbers_are_taken_for_floats_while_a_node_runs(
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("given", "message"),
     [
         ({"rate": 900.0}, "'rate'"),
         ({"rate": "fast"}, "'rate'"),
@@ -133,7 +133,7 @@ def test_whole_numbers_are_taken_for_floats_while_a_node_runs(
     ],
 )
 def test_a_wrong_parameter_stops_the_node_with_its_name(
-    context: Any, namespace: str, given: dict[str, Any], says: str
+    context: Any, namespace: str, given: dict[str, Any], message: str
 ) -> None:
     class Subject(Node):
         def __init__(self) -> None:
@@ -141,12 +141,12 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
             declare_all(self, Rates)
             reject_unknown(self)
 
-    with pytest.raises(StartupError, match=says):
+    with pytest.raises(StartupError, match=message):
         Subject()
 
 
-def test_a_node_that_fails_after_its_parameters_is_gone_at_once(context: Any, namespace: str) -> None:
-    """What is left of it would be closed with the context, though it was never complete."""
+def test_a_node_that_fails_after_its_parameters_is_freed_at_once(context: Any, namespace: str) -> None:
+    """Otherwise the incomplete node would be closed with the context."""
     node = Node("subject", **options(context, namespace))
     declare_all(node, Rates)
     reject_unknown(node)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An answer arrives, however many others are answered before its client looks."""
+"""An answer arrives even if many other clients are answered before its client reads it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 OTHERS = 200
 
 
-def test_answers_to_others_push_no_answer_out_of_a_late_clients_queue(context: Any, namespace: str, spin: Spin) -> None:
+def test_answers_to_others_do_not_displace_a_late_clients_answer(context: Any, namespace: str, spin: Spin) -> None:
     server, others = (
         spin(Node("server", **options(context, namespace))),
         spin(Node("others", **options(context, namespace))),
@@ -39,7 +39,7 @@ def test_answers_to_others_push_no_answer_out_of_a_late_clients_queue(context: A
     assert client.wait_for_service(DEADLINE)
     assert other.wait_for_service(DEADLINE)
     own = client.call_async(Trigger.Request())
-    wait_until(lambda: answered, "the answer, which nobody takes yet")
+    wait_until(lambda: answered, "the answer, not yet taken")
     for _ in range(OTHERS):
         answer(other.call_async(Trigger.Request()))
     spinner = Spinner(late)

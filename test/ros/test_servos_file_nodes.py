@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes that reckon with servos take them from one file, and nobody may say otherwise beside it."""
+"""All nodes that use servo properties take them from one file; contradicting parameters are refused."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ def parameters(node: Any, *names: str) -> list[Any]:
         node.destroy_node()
 
 
-def test_servo_node_writes_its_gains(context: Any, file: str, emulator: tuple[ServoBusEmulator, str]) -> None:
+def test_servo_node_uses_the_gains_of_the_file(context: Any, file: str, emulator: tuple[ServoBusEmulator, str]) -> None:
     bus, port = emulator
     node = ServoNode(**options(context, new_namespace(), port=port, servos_file=file))
-    told = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
-    assert told == [1.31, 300, 0, 4]
+    values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
+    assert values == [1.31, 300, 0, 4]
     assert [bus.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [300, 300, 300]
 
 
-def test_docking_node_and_kinematics_node_reckon_with_it(context: Any, file: str) -> None:
+def test_docking_node_and_kinematics_node_use_the_file(context: Any, file: str) -> None:
     docking = DockingNode(**options(context, new_namespace(), servos_file=file))
     assert docking._settings.servo_stiffness == 9.5
     assert parameters(docking, "servo_stiffness", "torque_constant") == [9.5, 1.31]
@@ -68,12 +68,12 @@ def test_docking_node_and_kinematics_node_reckon_with_it(context: Any, file: str
     assert parameters(kinematics, "torque_constant") == [1.31]
 
 
-def test_a_file_may_say_what_docking_takes() -> None:
+def test_a_file_may_have_any_stiffness_that_docking_accepts() -> None:
     bounds = {each.name: (each.low, each.high) for each in declared(DockingParameters)}["servo_stiffness"]
     assert bounds == (STIFFNESS_MIN, STIFFNESS_MAX)
 
 
-def test_without_it_all_is_as_usual(context: Any, emulator: tuple[ServoBusEmulator, str]) -> None:
+def test_without_a_file_defaults_are_used(context: Any, emulator: tuple[ServoBusEmulator, str]) -> None:
     docking = DockingNode(**options(context, new_namespace()))
     assert parameters(docking, "servo_stiffness", "torque_constant") == [SERVO_STIFFNESS, TORQUE_CONSTANT]
     servo = ServoNode(**options(context, new_namespace(), port=emulator[1]))
@@ -83,13 +83,13 @@ def test_without_it_all_is_as_usual(context: Any, emulator: tuple[ServoBusEmulat
 @pytest.mark.parametrize(
     ("kind", "beside", "reason"),
     [
-        (ServoNode, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* says 300"),
-        (ServoNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'.* says 1\.31"),
+        (ServoNode, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* has 300"),
+        (ServoNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'.* has 1\.31"),
         (KinematicsNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'"),
-        (DockingNode, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15\.0, .*'servos_file'.* says 9\.5"),
+        (DockingNode, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15\.0, .*'servos_file'.* has 9\.5"),
     ],
 )
-def test_a_parameter_that_contradicts_it_stops_the_node_with_both_names(
+def test_a_contradicting_parameter_stops_the_node_with_both_names(
     context: Any, file: str, kind: type[Node], beside: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(StartupError, match=reason):

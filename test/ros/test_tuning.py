@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live parameters are set as a whole or not at all, each refusal with its reason; the others cannot be set."""
+"""One call sets all its live parameters or none, and refusals state the reason; other parameters are read-only."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Band(Bounded):
 
 
 class Subject(Node):
-    """Keeps what it took."""
+    """Keeps the accepted values."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("subject", **kwargs)
@@ -80,7 +80,7 @@ class Setter:
         assert result.successful == (not result.reason)
         return str(result.reason)
 
-    def told(self) -> dict[str, Any]:
+    def values_now(self) -> dict[str, Any]:
         return {name: self.subject.get_parameter(name).value for name in Band.__dataclass_fields__}
 
 
@@ -94,34 +94,34 @@ def setter(context: Any, namespace: str, spin: Callable[[Any], Any]) -> Setter:
     return Setter(spin(Node("setter", **options(context, namespace))), subject)
 
 
-def test_what_is_set_is_taken_and_told(setter: Setter) -> None:
+def test_new_values_are_applied_and_logged(setter: Setter) -> None:
     assert setter.each(low=0.45, tries=5) == ["", ""]
     assert setter.subject.taken == [Band(low=0.45), Band(low=0.45, tries=5)]
     assert setter.together(files=["a", "b"], high=0.6) == ""
     assert setter.subject.taken[2:] == [Band(low=0.45, high=0.6, tries=5, files=("a", "b"))]
-    assert (setter.told()["low"], setter.told()["high"]) == (0.45, 0.6)
+    assert (setter.values_now()["low"], setter.values_now()["high"]) == (0.45, 0.6)
     assert setter.together(high=0.6) == ""
     assert len(setter.subject.taken) == 3, "nothing to take"
 
 
-def test_a_whole_number_is_a_number(setter: Setter) -> None:
+def test_an_integer_is_accepted_for_a_float(setter: Setter) -> None:
     assert setter.each(high=1) == [""], "so does `ros2 param set` send it"
-    assert setter.told()["high"] == 1.0
+    assert setter.values_now()["high"] == 1.0
     assert setter.subject.taken == [Band(high=1.0)]
     assert "high" in setter.each(high=3)[0]
     assert "Wrong parameter type" in setter.each(high=True)[0]
 
 
-def test_two_that_contradict_each_other_can_only_be_moved_together(setter: Setter) -> None:
+def test_coupled_values_must_be_set_together(setter: Setter) -> None:
     assert "low must not lie above high" in setter.each(low=0.7)[0]
-    assert setter.told()["low"] == 0.4
+    assert setter.values_now()["low"] == 0.4
     assert setter.together(low=0.9, high=1.0) == ""
     assert "low must not lie above high" in setter.together(low=1.0, high=0.9)
     assert setter.subject.taken[-1] == Band(low=0.9, high=1.0)
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "reason"),
     [
         ({"low": 0.45, "tries": 10}, "tries"),
         ({"low": 0.45, "high": math.nan}, "high"),
@@ -134,23 +134,23 @@ def test_two_that_contradict_each_other_can_only_be_moved_together(setter: Sette
         ({"low": 0.45, "lower": 0.1}, "undeclared parameter"),
     ],
 )
-def test_one_that_is_wrong_refuses_all_that_come_with_it(setter: Setter, values: dict[str, Any], says: str) -> None:
-    before = setter.told()
-    assert says in setter.together(**values)
-    assert setter.told() == before
+def test_one_wrong_value_refuses_all_of_the_call(setter: Setter, values: dict[str, Any], reason: str) -> None:
+    before = setter.values_now()
+    assert reason in setter.together(**values)
+    assert setter.values_now() == before
     assert setter.subject.taken == []
 
 
-def test_what_the_node_does_not_take_stays_as_it_was(setter: Setter) -> None:
+def test_values_that_the_node_refuses_stay_unchanged(setter: Setter) -> None:
     setter.subject.refusal = "a goal is running"
     assert setter.each(low=0.45) == ["low not set: a goal is running"]
     assert setter.together(low=0.45, high=0.6) == "low, high not set: a goal is running"
-    assert setter.told()["low"] == 0.4
+    assert setter.values_now()["low"] == 0.4
     setter.subject.refusal = ""
     assert setter.together(low=0.45) == ""
 
 
-def test_a_rate_begins_anew_and_ends_for_good() -> None:
+def test_a_rate_can_change_and_a_stop_is_final() -> None:
     working: list[tuple[float, threading.Event]] = []
 
     def work(period: float, stopping: threading.Event) -> None:

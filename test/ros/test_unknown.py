@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What failed tells no number."""
+"""Answers without a measurement contain no number."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..nodes import numbers
     ("kind", "count"),
     [(PredictMisalignment.Response, 14), (DetectElectrodes.Response, 7 + 36 + 3), (Probe.Response, 2)],
 )
-def test_no_number_of_an_answer_without_a_measurement_is_one(kind: Any, count: int) -> None:
+def test_every_float_of_an_answer_without_measurement_is_nan(kind: Any, count: int) -> None:
     assert 0.0 in list(numbers(kind()))
     found = list(numbers(unknown(kind())))
     assert len(found) == count
     assert all(map(math.isnan, found))
 
 
-def test_what_is_not_felt_has_a_frame_and_no_contact() -> None:
+def test_an_unknown_misalignment_has_a_frame_and_no_contact() -> None:
     message = unknown_misalignment()
     assert message.header.frame_id == "end_effector"
     assert (message.contact, message.sure, message.in_range) == (False, False, False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which versions of ROS it is built and run on, and how it refuses the others: in one line, before anything starts."""
+"""Supported ROS versions, and the refusal of others in one line before anything starts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ needs_cmake = pytest.mark.skipif(CMAKE is None, reason="cmake is neither beside 
 
 
 def on_older_ros(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    """Run a program on the ROS of this environment without what an older one lacks."""
+    """Run a program on this ROS without the parts that an older ROS lacks."""
     (folder / "sitecustomize.py").write_text(OLDER)
     path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
     variables = {**os.environ, "PYTHONPATH": path}
@@ -33,7 +33,7 @@ def on_older_ros(folder: Path, *command: str) -> subprocess.CompletedProcess[str
 
 
 def refused(process: subprocess.CompletedProcess[str]) -> str:
-    """Return the only line that it said before it ended with 2."""
+    """Return the only output line; the exit code must be 2."""
     (line,) = process.stderr.splitlines()
     assert process.returncode == 2
     assert RUNS_ON in line
@@ -43,7 +43,7 @@ def refused(process: subprocess.CompletedProcess[str]) -> str:
 @pytest.mark.ros
 @pytest.mark.parametrize("name", NODES)
 def test_a_node_refuses_an_older_ros(tmp_path: Path, name: str) -> None:
-    """The call is that of the script which pip and colcon write for it."""
+    """Called like the script that pip and colcon write for it."""
     ((module, function),) = re.findall(rf"^ +{name} = (\S+):(\w+)$", (ROOT / "setup.cfg").read_text(), re.MULTILINE)
     process = on_older_ros(tmp_path, "-c", f"import sys; from {module} import {function}; sys.exit({function}())")
     refused(process)
@@ -63,13 +63,13 @@ def test_a_command_without_nodes_runs_on_any_ros(tmp_path: Path) -> None:
 
 
 def configured(folder: Path, version: str) -> str:
-    """Return what CMake says to our project on a ROS that has nothing but a version."""
-    for package, told in (("ament_cmake", "1"), ("ament_cmake_python", "1"), ("rosidl_default_generators", version)):
+    """Return CMake's output for our project on a ROS that consists only of a version."""
+    for package, stated in (("ament_cmake", "1"), ("ament_cmake_python", "1"), ("rosidl_default_generators", version)):
         place = folder / "share" / package / "cmake"
         place.mkdir(parents=True)
         (place / f"{package}Config.cmake").touch()
         (place / f"{package}ConfigVersion.cmake").write_text(
-            f'set(PACKAGE_VERSION "{told}")\nset(PACKAGE_VERSION_COMPATIBLE TRUE)\n'
+            f'set(PACKAGE_VERSION "{stated}")\nset(PACKAGE_VERSION_COMPATIBLE TRUE)\n'
         )
     variables = {name: value for name, value in os.environ.items() if name != "AMENT_PREFIX_PATH"}
     command = [str(CMAKE), "-S", str(ROOT), "-B", str(folder / "build"), f"-DCMAKE_PREFIX_PATH={folder}", "-Wno-dev"]
@@ -83,30 +83,30 @@ def configured(folder: Path, version: str) -> str:
 @needs_cmake
 @pytest.mark.parametrize("version", ["1.2.0", "1.5.0"])  # Humble's, Iron's
 def test_it_is_not_built_on_an_older_ros(tmp_path: Path, version: str) -> None:
-    said = configured(tmp_path, version)
-    (line,) = [line for line in said.splitlines() if "deltacharger runs on" in line]
+    output = configured(tmp_path, version)
+    (line,) = [line for line in output.splitlines() if "deltacharger runs on" in line]
     assert "ROS 2 Jazzy and Kilted" in line
     assert version in line
 
 
 @needs_cmake
 @pytest.mark.parametrize("version", ["1.6.0", "1.7.1"])  # Jazzy's, Kilted's
-def test_it_is_built_on_those_that_run(tmp_path: Path, version: str) -> None:
-    said = configured(tmp_path, version)
-    assert "deltacharger runs on" not in said
-    assert "action_msgs" in said  # the next that it asks for
+def test_it_is_built_on_supported_versions(tmp_path: Path, version: str) -> None:
+    output = configured(tmp_path, version)
+    assert "deltacharger runs on" not in output
+    assert "action_msgs" in output  # the next dependency
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not on PATH")
-def test_make_refuses_a_version_that_it_has_no_packages_of() -> None:
+def test_make_refuses_an_unsupported_version() -> None:
     process = subprocess.run(["make", "-C", str(ROOT), "-n", "ROS=humble", "test"], capture_output=True, text=True)
     assert process.returncode == 2
     (line,) = [line for line in process.stderr.splitlines() if "ROS=humble" in line]
     assert "kilted jazzy" in line
 
 
-def test_every_ros_package_of_the_build_has_a_version_of_jazzy() -> None:
-    """A package that is left out would come in Kilted's version, or be missed by CMake after a minute."""
+def test_every_ros_package_of_the_build_has_its_jazzy_version() -> None:
+    """A missing package would be installed in Kilted's version, or fail in CMake after a minute."""
     wanted = set(re.findall(r'^  "(ros-[a-z-]+)', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
     pinned = set(re.findall(r"^(ros-[a-z-]+)==[0-9.]+$", PINS.read_text(), re.MULTILINE))
     assert wanted - pinned == {"ros-ament-cmake-ros-core"}  # Kilted's half of ros-ament-cmake-ros

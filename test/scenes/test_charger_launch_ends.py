@@ -74,7 +74,7 @@ def test_a_docking_node_that_is_killed_ends_the_charger_with_1(launched: Launch,
         assert client.wait_until_ready(DEADLINE), told(process)
         os.kill(pid(process, "docking_node"), signal.SIGKILL)
         assert process.end() == 1, told(process)
-    assert "docking_node has ended with -9; ending the charger" in told(process)
+    assert "docking_node ended with code -9; ending the charger" in told(process)
     assert finished_cleanly(process) == QUICK_NODES - 1, told(process)
 
 
