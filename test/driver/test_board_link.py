@@ -352,12 +352,12 @@ def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink)
 def test_a_board_that_sends_and_does_not_hear_is_told_from_a_dead_one(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.board.faults.deaf = True
-    with pytest.raises(NoAnswer, match="sends but does not hear"):
+    with pytest.raises(NoAnswer, match="sends but does not answer"):
         rig.link.open()
     rig.board.faults.silent = True
     with pytest.raises(NoAnswer) as silence:
         rig.link.open()
-    assert "does not hear" not in str(silence.value)
+    assert "does not answer" not in str(silence.value)
     rig.stop()
 
 

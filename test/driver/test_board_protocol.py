@@ -166,5 +166,5 @@ def test_only_tactile_has_format_and_flags(type: PacketType, sample_format: int,
     if allowed:
         check_header(packet)
     else:
-        with pytest.raises(PacketError, match="not belong to it"):
+        with pytest.raises(PacketError, match="invalid for this type"):
             check_header(packet)

@@ -107,7 +107,7 @@ def test_a_port_that_is_not_there_is_no_identity() -> None:
 
 @pytest.mark.parametrize("scan", [True, False])
 def test_the_servo_driver_on_the_board_says_that_the_cables_are_swapped(board_port: str, scan: bool) -> None:
-    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
         ServoBus(BusSettings(port=board_port)).open(scan)
     assert (caught.value.expected, caught.value.port) == ("the servos", board_port)
     assert isinstance(caught.value, ConnectionError)
@@ -121,7 +121,7 @@ def test_the_board_driver_on_the_servos_says_that_the_cables_are_swapped(
 ) -> None:
     for servo in (1, 2, 3):
         servos.set_speed(servo, speed)
-    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
         BoardLink(servo_port).open()
     assert caught.value.found == "the servos"
     assert identify(servo_port).kind == "servos"

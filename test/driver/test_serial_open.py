@@ -141,12 +141,12 @@ def fail(*behind: BaseException) -> Callable[..., None]:
         ((serial.SerialException(errno.EACCES, "denied"),), PortDenied, "dialout"),
         ((serial.SerialException(errno.EPERM, "denied"),), PortDenied, "dialout"),
         ((serial.SerialException(errno.EBUSY, "busy"),), PortBusy, "in use"),
-        ((serial.SerialException(errno.ENXIO, "no such address"),), PortMissing, "no device answers behind it"),
-        ((serial.SerialException(errno.ENODEV, "no such device"),), PortMissing, "no device answers behind it"),
+        ((serial.SerialException(errno.ENXIO, "no such address"),), PortMissing, "no device answers there"),
+        ((serial.SerialException(errno.ENODEV, "no such device"),), PortMissing, "no device answers there"),
         (
             (serial.SerialException("Could not configure port"), termios.error(errno.EIO, "Input/output error")),
             PortMissing,
-            "no device answers behind it",
+            "no device answers there",
         ),
         (
             (serial.SerialException("Could not configure port"), termios.error(errno.ENOTTY, "Inappropriate ioctl")),

@@ -71,5 +71,5 @@ def test_swapped_and_missing_ports_are_told_once_in_the_drivers_words(tmp_path: 
         code, output, counts = run(f"--port=board={servos.path}", f"--port=servo={nothing}")
         assert (code, counts["error"]) == (1, 2), output
         assert "passed" not in counts
-        assert f"{servos.path}: here is the servos, not the board" in output
+        assert f"{servos.path}: found the servos, expected the board" in output
         assert f"{nothing}: there is no such port" in output
