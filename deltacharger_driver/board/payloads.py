@@ -290,7 +290,7 @@ def probe_problem(resistance: float, target_voltage: float) -> str:
     if math.isinf(resistance):
         return "open circuit: the electrodes do not touch the target; dock again"
     if math.isnan(resistance) or math.isnan(target_voltage):
-        return "the probe returned no value; check its wiring"
+        return "the probe measured nothing; check its wiring"
     if target_voltage < 0.0:
         return f"reversed polarity: the target has {target_voltage:.2f} V; swap its terminals"
     if resistance < SHORT_RESISTANCE:

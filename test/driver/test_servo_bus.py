@@ -108,5 +108,5 @@ def test_goals_that_the_port_does_not_take_are_told_and_not_forgotten(
 ) -> None:
     assert bus.exchange((0.0, 0.0, 0.0), BOUND).complete
     monkeypatch.setattr(bus._link._handler, "writePort", lambda packet: 0)
-    with pytest.raises(PortGone, match="takes no more bytes"):
+    with pytest.raises(PortGone, match="accepts no more bytes"):
         bus.exchange((0.1, 0.1, 0.1), BOUND)

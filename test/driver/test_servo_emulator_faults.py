@@ -225,5 +225,5 @@ def test_the_driver_names_an_id_that_two_servos_have_and_one_that_none_has(tmp_p
     with PseudoTerminal(emulator, tmp_path / "servo") as terminal, pytest.raises(HandshakeError) as caught:
         ServoBus(BusSettings(terminal.path)).open(scan=False)
     faults = " / ".join(caught.value.faults)
-    assert "servo 2 answers unintelligibly; two servos with this id" in faults
+    assert "servo 2 sends garbled replies; look for two servos with this id" in faults
     assert "servo 3" in faults

@@ -51,7 +51,7 @@ def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmul
     assert "servo 1 answers at 57600" in faults[0]
     assert "--set-baud" in faults[0]
     assert "servo 2 does not answer at any speed" in faults[1]
-    assert "servo 3 speaks Protocol 1.0" in faults[2]
+    assert "servo 3 uses Protocol 1.0" in faults[2]
     assert "firmware" in faults[2]
     assert all(fault in str(caught.value) for fault in faults)
     assert isinstance(caught.value, ConnectionError)
