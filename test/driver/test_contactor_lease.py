@@ -42,7 +42,7 @@ def test_a_longer_lease_is_cut() -> None:
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, math.nan])
 def test_a_lease_without_duration_is_refused(duration: float) -> None:
-    with pytest.raises(LeaseRefused, match="closes nothing"):
+    with pytest.raises(LeaseRefused, match="not positive"):
         probed().take("dock", duration, 0.0)
 
 
