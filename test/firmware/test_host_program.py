@@ -89,9 +89,9 @@ def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: 
 
 
 def test_a_command_it_does_not_know_is_named(program: Program) -> None:
-    assert program.command("presss 8") == "error: not understood: presss 8"
-    assert program.command("press x") == "error: not understood: press x"
-    assert program.command("advance 5") == "error: not understood: advance 5"  # time passes by itself
+    assert program.command("presss 8") == "error: unknown command: presss 8"
+    assert program.command("press x") == "error: unknown command: press x"
+    assert program.command("advance 5") == "error: unknown command: advance 5"  # time passes by itself
 
 
 @pytest.mark.parametrize(
