@@ -48,7 +48,7 @@ def types(packets: list[Packet]) -> list[int]:
     return [packet.type for packet in packets]
 
 
-def test_while_it_boots_a_board_neither_hears_nor_speaks() -> None:
+def test_a_booting_board_neither_receives_nor_sends() -> None:
     host = Host(lambda plant: BoardEmulator(plant, boot_time=0.5))
     assert host.run(0.4) == []
     assert host.send(PacketType.START) == []
@@ -60,7 +60,7 @@ def test_while_it_boots_a_board_neither_hears_nor_speaks() -> None:
     assert PacketType.ACK in types(host.send(PacketType.START))
 
 
-def test_a_reboot_opens_the_contactor_before_it_begins_and_takes_its_time() -> None:
+def test_a_reboot_first_opens_the_contactor_and_lasts_its_boot_time() -> None:
     host = Host()
     host.run(0.05)
     host.send(PacketType.PROBE)
@@ -102,7 +102,7 @@ def test_a_late_answer_wakes_the_server_when_it_is_due() -> None:
     assert PacketType.PING in types(host.run(0.031))
 
 
-def test_recorders_are_told_of_every_sampling_and_every_heartbeat() -> None:
+def test_recorders_get_every_sampling_and_every_heartbeat() -> None:
     samples: list[tuple[int, float, float]] = []
     beats: list[float] = []
 
@@ -122,7 +122,7 @@ def test_recorders_are_told_of_every_sampling_and_every_heartbeat() -> None:
     assert all(math.isclose(later - earlier, 0.02) for earlier, later in itertools.pairwise(beats))
 
 
-def test_nobody_is_told_of_heartbeats_that_do_not_arrive() -> None:
+def test_lost_heartbeats_are_not_recorded() -> None:
     beats: list[float] = []
     host = Host(lambda plant: BoardEmulator(plant, on_heartbeat=beats.append))
     host.run(0.01)

@@ -21,7 +21,7 @@ from ..waiting import wait_until
 pytestmark = pytest.mark.realtime
 
 
-def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: BoardEmulator) -> None:
+def test_heartbeat_lateness_is_reported_while_connected(board: BoardEmulator) -> None:
     with PseudoTerminal(board) as cable:
         link = BoardLink(cable.path)
         assert link.heartbeat_lateness is None
@@ -59,7 +59,7 @@ def is_permitted() -> bool:
 
 
 @pytest.mark.parametrize("priority", [0, 3])
-def test_its_thread_alone_has_the_priority_that_is_told(board: BoardEmulator, priority: int) -> None:
+def test_only_the_heartbeat_thread_has_the_reported_priority(board: BoardEmulator, priority: int) -> None:
     if priority and not is_permitted():
         pytest.skip("real-time priority is not permitted here")
     with PseudoTerminal(board) as cable:
@@ -75,7 +75,7 @@ def test_its_thread_alone_has_the_priority_that_is_told(board: BoardEmulator, pr
     assert told == ("real time 3" if priority else "ordinary")
 
 
-def test_where_real_time_is_not_permitted_it_says_so_and_works(
+def test_without_permission_for_real_time_the_heartbeat_works_and_reports_it(
     board: BoardEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*arguments: object) -> None:

@@ -79,7 +79,7 @@ def test_header_layout() -> None:
 
 
 @given(st.lists(packets, max_size=5), st.integers(1, 64))
-def test_packets_survive_any_chopping(sent: list[Packet], step: int) -> None:
+def test_packets_survive_any_splitting(sent: list[Packet], step: int) -> None:
     stream = b"".join(encode_packet(packet) for packet in sent)
     decoder = PacketDecoder()
     received = [p for i in range(0, len(stream), step) for p in decoder.feed(stream[i : i + step])]
@@ -99,7 +99,7 @@ def test_garbage_never_raises_and_never_outlasts_the_next_packet(pieces: list[by
 
 
 @given(packets, st.data())
-def test_a_truncated_packet_costs_only_itself(packet: Packet, data: st.DataObject) -> None:
+def test_a_truncated_packet_loses_only_itself(packet: Packet, data: st.DataObject) -> None:
     """The leading delimiter of the next packet ends the damaged one."""
     wire = encode_packet(packet)
     cut = data.draw(st.integers(0, len(wire) - 2))
@@ -110,7 +110,7 @@ def test_a_truncated_packet_costs_only_itself(packet: Packet, data: st.DataObjec
 
 @settings(max_examples=200)
 @given(packets, st.data())
-def test_a_flipped_bit_is_noticed(packet: Packet, data: st.DataObject) -> None:
+def test_a_flipped_bit_is_detected(packet: Packet, data: st.DataObject) -> None:
     wire = bytearray(encode_packet(packet))
     wire[data.draw(st.integers(1, len(wire) - 2))] ^= 1 << data.draw(st.integers(0, 7))
     decoder = PacketDecoder()

@@ -85,13 +85,13 @@ def test_many_turns_keep_rising() -> None:
         last = unwrapped
 
 
-def test_a_repetition_is_no_frame() -> None:
+def test_a_repeated_packet_is_not_a_frame() -> None:
     counter = SequenceUnwrapper()
     assert [counter.update(n) for n in (5, 5, 6)] == [5, None, 6]
     assert (counter.lost, counter.duplicates) == (0, 1)
 
 
-def test_a_reboot_continues_above_and_counts_what_it_missed() -> None:
+def test_a_reboot_continues_above_and_counts_missed_packets() -> None:
     counter = SequenceUnwrapper()
     counter.update(100)
     counter.reboot()

@@ -158,7 +158,7 @@ def charger(context: Any, terminal: PseudoTerminal, arm: BenchArm) -> Iterator[C
         spinner.close()
 
 
-def test_nobody_moves_the_arm_while_the_contactor_is_closed_and_anybody_once_it_is_open(charger: Charger) -> None:
+def test_the_arm_moves_for_no_sender_while_the_contactor_is_closed_and_for_any_once_open(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
@@ -171,7 +171,7 @@ def test_nobody_moves_the_arm_while_the_contactor_is_closed_and_anybody_once_it_
     charger.goes_to([angle + 0.1 for angle in START], charger.stranger)
 
 
-def test_a_line_under_way_becomes_a_hold_when_the_contactor_closes(charger: Charger) -> None:
+def test_a_running_line_becomes_a_hold_when_the_contactor_closes(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     end = [angle + 0.4 for angle in START]
@@ -187,9 +187,7 @@ def test_a_line_under_way_becomes_a_hold_when_the_contactor_closes(charger: Char
 
 
 @pytest.mark.parametrize("armed", [True, False], ids=["about to close", "unknown"])
-def test_only_who_led_moves_the_arm_while_the_contactor_may_be_closed_whatever_a_stranger_sends(
-    charger: Charger, armed: bool
-) -> None:
+def test_only_the_leader_moves_the_arm_while_the_contactor_may_be_closed(charger: Charger, armed: bool) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
@@ -220,7 +218,7 @@ def test_only_who_led_moves_the_arm_while_the_contactor_may_be_closed_whatever_a
     assert charger.goals() == pytest.approx(list(START), abs=TICK)
 
 
-def test_a_power_stage_that_is_there_and_silent_holds_the_arm_until_it_speaks(charger: Charger) -> None:
+def test_a_silent_power_stage_holds_the_arm_until_it_publishes(charger: Charger) -> None:
     charger.goes_to([angle + 0.1 for angle in START], charger.stranger)  # no power stage at all
     stage = charger.power_stage(speaks=False)
     charger.becomes(ContactorState.UNKNOWN)
@@ -229,7 +227,7 @@ def test_a_power_stage_that_is_there_and_silent_holds_the_arm_until_it_speaks(ch
     charger.goes_to(START, charger.leader)
 
 
-def test_a_hold_is_always_taken(charger: Charger) -> None:
+def test_a_hold_is_always_accepted(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.leader.send((60.0, [angle + 0.4 for angle in START]))
@@ -296,7 +294,7 @@ def hostile() -> dict[str, Callable[[JointTrajectory], Any]]:
     }
 
 
-def test_no_message_ends_the_servos_thread_or_moves_the_arm_and_the_next_good_one_is_followed(charger: Charger) -> None:
+def test_no_bad_message_ends_the_servo_thread_or_moves_the_arm(charger: Charger) -> None:
     sender, inbox = charger.stranger, charger.node._inbox
     for number, (name, spoil) in enumerate(hostile().items()):
         before = charger.goals()
@@ -313,7 +311,7 @@ def test_no_message_ends_the_servos_thread_or_moves_the_arm_and_the_next_good_on
     assert charger.arm.torque_enabled() == [True] * 3
 
 
-def test_a_line_goes_on_beside_refused_messages(charger: Charger) -> None:
+def test_a_line_continues_despite_refused_messages(charger: Charger) -> None:
     """A piece of a line may be older than a stamp may be; a stranger's rubbish must not make it count as a new line."""
     stamp = charger.leader.get_clock().now().to_msg()
     begin = time.monotonic()
@@ -333,7 +331,7 @@ def test_a_line_goes_on_beside_refused_messages(charger: Charger) -> None:
     wait_until(lambda: charger.goals() == pytest.approx([angle + 0.2 for angle in START], abs=TICK), "the line's end")
 
 
-def test_impossible_reports_of_the_power_stage_end_nothing(charger: Charger, spin: Spin, context: Any) -> None:
+def test_impossible_reports_of_the_power_stage_do_not_end_the_node(charger: Charger, spin: Spin, context: Any) -> None:
     charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     liar = spin(Node("liar", **options(context, charger.namespace)))
@@ -350,7 +348,7 @@ def test_impossible_reports_of_the_power_stage_end_nothing(charger: Charger, spi
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["with its id", "as on Jazzy"])
-def test_who_says_open_cannot_talk_over_who_says_closed(
+def test_a_report_of_closed_overrides_reports_of_open(
     context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, named: bool
 ) -> None:
     if not named:

@@ -65,7 +65,7 @@ class Echo:
         return math.inf
 
 
-def test_bytes_pass_as_they_are(tmp_path: Path) -> None:
+def test_bytes_pass_unchanged(tmp_path: Path) -> None:
     echo, back = Echo(), b""
     tmp_path.chmod(0o700)
     with PseudoTerminal(BoardEmulator(BenchPlant(), servos=echo)) as cable:
@@ -93,7 +93,7 @@ def test_bytes_pass_as_they_are(tmp_path: Path) -> None:
         link.close()
 
 
-def test_a_host_that_does_not_know_of_the_bus_is_told_nothing_of_it() -> None:
+def test_a_host_that_does_not_use_the_bus_receives_nothing_from_it() -> None:
     class Noisy(Echo):
         def poll(self, now: float) -> bytes:
             return b"\xff"
@@ -107,7 +107,7 @@ def test_a_host_that_does_not_know_of_the_bus_is_told_nothing_of_it() -> None:
 
 
 @pytest.mark.parametrize("type", [PacketType.SERVO, PacketType.SERVO_SPEED])
-def test_a_board_without_the_bus_does_not_know_the_packets(type: PacketType) -> None:
+def test_a_board_without_the_bus_refuses_its_packets(type: PacketType) -> None:
     board, decoder = BoardEmulator(BenchPlant()), PacketDecoder()
     board.poll(0.0)
     decoder.feed(board.receive(encode_packet(Packet(type, bytes(4))), 0.1))
@@ -136,21 +136,21 @@ def servos() -> Iterator[Servos]:
     servos.close()
 
 
-def test_a_silent_bus_is_told_servo_by_servo(servos: Servos) -> None:
+def test_a_silent_bus_is_reported_servo_by_servo(servos: Servos) -> None:
     servos.emulator.faults.missing = {1, 2, 3}
     with pytest.raises(HandshakeError) as caught:
         servos.bus.open()
     assert [f"servo {each} does not answer at any speed" in str(caught.value) for each in (1, 2, 3)] == [True] * 3
 
 
-def test_servos_at_different_speeds_are_told_by_speed(servos: Servos) -> None:
+def test_servos_at_different_speeds_are_reported_by_speed(servos: Servos) -> None:
     servos.emulator.set_speed(2, 1)
     with pytest.raises(HandshakeError, match="servo 2 answers at 57600") as caught:
         servos.bus.open()
     assert len(caught.value.faults) == 1
 
 
-def test_an_answer_to_another_question_is_not_taken(servos: Servos) -> None:
+def test_a_late_answer_is_not_taken_for_the_next_request(servos: Servos) -> None:
     """Late by longer than the wait, so that each answer meets the next question."""
     servos.bus.open()
     servos.bus.enable_torque(CURRENTS)
@@ -163,7 +163,7 @@ def test_an_answer_to_another_question_is_not_taken(servos: Servos) -> None:
     wait_until(lambda: servos.bus.read().complete)
 
 
-def test_a_board_that_is_reset_amid_a_packet_costs_some_cycles(servos: Servos) -> None:
+def test_a_board_reset_during_a_packet_loses_some_cycles(servos: Servos) -> None:
     servos.bus.open()
     servos.bus.enable_torque(CURRENTS)
     for _ in range(5):
@@ -185,7 +185,7 @@ class LivePlant(BenchPlant):
 
 
 @pytest.mark.parametrize("end", ["the lease", "the heartbeat"])
-def test_the_contactor_keeps_its_limits_while_servos_are_asked_without_pause(tmp_path: Path, end: str) -> None:
+def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(tmp_path: Path, end: str) -> None:
     beats: list[float] = []
     plant, servos = LivePlant(), ServoBusEmulator(BenchArm(ANGLES))
     board = BoardEmulator(plant, servos=servos, on_heartbeat=beats.append)
@@ -276,7 +276,7 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     assert arm.torque_enabled() == [False] * 3
 
 
-def test_servos_that_hang_on_no_board_are_named(
+def test_missing_servos_behind_the_board_are_reported(
     context: Any, namespace: str, spin: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(servo_node, "_BOARD_TIMEOUT", 0.5)

@@ -50,7 +50,7 @@ def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_pa
             assert port.read(5) == b"hello"
 
 
-def test_it_knows_the_speed_that_its_host_has_set(tmp_path: Path) -> None:
+def test_it_returns_the_speed_set_by_its_host(tmp_path: Path) -> None:
     with PseudoTerminal(Echo(), tmp_path / "port") as cable:
         for speed in (9600, 57600, 1_000_000, 4_000_000):
             with serial.Serial(cable.path, speed):

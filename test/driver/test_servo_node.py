@@ -163,7 +163,7 @@ def test_joints_in_another_order_and_effort_as_bound(client, arm):
         (JOINTS, (9.0, 1.0, 1.0), "effort"),
     ],
 )
-def test_what_is_refused_moves_nothing_and_is_told(client, arm, names, efforts, told):
+def test_a_refused_trajectory_moves_nothing_and_is_reported(client, arm, names, efforts, told):
     client.set_torque(True)
     before = list(arm.commands)
     client.send((0.0, (0.0, 0.0, 0.0)), names=names, efforts=efforts)
@@ -177,7 +177,7 @@ def stamped(client, seconds_ago=0.0):
     return stamp
 
 
-def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
+def test_a_line_may_last_longer_than_its_stamp_is_valid(client, arm):
     client.set_torque(True)
     goal = [angle + 0.4 for angle in START]
     stamp, begin = stamped(client), time.monotonic()
@@ -197,7 +197,7 @@ def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
     assert [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK)
 
 
-def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
+def test_frequent_refusals_are_reported_at_a_bounded_rate(client):
     client.diagnostics.clear()
     begin = time.monotonic()
 
@@ -211,7 +211,7 @@ def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
     assert len(client.diagnostics) <= (time.monotonic() - begin) / 0.2 + 2
 
 
-def test_diagnostics_say_how_well_the_cycle_is_kept(client):
+def test_diagnostics_report_rate_and_late_cycles(client):
     client.diagnostics.clear()
     bus = wait_until(lambda: [s for m in client.diagnostics[1:] for s in m.status if s.name.endswith("servo bus")])[0]
     values = {value.key: value.value for value in bus.values}
@@ -368,7 +368,7 @@ def test_two_chargers_by_namespace(context, terminal):
         ({"baud_rate": 57600}, "answers at 1000000"),
     ],
 )
-def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, terminal, emulator, parameters, told):
+def test_a_wrong_configuration_stops_the_start_with_a_reason(context, terminal, emulator, parameters, told):
     emulator.line_speed = terminal.speed
     with pytest.raises(StartupError, match=told):
         ServoNode(**options(context, **{"port": terminal.path, **parameters}))

@@ -103,7 +103,7 @@ def test_trap_2_a_late_reply_never_answers_another_question(
     assert link.counters.late > 0
 
 
-def test_trap_3_what_is_sent_is_stuffed(bare: Bare, link: ServoLink) -> None:
+def test_trap_3_sent_packets_are_stuffed(bare: Bare, link: ServoLink) -> None:
     port, protocol = bare
     ticks = -131_073  # FF FF FD FF on the wire
     link.write(2, "operating_mode", 5)
@@ -222,7 +222,7 @@ def test_trap_8_a_pulled_cable_is_one_error_and_the_port_opens_again(
     again.close()
 
 
-def test_trap_8_the_cable_goes_while_a_reply_is_awaited(
+def test_trap_8_the_cable_is_pulled_while_a_reply_is_awaited(
     terminal: PseudoTerminal, link: ServoLink, emulator: ServoBusEmulator
 ) -> None:
     emulator.faults.missing = {1}

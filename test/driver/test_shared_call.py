@@ -42,7 +42,7 @@ def together(shared: SharedCall[int], pool: ThreadPoolExecutor, count: int) -> l
     return jobs
 
 
-def test_who_comes_while_it_runs_shares_its_result(slow: Slow) -> None:
+def test_a_caller_during_a_run_shares_its_result(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     with ThreadPoolExecutor(8) as pool:
         jobs = together(shared, pool, 8)
@@ -51,7 +51,7 @@ def test_who_comes_while_it_runs_shares_its_result(slow: Slow) -> None:
     assert shared() == 2
 
 
-def test_they_share_an_error_and_the_next_calls_anew(slow: Slow) -> None:
+def test_callers_share_an_error_and_the_next_one_calls_again(slow: Slow) -> None:
     shared = SharedCall(slow, DEADLINE)
     slow.error = ValueError("no")
     with ThreadPoolExecutor(3) as pool:
@@ -64,7 +64,7 @@ def test_they_share_an_error_and_the_next_calls_anew(slow: Slow) -> None:
     assert shared() == 2
 
 
-def test_a_result_lasts_only_where_several_waited_and_until_it_is_forgotten(slow: Slow) -> None:
+def test_a_result_is_reused_only_if_several_waited_and_until_it_is_discarded(slow: Slow) -> None:
     shared = SharedCall(slow, DEADLINE)
     slow.go_on.set()
     assert [shared(), shared()] == [1, 2]
@@ -78,7 +78,7 @@ def test_a_result_lasts_only_where_several_waited_and_until_it_is_forgotten(slow
     assert shared() == 4
 
 
-def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next(slow: Slow) -> None:
+def test_a_block_waits_for_the_running_call_and_precedes_the_next(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     entered, leave = threading.Event(), threading.Event()
 
@@ -102,7 +102,7 @@ def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next
         assert late.result(DEADLINE) == 2
 
 
-def test_who_is_refused_again_and_again_is_answered_at_a_bounded_rate(slow: Slow) -> None:
+def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     slow.error = ValueError("no")
     slow.go_on.set()

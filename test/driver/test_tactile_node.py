@@ -167,7 +167,7 @@ def rig(shared: Rig) -> Rig:
     return shared
 
 
-def test_both_batteries_are_told_as_the_power_stage_measures_them(rig: Rig) -> None:
+def test_both_batteries_are_published_as_measured(rig: Rig) -> None:
     rig.plant.resistance = math.inf
     rig.power()
     own, target = rig.batteries()
@@ -258,7 +258,7 @@ def test_a_held_lease_charges_and_an_open_ends_it(rig: Rig) -> None:
     assert "call probe" in answer.message
 
 
-def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: Rig) -> None:
+def test_a_lease_that_is_not_renewed_lapses_without_a_fault(rig: Rig) -> None:
     rig.dock()
     rig.charge(0.3)
     began = time.monotonic()
@@ -274,7 +274,7 @@ def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: R
     ("trouble", "words"),
     [("no contact", "no contact"), ("short", "short circuit"), ("fault", "over current")],
 )
-def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
+def test_reasons_to_refuse_a_close(rig: Rig, trouble: str, words: str) -> None:
     if trouble == "short":
         rig.plant.resistance = 0.5
     rig.dock()
@@ -326,7 +326,7 @@ def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
     assert "keeps the contactor closed" in answer.message
 
 
-def test_a_close_waits_for_a_strangers_probe_and_goes_before_the_next(rig: Rig) -> None:
+def test_a_close_waits_for_another_clients_probe_and_precedes_the_next(rig: Rig) -> None:
     rig.dock()
     probes = [rig.client.probing()]
     probe = rig.node._keeper.guard._probe
@@ -340,7 +340,7 @@ def test_a_close_waits_for_a_strangers_probe_and_goes_before_the_next(rig: Rig) 
     assert rig.client.contactor(False).success
 
 
-def test_probes_at_once_share_one_measurement(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_probes_share_one_measurement(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     link, measured = rig.node._keeper.link, list[float]()
     measure = link.probe
 
@@ -355,7 +355,7 @@ def test_probes_at_once_share_one_measurement(rig: Rig, monkeypatch: pytest.Monk
     assert len(measured) < AT_ONCE // 2  # one, but where requests came late
 
 
-def test_only_who_knows_the_token_renews_and_anybody_opens(rig: Rig) -> None:
+def test_only_the_token_renews_and_any_client_opens(rig: Rig) -> None:
     rig.dock()
     assert rig.client.contactor(True, token="secret").success
     answer = rig.client.contactor(True)
@@ -447,7 +447,7 @@ def values_of(rig: Rig, part: str) -> dict[str, str]:
     return {value.key: value.value for value in status.values}
 
 
-def test_diagnostics_tell_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
+def test_diagnostics_report_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
     before = values_of(rig, "power stage")
     assert before["holder"] == ""
     rig.dock()

@@ -167,7 +167,7 @@ class Day:
 
 
 @pytest.mark.parametrize("seed", range(DAYS))
-def test_a_day_is_the_same_on_both_boards(seed: int) -> None:
+def test_a_random_session_is_the_same_on_both_boards(seed: int) -> None:
     day = Day(seed)
     emulated, firmware = day.sides
     for _ in range(DEEDS):

@@ -46,7 +46,7 @@ def set_speed(bench: Bench, speed: int) -> int:
     return bench.ask(PacketType.SERVO_SPEED, struct.pack("<I", speed)).error
 
 
-def test_hello_says_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
+def test_hello_reports_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
     for servos, minor in ((0, 0), (1, 1)):
         bench = new_bench(servos=servos)
         assert decode_hello(bench.packets[0].payload).minor == minor
@@ -54,7 +54,7 @@ def test_hello_says_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
         assert decode_hello(answer.payload).minor == minor
 
 
-def test_a_board_without_the_bus_does_not_know_its_packets(new_bench: NewBench) -> None:
+def test_a_board_without_the_bus_refuses_the_packets_of_the_bus(new_bench: NewBench) -> None:
     bench = new_bench(servos=0)
     for type, payload in ((PacketType.SERVO, QUESTION), (PacketType.SERVO_SPEED, struct.pack("<I", 57600))):
         assert bench.ask(type, payload).error == AckError.UNKNOWN
@@ -67,7 +67,7 @@ def test_servo_is_not_answered(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("takes", [1, 7, 4096])
-def test_what_the_host_sends_reaches_the_bus_byte_for_byte(bench: Bench, takes: int) -> None:
+def test_bytes_of_the_host_reach_the_bus_unchanged(bench: Bench, takes: int) -> None:
     source = random.Random(takes)
     bench.set(f"bus_takes {takes}")
     sent = arrived = b""
@@ -86,7 +86,7 @@ def test_what_the_host_sends_reaches_the_bus_byte_for_byte(bench: Bench, takes: 
 
 
 @pytest.mark.parametrize("baud", [0, 1_000_000])
-def test_what_comes_from_the_bus_reaches_the_host_byte_for_byte(new_bench: NewBench, baud: int) -> None:
+def test_bytes_of_the_bus_reach_the_host_unchanged(new_bench: NewBench, baud: int) -> None:
     bench = new_bench(servos=1, baud=baud)
     source = random.Random(baud)
     ask_servos(bench)
@@ -112,7 +112,7 @@ def test_bytes_are_gathered_until_the_bus_is_quiet(bench: Bench, speed: int, qui
     assert told(bench.run(1)) == [b"an answer"]
 
 
-def test_128_bytes_make_a_packet_at_once(bench: Bench) -> None:
+def test_128_bytes_form_a_packet_at_once(bench: Bench) -> None:
     ask_servos(bench)
     came = bytes(range(256)) + b"tail"
     bus(bench, came)
@@ -120,7 +120,7 @@ def test_128_bytes_make_a_packet_at_once(bench: Bench) -> None:
     assert told(bench.run(200)) == [b"tail"]
 
 
-def test_nothing_comes_before_the_first_servo_of_a_boot(bench: Bench) -> None:
+def test_nothing_is_sent_before_the_first_servo_packet_of_a_boot(bench: Bench) -> None:
     def nobody_asked() -> bool:
         bus(bench, bytes(300))
         return told(bench.run(100 * MS)) == []
@@ -145,7 +145,7 @@ def test_servo_of_a_wrong_size_is_ignored(bench: Bench, payload: bytes) -> None:
     assert bus(bench) == b""
 
 
-def test_packets_that_come_together_lose_nothing(bench: Bench) -> None:
+def test_packets_sent_together_lose_nothing(bench: Bench) -> None:
     payloads = [bytes(range(128)), b"x", bytes(100), bytes(range(128)), b"yz"]
     bench.send(*[(PacketType.SERVO, payload) for payload in payloads])
     assert bus(bench) == b"".join(payloads)
@@ -156,7 +156,7 @@ def test_packets_that_come_together_lose_nothing(bench: Bench) -> None:
     assert bench.state("dropped_servo") == 0
 
 
-def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> None:
+def test_packets_without_room_are_dropped_completely_and_counted(bench: Bench) -> None:
     bench.set("bus_takes 0")
     held = [bytes([each]) * 119 for each in (1, 2, 3)]
     bench.send(*[(PacketType.SERVO, payload) for payload in held])
@@ -170,7 +170,7 @@ def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> N
     assert bus(bench) == QUESTION
 
 
-def test_a_boot_in_the_middle_of_a_packet_forgets_both_sides(bench: Bench) -> None:
+def test_a_boot_during_a_packet_clears_both_directions(bench: Bench) -> None:
     bench.set("bus_takes 3")
     bench.send((PacketType.SERVO, QUESTION))
     bus(bench, b"half an ans")
@@ -198,7 +198,7 @@ def test_speed_is_set_at_boot_and_by_command(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("speed", [0, 1, 9_599, 4_500_001, 2**32 - 1])
-def test_a_speed_that_the_board_does_not_have_is_refused_and_changes_nothing(bench: Bench, speed: int) -> None:
+def test_an_unsupported_speed_is_refused_and_changes_nothing(bench: Bench, speed: int) -> None:
     ask_servos(bench)
     bus(bench, b"ans")
     bench.run(100)
@@ -214,7 +214,7 @@ def test_a_speed_of_a_wrong_size_is_refused(bench: Bench, payload: bytes) -> Non
     assert bench.state("servo_speed") == 1_000_000
 
 
-def test_a_new_speed_forgets_what_was_under_way(bench: Bench) -> None:
+def test_a_new_speed_discards_waiting_bytes(bench: Bench) -> None:
     ask_servos(bench)
     bench.set("bus_takes 0")
     bench.send((PacketType.SERVO, b"old"))
@@ -264,7 +264,7 @@ def test_the_heartbeat_and_the_contactor_keep_their_deadlines_beside_a_busy_bus(
     assert (bench.state("contactor"), bench.state("fault")) == (0, BoardFault.HEARTBEAT_LOST)
 
 
-def test_on_a_full_wire_frames_give_way_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
+def test_on_a_full_wire_frames_yield_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
     """A bus that never falls silent fills every gap of the wire, and keeps neither POWER nor an answer back."""
     bench = new_bench(servos=1, baud=115_200)
     assert set_speed(bench, 115_200) == 0
@@ -293,7 +293,7 @@ def test_on_a_full_wire_frames_give_way_to_servos_and_servos_to_power_and_answer
     assert carried > 0.7 * full
 
 
-def test_a_wire_that_takes_nothing_loses_servo_packets_whole(bench: Bench) -> None:
+def test_a_blocked_wire_loses_only_complete_servo_packets(bench: Bench) -> None:
     ask_servos(bench)
     bench.set("baud 1")
     for _ in range(30):

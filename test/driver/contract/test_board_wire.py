@@ -81,7 +81,7 @@ def wire(board_site: BoardSite) -> Iterator[Wire]:
     wire.port.close()
 
 
-def test_an_unknown_command_is_told_to_be_one(wire: Wire) -> None:
+def test_an_unknown_command_is_answered_as_unknown(wire: Wire) -> None:
     (ack,) = wire.acks(encode_packet(Packet(UNKNOWN_TYPE, b"whatever", sequence=4711)))
     assert ack == Ack(UNKNOWN_TYPE, AckError.UNKNOWN, 4711)
     assert "unknown command" in str(CommandRefused(ack.type, ack.error))
@@ -117,7 +117,7 @@ def test_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
     assert wire.is_silent_on(b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
 
 
-def test_pings_return_what_they_carried(wire: Wire) -> None:
+def test_pings_return_their_bytes(wire: Wire) -> None:
     for data in (b"", bytes(LONGEST_PING), bytes(range(192, 256)), b"\0\xff" * 20):
         (back,) = wire.exchange(encode_packet(Packet(PacketType.PING, data)))
         assert (back.type, back.payload) == (PacketType.PING, data)
@@ -128,13 +128,13 @@ def test_heartbeats_are_not_answered(wire: Wire) -> None:
     assert wire.is_silent_on(*[encode_packet(Packet(PacketType.HEARTBEAT))] * 5)
 
 
-def test_a_greeting_is_answered_and_then_acknowledged(wire: Wire) -> None:
+def test_hello_is_answered_and_then_acknowledged(wire: Wire) -> None:
     hello, ack = wire.exchange(encode_packet(Packet(PacketType.HELLO, sequence=65535)))
     assert decode_hello(hello.payload).major == VERSION
     assert decode_ack(ack.payload) == Ack(PacketType.HELLO, AckError.DONE, 65535)
 
 
-def test_commands_in_one_piece_are_answered_in_their_order(wire: Wire) -> None:
+def test_commands_sent_together_are_answered_in_order(wire: Wire) -> None:
     rates = [30.0, 60.0, 120.0]
     packets = [encode_packet(Packet(PacketType.RATE, encode_rate(rate), n)) for n, rate in enumerate(rates)]
     packets.append(encode_packet(Packet(PacketType.STOP, sequence=3)))
@@ -147,13 +147,13 @@ def test_commands_in_one_piece_are_answered_in_their_order(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("damage", [damage for _, damage in DAMAGES], ids=[name for name, _ in DAMAGES])
-def test_a_damaged_packet_costs_itself_alone(wire: Wire, damage: Callable[[bytes], bytes]) -> None:
+def test_a_damaged_packet_loses_only_itself(wire: Wire, damage: Callable[[bytes], bytes]) -> None:
     assert wire.acks(damage(STOP), encode_packet(Packet(PacketType.STOP, sequence=10))) == [
         Ack(PacketType.STOP, AckError.DONE, 10)
     ]
 
 
-def test_a_packet_may_come_byte_by_byte(wire: Wire) -> None:
+def test_a_packet_may_arrive_byte_by_byte(wire: Wire) -> None:
     for byte in STOP:
         wire.port.write(bytes((byte,)))
     assert wire.acks() == [Ack(PacketType.STOP, AckError.DONE, 9)]

@@ -65,7 +65,7 @@ def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> N
     assert stays_open(loaded)
 
 
-def test_no_close_after_the_probe_has_grown_old(loaded: BoardHost) -> None:
+def test_no_close_after_the_probe_is_too_old(loaded: BoardHost) -> None:
     result = loaded.link.probe()
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
     until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to grow old")
@@ -73,7 +73,7 @@ def test_no_close_after_the_probe_has_grown_old(loaded: BoardHost) -> None:
     assert stays_open(loaded)
 
 
-def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: BoardHost) -> None:
+def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded: BoardHost) -> None:
     close(loaded)
     for power in (sample.power for sample in loaded.next_powers(10)):
         assert power.contactor_closed
@@ -90,7 +90,7 @@ def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: Bo
     assert stays_open(loaded)
 
 
-def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, board_site: BoardSite) -> None:
+def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost, board_site: BoardSite) -> None:
     def law() -> None:
         close(loaded)
         assert all(sample.power.contactor_closed for sample in loaded.next_powers(10))
@@ -106,7 +106,7 @@ def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, boar
     holds(board_site, law)
 
 
-def test_a_host_that_goes_leaves_it_open(loaded: BoardHost) -> None:
+def test_a_host_that_disconnects_leaves_the_contactor_open(loaded: BoardHost) -> None:
     close(loaded)
     loaded.link.close()
     time.sleep(SEEN_WITHIN)  # the silence itself

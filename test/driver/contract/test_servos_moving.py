@@ -86,7 +86,7 @@ def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool]
     return seen
 
 
-def test_torque_goes_on_where_the_arm_is_whatever_the_goal_was(bus: ServoBus, start: Angles, step: float) -> None:
+def test_torque_goes_on_at_the_present_angle_whatever_the_goal(bus: ServoBus, start: Angles, step: float) -> None:
     bus.write_goals(toward(start, step), BOUNDS)
     bus.enable_torque(BOUNDS)
     for snapshot, _ in zip(cycles(bus, None, restart=False), range(50), strict=False):
@@ -94,7 +94,7 @@ def test_torque_goes_on_where_the_arm_is_whatever_the_goal_was(bus: ServoBus, st
         assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm went toward a goal of before"
 
 
-def test_a_goal_is_gone_to_with_no_more_current_than_its_bound(held: ServoBus, start: Angles, step: float) -> None:
+def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angles, step: float) -> None:
     for goal, far in ((toward(start, step), True), (start, False)):
 
         def arrived(snapshot: BusSnapshot, far: bool = far) -> bool:
@@ -164,7 +164,7 @@ def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) ->
     assert torque(servo_site) == [0, 0, 0]
 
 
-def test_opening_switches_off_the_torque_that_was_left_on(held: ServoBus, servo_site: ServoSite) -> None:
+def test_opening_switches_off_remaining_torque(held: ServoBus, servo_site: ServoSite) -> None:
     held.close()
     before = torque(servo_site)
     again = ServoBus(servo_site.settings)
