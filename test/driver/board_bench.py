@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board on board time: every `now` is passed in. Its tests run on the firmware as well (test/firmware)."""
+"""A board in simulated time: every `now` is passed in. Its tests also run on the firmware (test/firmware)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEP = 0.005
 
 
 class Bench:
-    """A board, its plant and a host that only speaks when told; time passes by `run`."""
+    """A board, its plant and a host that sends only on command; `run` advances time."""
 
     def __init__(self, sample_format: SampleFormat = SampleFormat.U12, **plant: float) -> None:
         self.now = 100.0
@@ -25,7 +25,7 @@ class Bench:
         self.sequence = 0
         self.beating = False
         self.hear(self.board.poll(self.now))
-        self.now += 1e-7  # what is due is due, whatever the last bit of the floats
+        self.now += 1e-7  # so that rounding never delays a due event
 
     def hear(self, data: bytes) -> list[Packet]:
         new = self.decoder.feed(data)
@@ -38,7 +38,7 @@ class Bench:
         return self.receive(encode_packet(packet, version))
 
     def send_together(self, *commands: tuple[int, bytes]) -> list[Packet]:
-        """Send packets in one piece of bytes."""
+        """Send several packets at once."""
         wire = b""
         for type, payload in commands:
             self.sequence += 1

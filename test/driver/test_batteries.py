@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""battery and target_battery say what the power stage measures, and nothing that it does not."""
+"""battery and target_battery report exactly what the power stage measures."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated board against docs/board-link.md: packets, frames, boot; what else it does is in the files beside."""
+"""The emulated board against docs/board-link.md: packets, frames, boot. test_board_emulator_*.py have the rest."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_packet_with_flags_or_a_format_is_refused_as_a_bad_payload(flags: int,
     assert bench.send(PacketType.HEARTBEAT, flags=flags, format=format) == []
     assert {p.type for p in bench.run(0.5)} == {PacketType.POWER}
     (ack,) = acks(bench.send(PacketType.TACTILE, flags=flags, format=format))
-    assert ack.error == 2  # of a type the board does not know it judges nothing else
+    assert ack.error == 2  # of an unknown type nothing else is checked
 
 
 def test_packets_sent_together_are_answered_like_single_ones() -> None:

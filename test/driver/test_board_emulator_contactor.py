@@ -43,7 +43,7 @@ def test_one_probe_at_a_time_and_none_while_closed() -> None:
 
 
 def interlock(bench: Bench, case: str) -> int:
-    """Bring the board to where one condition of a close fails, and try."""
+    """Make one condition of a close fail, and try to close."""
     bench.beating = case != "no heartbeat"
     if case == "short":
         bench.plant.resistance = 0.9
@@ -88,7 +88,7 @@ def test_interlocks_of_a_close(case: str, error: int) -> None:
     bench.run(0.2)
     assert bench.power().contactor_closed == (error == 0)
     expected = BoardFault.OVER_CURRENT if case == "latched fault" else BoardFault.NONE
-    assert bench.power().fault == expected  # what a probe finds refuses the close and sets no fault
+    assert bench.power().fault == expected  # a bad probe forbids the close but sets no fault
 
 
 def test_closing_twice_is_not_now_and_opening_always_works() -> None:
@@ -133,7 +133,7 @@ def test_a_late_heartbeat_does_not_keep_the_contactor_closed() -> None:
     bench = Bench().closed()
     bench.beating = False
     bench.send(PacketType.HEARTBEAT)
-    bench.now += 0.15  # nobody polled meanwhile
+    bench.now += 0.15  # without polls
     bench.send(PacketType.HEARTBEAT)
     assert not bench.board.contactor_commanded
     assert bench.board.fault == BoardFault.HEARTBEAT_LOST

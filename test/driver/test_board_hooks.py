@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the emulated board can be told to do beside its duty: boot slowly, send late, and tell what happens when."""
+"""Test hooks of the emulated board: slow boots, late packets, and callbacks for samplings and heartbeats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP = 0.001
 
 
 class Host:
-    """Speaks to a board in packets, at instants of its own."""
+    """Exchanges packets with a board, with its own clock."""
 
     def __init__(self, build: Callable[[BenchPlant], BoardEmulator] = BoardEmulator) -> None:
         self.now = 100.0
@@ -34,7 +34,7 @@ class Host:
         return self._decoder.feed(self.board.receive(packet, self.now))
 
     def run(self, seconds: float, beating: bool = False) -> list[Packet]:
-        """Let time pass as a pseudo-terminal does, every ms, and return what came."""
+        """Advance time in steps of 1 ms, as a pseudo-terminal does, and return received packets."""
         packets = []
         for number in range(round(seconds / STEP)):
             self.now += STEP
@@ -89,7 +89,7 @@ def test_a_late_wire_keeps_the_order_and_loses_nothing() -> None:
     first = host.run(1.0)
     sequences = [packet.sequence for packet in first if packet.type == PacketType.TACTILE]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert len(sequences) == pytest.approx(120 + 12, abs=2)  # those under way came too
+    assert len(sequences) == pytest.approx(120 + 12, abs=2)  # delayed ones arrived too
     assert [packet.device_time_us for packet in first] == sorted(packet.device_time_us for packet in first)
 
 

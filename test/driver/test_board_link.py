@@ -169,7 +169,7 @@ def test_closing_the_link_opens_the_contactor(rig: Rig, link: BoardLink) -> None
 def test_a_command_with_a_lost_answer_is_repeated(rig: Rig, link: BoardLink, kind: str) -> None:
     rig.board.faults.inject(kind, 1, PacketType.ACK)
     link.start()
-    assert 1 <= link.counters.retries <= 3  # a busy computer may let a second answer come too late
+    assert 1 <= link.counters.retries <= 3  # on a busy computer a second answer may be late
 
 
 def test_a_close_with_a_lost_answer_succeeds(rig: Rig, link: BoardLink) -> None:
@@ -246,7 +246,7 @@ def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(ri
     pull.start()
     with pytest.raises(PortGone):
         link.probe()
-    pull.join()  # the old cable takes its link away last
+    pull.join()  # the old terminal removes its link last
     assert len(rig.losses) == 1
     with pytest.raises(PortGone):
         link.start()
@@ -289,7 +289,7 @@ def test_a_command_from_a_callback_is_refused() -> None:
 
 
 class Puppet:
-    """A device that answers every packet by a function."""
+    """A device that answers every packet with a function."""
 
     def __init__(self, answer: Callable[[Packet], bytes]) -> None:
         self._answer = answer

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What packets carry: samples, power, introductions, probes; round trips, bounds, and what no board sends."""
+"""Payloads of packets: samples, power, hello, probes; round trips, bounds and impossible values."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("at", "data", "told"),
+    ("at", "data", "reason"),
     [
         (0, struct.pack("<f", math.inf), "battery_V is inf"),
         (4, struct.pack("<f", -math.inf), "target_V is -inf"),
@@ -119,9 +119,9 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
         (15, b"\x80", "are 32768 instead of 0"),
     ],
 )
-def test_an_impossible_power_is_refused_by_name(at: int, data: bytes, told: str) -> None:
+def test_an_impossible_power_is_refused_by_name(at: int, data: bytes, reason: str) -> None:
     assert decode_power(POWER).fault == 9
-    with pytest.raises(PacketError, match=told):
+    with pytest.raises(PacketError, match=reason):
         decode_power(spoiled(POWER, at, data))
 
 
@@ -148,7 +148,7 @@ def test_a_ping_carries_at_most_64_bytes() -> None:
 
 
 def bad_packets(time: int) -> list[Packet]:
-    """Intact packets that no board sends."""
+    """Intact packets with impossible content."""
     return [
         Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
         Packet(PacketType.POWER, POWER, 2, time, format=1),

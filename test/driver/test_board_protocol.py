@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packets of docs/board-link.md: golden bytes, headers, and recovery from everything a wire can do."""
+"""The packets of docs/board-link.md: golden bytes, headers, and recovery from wire faults."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from deltacharger_driver.board.protocol import (
     encode_packet,
 )
 
-# Made with an encoder that shares no line with the driver's (bitwise CRC, byte-by-byte COBS).
+# Made with an independent encoder (bitwise CRC, byte-by-byte COBS).
 GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),

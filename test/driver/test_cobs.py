@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COBS: no zero inside, nothing lost, little added, and nothing invalid accepted."""
+"""COBS: no zero inside, nothing lost, bounded overhead, and no invalid bytes accepted."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_invalid_bytes_are_refused(stuffed: bytes) -> None:
 @given(st.binary(max_size=600))
 def test_accepted_bytes_round_trip(noise: bytes) -> None:
     end = 0
-    while end < len(noise):  # from code to code, where none is 0
+    while end < len(noise):  # from code to code; none is 0
         end += noise[end] or len(noise)
     if not noise or 0 in noise or end != len(noise):
         with pytest.raises(cobs.CobsError):

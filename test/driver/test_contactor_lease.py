@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lease on the contactor: one holder, 0.25 s at most, and every opening starts from nothing."""
+"""The lease on the contactor: one holder, 0.25 s at most, and every opening resets it."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_every_opening_voids_the_probe_and_the_lease() -> None:
     assert lease.holder == ""
     assert lease.openings == 1
     assert math.isinf(lease.probe_age(0.1))
-    assert lease.resistance == 25.0  # still known, no longer counting
+    assert lease.resistance == 25.0  # still known, but void
     with pytest.raises(LeaseRefused, match="since the last opening"):
         lease.take("dock", 0.25, 0.1)
     lease.probed(25.0, 24.0, 0.2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The device's clock: offset from the least delayed packets, drift, reboots; sequence numbers that only rise."""
+"""The device's clock: offset from the packets with the least delay, drift, reboots; rising sequence numbers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_long_runs_do_not_lose_the_drifting_offset() -> None:
 def test_a_stalled_host_does_not_move_the_clock() -> None:
     clock = DeviceClock()
     for number in range(1200):
-        late = 0.3 if 600 <= number < 640 else 0.0  # what waited in the kernel's buffer
+        late = 0.3 if 600 <= number < 640 else 0.0  # packets that waited in the kernel's buffer
         stamp = clock.update(number / 120.0, number / 120.0 + 50.0 + late)
         assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may move the arm, in every state of the contactor."""
+"""Which sender may move the arm, in every state of the contactor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0
 
 
 def led(report: dict[str, bool], **keys: float) -> MotionGuard:
-    """Return a guard that saw docking lead while the contactor was open, and then `report`."""
+    """Return a guard after docking moved the arm with an open contactor, followed by `report`."""
     guard_ = guard(OPEN)
     guard_.led(DOCKING, ContactorState.OPEN)
     guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
@@ -58,7 +58,7 @@ def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
 def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
     assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
     assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN
-    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was there
+    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was received before
 
 
 @pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9, FRESH * 1.01, 1e9])
@@ -113,8 +113,8 @@ def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
 
 def test_unknown_senders_are_never_the_same() -> None:
     assert not NOBODY.is_same(NOBODY)
-    assert Sender("a").is_same(Sender("a"))  # where rclpy tells no publisher
-    assert STRANGER.is_same(STRANGER)  # who gives no secret is known by the publisher alone
+    assert Sender("a").is_same(Sender("a"))  # without a publisher id from rclpy
+    assert STRANGER.is_same(STRANGER)  # a sender without secret is known by its publisher id only
 
 
 @pytest.mark.parametrize(

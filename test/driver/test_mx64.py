@@ -79,7 +79,7 @@ def test_angle_convention():
 
 def test_currents_of_the_paper():
     assert current_to_counts(0.4) == 119
-    assert current_to_counts(0.5) == 148  # never above what was asked for
+    assert current_to_counts(0.5) == 148  # never above the request
     assert current_to_counts(-0.4) == -119
 
 

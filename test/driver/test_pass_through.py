@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One cable for servos and pads: bytes pass the board as they are, and what goes wrong behind it is named."""
+"""One cable for servos and pads: bytes pass the board unchanged, and faults behind it are reported."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 
 
 class Echo:
-    """What hangs on the bus sends back what it hears, and keeps it."""
+    """A device on the bus that returns received bytes, and records them."""
 
     def __init__(self) -> None:
         self.heard = b""
@@ -151,7 +151,7 @@ def test_servos_at_different_speeds_are_reported_by_speed(servos: Servos) -> Non
 
 
 def test_a_late_answer_is_not_taken_for_the_next_request(servos: Servos) -> None:
-    """Late by longer than the wait, so that each answer meets the next question."""
+    """The delay exceeds the timeout, so that each answer arrives at the next request."""
     servos.bus.open()
     servos.bus.enable_torque(CURRENTS)
     servos.emulator.faults.delay = 0.15
@@ -175,7 +175,7 @@ def test_a_board_reset_during_a_packet_loses_some_cycles(servos: Servos) -> None
 
 
 class LivePlant(BenchPlant):
-    """Knows when the contactor was told to open."""
+    """Records when the contactor was commanded to open."""
 
     opened_at = math.inf
 
@@ -253,7 +253,7 @@ def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any) -> Non
 def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     context: Any, namespace: str, spin: Any, start: Any, number: int
 ) -> None:
-    """tactile_node passes on what servo_node still has to say."""
+    """tactile_node passes on the last packets of servo_node."""
     arm = BenchArm(ANGLES)
     servos = ServoBusEmulator(arm)
     board = BoardEmulator(BenchPlant(), servos=servos)

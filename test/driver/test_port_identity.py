@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which device is on a port, told on real pseudo-terminals; and swapped cables, told by the drivers themselves."""
+"""Identification of devices on real pseudo-terminals, and swapped cables reported by the drivers."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_board_is_identified_without_changing_its_state(board_port: str) -> No
     assert found.hello is not None
     assert (found.hello.rows, found.hello.columns) == (10, 10)
     with BoardLink(board_port) as link:
-        assert link.counters.tactile == 0  # nobody has started the stream
+        assert link.counters.tactile == 0  # the stream was not started
         link.tare()
 
 
@@ -140,7 +140,7 @@ def test_silence_is_not_taken_for_swapped_cables(opened: Callable[[str], None], 
 
 
 class Noisy(Babbler):
-    """Servos whose replies stand among other bytes, one of them damaged."""
+    """Servos whose replies are among other bytes, one of them damaged."""
 
     def __init__(self) -> None:
         good = status(7, 0, bytes((0x37, 0x01, 45)))

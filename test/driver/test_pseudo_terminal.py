@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cable of an emulated device: links, unplugging, and a device that goes on without its host."""
+"""The pseudo-terminal of an emulated device: links, unplugging, and a device that runs without its host."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.realtime
 
 
 class Echo:
-    """Answers what it hears and counts how often it was let work."""
+    """Returns received bytes and counts its polls."""
 
     def __init__(self) -> None:
         self.polled = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates and latenesses for the diagnostics."""
+"""Rates and lateness for the diagnostics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deltacharger_driver.rate_meter import Lateness, RateMeter
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock set by the test."""
 
     def __init__(self) -> None:
         self.now = 5.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way not to open a port has its own name and advice, the same on the servos' side and on the board's."""
+"""Every failure to open a port has its own error and advice, the same for servos and board."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_port_in_use_is_busy_for_both_drivers(side: Callable[[str], None]) -> 
 
 
 def fail(*behind: BaseException) -> Callable[..., None]:
-    """Return a serial.Serial that fails as pyserial does: its own error, the system's behind it."""
+    """Return a serial.Serial that fails like pyserial: its own error, caused by the system's."""
 
     def refuse(*arguments: object, **options: object) -> None:
         try:

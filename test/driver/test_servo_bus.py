@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus against emulated servos on a real pseudo-terminal: torque, goals, and what it does with faults."""
+"""The servo bus with emulated servos on a real pseudo-terminal: torque, goals and faults."""
 
 from __future__ import annotations
 

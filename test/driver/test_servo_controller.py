@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the servos do from cycle to cycle, against emulated servos on a real pseudo-terminal."""
+"""The servo controller with emulated servos on a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fail", "told"),
+    ("fail", "reason"),
     [
         (lambda rig: rig.emulator.faults.missing.add(2), "servo 2 does not answer"),
         (lambda rig: rig.emulator.raise_hardware_error(2, OVERLOAD), "overload"),
@@ -62,7 +62,7 @@ def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
         (lambda rig: rig.arm.voltage.__setitem__(1, 9.0), "voltage"),
     ],
 )
-def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object], told: str) -> None:
+def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object], reason: str) -> None:
     rig.wire_contactor()
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
@@ -70,7 +70,7 @@ def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object],
     assert not rig.contactor.asked
     fail(rig)
     rig.until(lambda report: report.phase is ServoPhase.STOPPING)
-    assert rig.contactor.asked  # at once, not when the torque goes
+    assert rig.contactor.asked  # at once, not only when torque goes off
     begin = time.monotonic()
     stopped = rig.references()[0]
     assert stopped == pytest.approx(rig.arm.angles[0], abs=0.1)
@@ -82,7 +82,7 @@ def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object],
     assert STOP_TIME - 0.1 <= time.monotonic() - begin <= STOP_TIME + 0.5
     assert rig.references()[0] == stopped
     assert rig.arm.torque_enabled()[0] is rig.arm.torque_enabled()[2] is False
-    assert any(severity == "error" and told in sentence for severity, sentence in rig.events)
+    assert any(severity == "error" and reason in sentence for severity, sentence in rig.events)
 
 
 def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -> None:
@@ -233,7 +233,7 @@ def test_a_replugged_port_is_back_within_two_seconds(rig: Rig) -> None:
     rig.cycle()
     rig.terminal.stop()
     rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
-    away = time.monotonic() + 2.0  # long enough for the longest pause between two attempts
+    away = time.monotonic() + 2.0  # longer than the longest pause between two attempts
     rig.until(lambda report: time.monotonic() > away)
     begin = time.monotonic()
     rig.terminal.start()

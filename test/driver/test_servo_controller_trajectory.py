@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories: followed in time, cut, fed piece by piece, and what a silent host leaves behind."""
+"""Trajectories: followed in time, replaced, sent in pieces, and interrupted by pauses of the host."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig)
     assert rig.bounds() == pytest.approx([0.3 / TORQUE_CONSTANT, 0.0, 0.3 / TORQUE_CONSTANT], abs=CURRENT_UNIT)
     rig.send()
     rig.cycle()
-    assert max(rig.bounds()) < 0.3  # a hold never presses harder
+    assert max(rig.bounds()) < 0.3  # a hold never raises the bound
     rig.send((0.0, START))
     rig.cycle()
     assert rig.bounds() == pytest.approx([DEFAULT] * 3, abs=CURRENT_UNIT)
@@ -84,7 +84,7 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
-    time.sleep(0.2)  # the host's thread starves
+    time.sleep(0.2)  # the host's thread gets no processor
     rig.cycle()
     assert rig.controller.watchdog_trips == 1
     stopped = rig.arm.angles
@@ -150,7 +150,7 @@ def test_a_line_sent_in_pieces_is_followed_like_one_message(rig: Rig) -> None:
 
     rig.until(feed)
     assert len(errors) > 30
-    late = 0.06 / 0.6 * 0.5  # what the line covers in 60 ms: a pause of this computer, never the feeding itself
+    late = 0.06 / 0.6 * 0.5  # the line's way in 60 ms: allows for a pause of this computer
     assert sorted(errors)[len(errors) // 2] < 0.02
     assert max(errors) < late
     assert rig.references() == pytest.approx(list(goal), abs=TICK)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated servos, spoken to in bytes with a clock of our own: what the e-manual promises, they do."""
+"""The emulated servos against the e-manual, byte by byte in simulated time."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_indirect_registers_read_and_write_what_they_point_to(host: Host) -> Non
     assert host.ask(1, READ, words(indirect_data(0), 6))[0][2] == ticks + bytes((0, 30))
     assert host.ask(1, WRITE, words(indirect_data(0)) + ticks[:2])[0][1] == LENGTH
     assert host.ask(1, WRITE, words(indirect_data(4)) + b"\0")[0][1] == ACCESS
-    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == RANGE  # EEPROM is out of reach
+    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == RANGE  # EEPROM cannot be a target
 
 
 def test_the_return_delay_and_the_wire_delay_the_reply() -> None:
@@ -152,7 +152,7 @@ def test_noise_and_truncated_packets_are_skipped(host: Host) -> None:
     good = Host.packet(1, PING)
     assert host.bus.receive(b"\x00\xff\xff" + b"\xff\xff\xfd" + b"junk" + good, host.now)
     for cut in range(1, len(good)):
-        host.advance(0.1)  # half a packet is given up
+        host.advance(0.1)  # an incomplete packet is discarded
         host.bus.receive(good[:cut], host.now)
         host.advance(0.1)
         assert parse(host.bus.receive(good, host.now)), cut

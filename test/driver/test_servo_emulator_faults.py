@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with emulated servos as it does with real ones: errors, watchdogs, supply, collisions."""
+"""Faults of emulated servos that match real ones: errors, watchdogs, supply, collisions."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
     host.write(1, "torque_enable", 1)
     host.write(1, "goal_position", 2048)
     host.advance(0.115)
-    host.read(1, "present_position")  # any instruction will do
+    host.read(1, "present_position")  # any instruction counts
     host.advance(0.115)
     assert host.arm.commands[0][1] == 0.0
     host.advance(0.01)
@@ -151,7 +151,7 @@ def test_in_a_collision_zero_bits_override_ones(seed: int) -> None:
     source = random.Random(seed)
     first, second = source.randbytes(14), source.randbytes(9)
     assert collide(first, b"", source) == first
-    assert collide(first, b"\xff", source)  # a start bit, at least, goes into it
+    assert collide(first, b"\xff", source)  # at least a start bit collides
     both = collide(first, second, source)
     assert both != first
     assert 0 < len(both) <= len(first) + 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the emulated servos move and what they measure: modes, profiles, offsets, limits, status."""
+"""Motion and measurements of the emulated servos: modes, profiles, offsets, limits, status."""
 
 from __future__ import annotations
 

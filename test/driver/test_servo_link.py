@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One servo asked at a time: what opens, what is asked again, and that no wrong value comes through."""
+"""Access to single servos: opening, repeated requests, and no wrong values."""
 
 from __future__ import annotations
 

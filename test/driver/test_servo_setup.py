@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus opens: every servo is set up as it should or named with all that is wrong with it."""
+"""Opening the servo bus: every servo is configured, or reported with all its faults."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_old_firmware_at_the_factory_speed_is_found_too(
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "reason"),
     [
         ("model", 1020, "1020"),
         ("homing_offset", 12, "zero_ticks"),
@@ -89,10 +89,10 @@ def test_old_firmware_at_the_factory_speed_is_found_too(
     ],
 )
 def test_an_unexpected_servo_is_named_and_not_changed(
-    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, told: str
+    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, reason: str
 ) -> None:
     emulator.servo(2).table.set(name, value)
-    with pytest.raises(HandshakeError, match=f"servo 2.*({told})") as caught:
+    with pytest.raises(HandshakeError, match=f"servo 2.*({reason})") as caught:
         closed.open()
     assert len(caught.value.faults) == 1
     assert emulator.servo(2).table.get(name) == value
@@ -120,7 +120,7 @@ def test_faults_of_all_servos_are_reported_at_once_and_good_servos_are_configure
         closed.open()
     assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
     assert emulator.servo(1).table.get("torque_enable") == 0
-    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips once the port is closed
+    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips after the port is closed
     assert emulator.servo(3).table.get("operating_mode") == 3
 
 

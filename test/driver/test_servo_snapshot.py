@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one cycle of the bus reads: a value is right or not there, whatever the line does to it."""
+"""The reading of one bus cycle: a value is right or missing, whatever the wire fault."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_burst_error_across_the_last_byte_and_the_checksum_is_detected(
         return reply[:-3] + bytes((reply[-3] ^ 0x03, reply[-2] ^ 0x0A, reply[-1]))
 
     monkeypatch.setattr("deltacharger_driver.emulators.servo_bus.status", struck)
-    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not see it
+    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not detect it
     assert bus.read().valid == (False, False, False)
     assert bus.counters.implausible == 3
     assert bus.counters.corrupt == 0

@@ -18,7 +18,7 @@ def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
     host.advance(1.0)
     assert host.read(1, "bus_watchdog") == 6
     host.advance(1.0)
-    assert host.write(1, "torque_enable", 1) == OK  # the silence before does not count
+    assert host.write(1, "torque_enable", 1) == OK  # earlier silence does not count
     host.advance(0.115)
     assert host.read(1, "bus_watchdog") == 6
     host.advance(0.125)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A call that many share: one at a time, one outcome for all who wait for it, and who must go first does."""
+"""A shared call: one at a time, one result for all waiting callers, and precedence for a block."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..waiting import DEADLINE, wait_until
 
 
 class Slow:
-    """An action that ends when it is told to, and counts its calls."""
+    """An action that ends on command and counts its calls."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -36,7 +36,7 @@ def slow() -> Slow:
 
 
 def together(shared: SharedCall[int], pool: ThreadPoolExecutor, count: int) -> list[Future[int]]:
-    """Let `count` threads call, and return once all wait."""
+    """Start `count` calling threads, and return once all wait."""
     jobs = [pool.submit(shared) for _ in range(count)]
     wait_until(lambda: shared._running is not None and shared._running.callers == count, "all callers")
     return jobs
@@ -110,5 +110,5 @@ def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
     for _ in range(5):
         with pytest.raises(ValueError, match="no"):
             shared()
-        assert not shared.is_running  # who must go first does not wait for the answer
+        assert not shared.is_running  # a block does not wait for the answer
     assert time.monotonic() - began >= 0.25

@@ -80,7 +80,7 @@ def test_no_points_mean_hold():
 
 
 @pytest.mark.parametrize(
-    ("names", "rows", "told"),
+    ("names", "rows", "reason"),
     [
         (("a", "b", "x"), [(1.0, START)], "x"),
         (("a", "b"), [(1.0, (0.0, 0.0))], "exactly once"),
@@ -104,8 +104,8 @@ def test_no_points_mean_hold():
         (NAMES, [(1.0, START), (2.0, (0.0, 0.0, 9.0))], "point 1"),
     ],
 )
-def test_bad_trajectories_are_refused_with_a_reason(names, rows, told):
-    with pytest.raises(TrajectoryRefused, match=told.replace(".", r"\.")) as caught:
+def test_bad_trajectories_are_refused_with_a_reason(names, rows, reason):
+    with pytest.raises(TrajectoryRefused, match=reason.replace(".", r"\.")) as caught:
         check(names, points(*rows), LIMITS)
     assert isinstance(caught.value, DriverError)
 

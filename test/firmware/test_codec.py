@@ -58,7 +58,7 @@ def codec(core: Path) -> Iterator[CodecProcess]:
 
 
 def with_reserved(packet: Packet, reserved: int) -> bytes:
-    """Bytes on the wire of a packet whose header ends with `reserved`, checksum and all."""
+    """Bytes on the wire of a packet whose header ends with `reserved`, with a valid checksum."""
     body = bytearray(cobs.decode(encode_packet(packet)[1:-1])[:-4])
     body[14:16] = struct.pack("<H", reserved)
     return b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
@@ -85,7 +85,7 @@ def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
 
 
 def random_packet(source: random.Random, type: int | None = None, size: int | None = None) -> Packet:
-    """A packet whose payload is all zeros, has none, or is in between: what COBS distinguishes."""
+    """A packet whose payload is all zeros, has none, or is mixed: the cases of COBS."""
     size = source.choice((0, 1, 4, 16, 64, 200, 300, 400, source.randrange(600))) if size is None else size
     fill = source.choice((b"\0", b"\1", b"\0\1\xff", bytes(range(256)), bytes(range(1, 256))))
     return Packet(
@@ -237,7 +237,7 @@ def mutate(source: random.Random, wire: bytearray) -> bytearray:
 
 
 def test_a_hundred_thousand_mutated_packets_are_decoded_identically(codec: CodecProcess) -> None:
-    """Nothing that was not sent is accepted, and both decoders accept and count the same."""
+    """Only sent packets are accepted, and both decoders accept and count the same."""
     source = random.Random(4)
     originals = [random_packet(source) for _ in range(1500)]
     wires = [encode_packet(packet) for packet in originals]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeat, probe and contactor on the firmware, in simulated time: what docs/board-link.md demands."""
+"""Heartbeat, probe and contactor on the firmware against docs/board-link.md, in simulated time."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_slow_commands_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
 
 
 def test_a_slow_poll_opens_before_the_limit(new_bench: NewBench) -> None:
-    """What a board needs between two polls comes off every deadline, so that 100 ms hold at the pins."""
+    """The time between two polls shortens every deadline, so that 100 ms hold at the pins."""
     bench = new_bench(poll_period=8000)
     bench.charge()
     bench.beating = False
@@ -181,7 +181,7 @@ def test_no_probe_begins_before_the_coil_is_off(bench: Bench) -> None:
 
 
 def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:
-    """Whatever is asked of the board, silence opens it."""
+    """Whatever the commands before, silence opens the contactor."""
     bench.set(*STRONG)
     bench.charge()
     bench.beating = False

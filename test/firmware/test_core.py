@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the core may use, and what a million bytes of nonsense do to it."""
+"""Dependencies of the core, and its behaviour under a million random bytes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host program as anybody would run it: BoardLink over its own pseudo-terminal, in real time."""
+"""The host program in normal use: BoardLink over its own pseudo-terminal, in real time."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_reboot_is_detected(program: Program) -> None:
 
 
 def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: Path) -> None:
-    """A port that has hung up is always ready to be read; that must not keep a processor busy."""
+    """A hung-up port is always readable, which must not keep a processor busy."""
     master, slave = pty.openpty()
     program = Program(programs / "board_host", tmp_path / "board", "--servos", os.ttyname(slave))
     with program.link as link:
@@ -91,7 +91,7 @@ def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: 
 def test_an_unknown_command_is_quoted(program: Program) -> None:
     assert program.command("presss 8") == "error: unknown command: presss 8"
     assert program.command("press x") == "error: unknown command: press x"
-    assert program.command("advance 5") == "error: unknown command: advance 5"  # time passes by itself
+    assert program.command("advance 5") == "error: unknown command: advance 5"  # time is real
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from ..borrowed import borrowed_tests
 from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
-    # A boot of the firmware takes no time here, so that few of them meet a packet; in steps: test_servo_bus.py.
+    # A boot of the firmware takes no time here, so few boots interrupt a packet; in steps: test_servo_bus.py.
     "test_a_board_reset_during_a_packet_loses_some_cycles",
     "test_the_contactor_keeps_its_limits_under_continuous_servo_traffic",  # by hooks of the emulator
 }

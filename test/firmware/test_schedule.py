@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampling, device time and a wire that is too slow, in simulated time."""
+"""Sampling, device time and a slow wire, in simulated time."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_missed_instants_are_missing_numbers_and_an_overrun(bench: Bench) -> Non
     late = tactile(bench.jump(bench.now + 100 * MS))
     assert len(late) == 1
     assert late[0].flags & FLAG_OVERRUN
-    assert late[0].device_time_us == bench.now  # when it was sampled, not when it was due
+    assert late[0].device_time_us == bench.now  # the sampling time, not the due time
     assert late[0].sequence - last.sequence == 12
     assert bench.state("missed") == 11
     following = tactile(bench.run(50 * MS))
@@ -125,7 +125,7 @@ def test_device_time_continues_beyond_32_bits(new_bench: NewBench) -> None:
 
 
 def test_a_counter_that_steps_back_changes_neither_time_nor_contactor(bench: Bench) -> None:
-    """The OpenCM core's micros() can fall back by a millisecond where its tick interrupts it."""
+    """The OpenCM core's micros() can step back by a millisecond if its tick interrupts it."""
     bench.charge()
     before = bench.now
     bench.jump(before - 1 * MS)
@@ -166,7 +166,7 @@ def test_a_wire_blocked_for_ever_does_not_stop_the_board(bench: Bench) -> None:
         bench.send((PacketType.PING, bytes(64)))
         bench.run(20 * MS)
     assert bench.state("dropped_answers") > 10
-    assert bench.state("commanded") == 1  # heartbeats are still heard
+    assert bench.state("commanded") == 1  # heartbeats are still received
     bench.beating = False
     bench.run(101 * MS)
     assert bench.state("contactor") == 0
@@ -184,7 +184,7 @@ def test_a_stream_too_fast_for_the_wire_is_thinned_and_flagged(
     sequences = [packet.sequence for packet in frames]
     assert [bool(p.flags & FLAG_OVERRUN) for p in frames[1:]] == (np.diff(sequences) > 1).tolist()
     carried = sum({2: 324, 3: 424}[sample_format] for _ in frames) * 10 / baud
-    assert carried == pytest.approx(5.0, rel=0.07)  # the wire is used, POWER and a little silence apart
+    assert carried == pytest.approx(5.0, rel=0.07)  # the wire is full, except for POWER and short pauses
     assert sum(packet.type == PacketType.POWER for packet in packets) == pytest.approx(100, abs=3)
     latencies = []
     for _ in range(20):

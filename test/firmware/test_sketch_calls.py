@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sketch asks of the Arduino core, call by call: pins, probe, the servos' line, the link, the watchdog."""
+"""The sketch's calls of the Arduino core: pins, probe, the servos' line, the link, the watchdog."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ OUTPUT = 1
 
 
 class Sketch:
-    """The sketch on a core that writes down every call."""
+    """The sketch on a core that records every call."""
 
     def __init__(self, program: Path, wiring: str) -> None:
         self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.pins = {name: int(pin) for name, pin in re.findall(r"PIN_(\w+) = (\d+);", wiring)}
 
     def ask(self, line: str) -> tuple[int, list[str]]:
-        """Carry out a command and return its result and the calls that it caused."""
+        """Execute a command and return its result and the calls that it caused."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
         calls: list[str] = []
-        while not (told := self._process.stdout.readline()).startswith("done"):
-            assert told, f"the sketch died of '{line}'"
-            calls.append(told.strip())
-        result = int(told.split()[1])
+        while not (answer := self._process.stdout.readline()).startswith("done"):
+            assert answer, f"the sketch died of '{line}'"
+            calls.append(answer.strip())
+        result = int(answer.split()[1])
         assert result >= 0, f"'{line}' is no command"
         return result, calls
 
     def calls(self, line: str) -> list[str]:
-        """Carry out a command and return the calls that it caused."""
+        """Execute a command and return the calls that it caused."""
         return self.ask(line)[1]
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ def test_outputs_go_off_first_and_the_contactor_on_last(sketch: Sketch) -> None:
 
 
 def test_the_probe_waits_even_if_the_clock_steps_back(sketch: Sketch) -> None:
-    """micros() can fall back by a millisecond where a tick interrupts it."""
+    """micros() can step back by a millisecond if a tick interrupts it."""
     settle = 100_000
     sketch.calls("counts 100")
     sketch.calls("now 5000")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sequence and detectors of the power stage, in simulated time; the emulator leaves them to its plant."""
+"""Sequence and detectors of the power stage, in simulated time; the emulator's plant has none of them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_an_opening_opens_after_50_ms_if_the_current_does_not_fall(bench: Bench)
     bench.open()
     bench.run(49 * MS)
     assert bench.state("contactor") == 1
-    bench.open()  # asking again does not start the ramp anew
+    bench.open()  # a repeated opening does not restart the ramp
     bench.run(1 * MS)
     assert bench.state("contactor") == 0
 
@@ -183,7 +183,7 @@ def test_welded_contacts_are_detected_by_every_opening(bench: Bench) -> None:
 def test_contacts_have_50_ms_to_open(bench: Bench, release: int, fault: int) -> None:
     bench.charge()
     bench.set(f"release_time {release}", "trip 9")
-    bench.open()  # clears the fault that was tripped
+    bench.open()  # clears the tripped fault
     bench.run(200 * MS)
     assert bench.state("fault") == fault
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board's power stage while nobody asks for its contactor to be closed."""
+"""Laws of a healthy board's power stage without a close of its contactor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .sites import BoardSite, holds
 pytestmark = pytest.mark.realtime
 
 LARGEST_VOLTAGE = 60.0  # V
-LEAKAGE = 0.5  # A that an open contactor may seem to let through
+LEAKAGE = 0.5  # A, largest reading with an open contactor
 
 
 def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost, board_site: BoardSite) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of the tactile side of a healthy board whose pads nothing touches."""
+"""Laws of the tactile side of a healthy board with untouched pads."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost, r
 
 
 def lost_in_silence(frames: list[TactileSample]) -> list[int]:
-    """Numbers of the frames before which others are missing, without the board having said so."""
+    """Numbers of the frames before which others are missing without an overrun flag."""
     pairs = pairwise(frames)
     return [after.sequence for before, after in pairs if after.sequence != before.sequence + 1 and not after.overrun]
 
@@ -131,7 +131,7 @@ def test_it_streams_between_start_and_stop_only(host: BoardHost, board_site: Boa
         host.next_powers(4)
         assert len(host.frames) == len(first)
         host.link.start()
-        host.link.start()  # also where it streams already
+        host.link.start()  # harmless while it streams
         again = host.stream(20)
         assert again[0].sequence > first[-1].sequence
         host.link.stop()

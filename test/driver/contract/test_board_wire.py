@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board packet by packet: its answers to what is unknown, wrong, damaged or in pieces."""
+"""Laws of a healthy board's answers to unknown, wrong, damaged and split packets."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Wire:
         self.port = BoardPort(path, 1_000_000)
         self._decoder = PacketDecoder()
         self._numbers = itertools.count()
-        self._packets: list[Packet] = []  # came and were not looked at
+        self._packets: list[Packet] = []  # received but not checked yet
 
     def exchange(self, *data: bytes) -> list[Packet]:
-        """Send bytes, then a PING of its own, and return what comes up to its return, but for POWER."""
+        """Send bytes, then a PING, and return all packets before its return, except POWER."""
         end = f"end {next(self._numbers)}".encode()
         self.port.write(b"".join(data) + encode_packet(Packet(PacketType.PING, end)))
         found: list[Packet] = []
@@ -65,11 +65,11 @@ class Wire:
         pytest.fail(f"the board did not return a PING; it sent {found}")
 
     def is_silent_on(self, *data: bytes) -> bool:
-        """Return whether nothing answers these bytes, neither before the PING behind them nor before a later one."""
+        """Return whether these bytes get no answer, neither before the PING behind them nor before a later one."""
         return self.exchange(*data) + self.exchange() == []
 
     def acks(self, *data: bytes) -> list[Ack]:
-        """Do the same and return the answers, of which there must be nothing else."""
+        """Do the same and return the answers, which must all be ACKs."""
         return [decode_ack(packet.payload) for packet in self.exchange(*data)]
 
 

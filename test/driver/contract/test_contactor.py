@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board's contactor with a load connected. On a real one with --close-contactor only."""
+"""Laws of a healthy board's contactor with a load connected. On a real one only with --close-contactor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .sites import BoardSite, holds, until
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_close")]
 
 LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
-SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that says open
+SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that reports open
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def loaded(host: BoardHost, board_site: BoardSite) -> BoardHost:
 
 
 def close(host: BoardHost) -> None:
-    """Probe and close as whoever wants energy must."""
+    """Probe and close, as a client must."""
     host.link.contactor(False)
     host.link.probe()
     host.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
@@ -41,7 +41,7 @@ def close(host: BoardHost) -> None:
 
 
 def refused(host: BoardHost) -> int:
-    """Ask for a close that must be refused, and return the board's reason."""
+    """Request a close that must be refused, and return the board's reason."""
     with pytest.raises(CommandRefused, match="the board refused CONTACTOR") as refusal:
         host.link.contactor(True)
     return refusal.value.error
@@ -78,7 +78,7 @@ def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded
     for power in (sample.power for sample in loaded.next_powers(10)):
         assert power.contactor_closed
         assert power.fault == BoardFault.NONE
-        assert abs(power.charge_current) < 20.0  # also: it was measured
+        assert abs(power.charge_current) < 20.0  # and it was measured
     assert refused(loaded) == AckError.NOT_NOW
     with pytest.raises(CommandRefused, match="the contactor is closed") as refusal:
         loaded.link.probe()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the contract finds its devices: the options themselves, in runs of their own against emulators on given ports."""
+"""Options that select the contract's devices, in separate runs with emulators on given ports."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ REPOSITORY = HERE.parents[2]
 @pytest.fixture(autouse=True)
 def only_over_the_emulators(ports: dict[str, str]) -> None:
     if ports:
-        pytest.skip("says nothing about devices")
+        pytest.skip("does not test devices")
 
 
 def run(*words: str) -> tuple[int, str, dict[str, int]]:
-    """Run the contract's shortest tests and return exit code, output, and how many of each outcome."""
-    chosen = ["-k", "the_port_is_known or torque_is_off or no_close_without_a_heartbeat"]
+    """Run the contract's shortest tests and return exit code, output, and the count of each outcome."""
+    chosen = ["-k", "the_port_is_identified or torque_is_off or no_close_without_a_heartbeat"]
     command = [sys.executable, "-m", "pytest", str(HERE), *chosen, "-p", "no:cacheprovider", "--color=no", *words]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=100.0)
     output = done.stdout + done.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of three healthy MX-64 without torque; nothing here moves them."""
+"""Laws of three healthy MX-64 without torque; no test moves them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ JITTER = {
     "input_voltage": 3,
     "temperature": 1,
 }
-"""Counts by which what is measured may differ between two readings at rest; 0 for any other register."""
+"""Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
 OPEN_AGAIN = (
     "import sys; from deltacharger_driver.servos.link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
 )
@@ -144,7 +144,7 @@ def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_si
 
 
 def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
-    """Fail where a value is none that a servo at rest, at 12 V, can have."""
+    """Fail if a value is impossible for a servo at rest at 12 V."""
     for index, servo in enumerate(settings.ids):
         about = f"servo {servo}: {snapshot}"
         assert -math.pi <= snapshot.angle[index] <= math.pi, about

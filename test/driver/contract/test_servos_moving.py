@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of three healthy MX-64 with torque on, moved by a few degrees. On real ones with --move only."""
+"""Laws of three healthy MX-64 with torque on, moved by a few degrees. On real ones only with --move."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .sites import ServoSite, until
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_move")]
 
 STEP = math.radians(5.0)
-BOUND = 0.5  # A, less than docking presses with; 0.7 N·m
+BOUND = 0.5  # A, less than in docking; 0.7 N·m
 NOISE = 0.1  # A that a servo's sensor may read beyond the bound
 PERIOD = 0.01  # s
 BOUNDS = (BOUND, BOUND, BOUND)
@@ -33,7 +33,7 @@ Angles = tuple[float, ...]
 
 @pytest.fixture
 def start(bus: ServoBus) -> Angles:
-    """Where the arm stands, torque off."""
+    """Present angles of the arm, torque off."""
     return until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
 
 
@@ -45,7 +45,7 @@ def step(start: Angles) -> float:
 
 @pytest.fixture
 def held(bus: ServoBus, start: Angles) -> Iterator[ServoBus]:
-    """The servos holding where they are."""
+    """The servos holding their present angles."""
     bus.enable_torque(BOUNDS)
     yield bus
     with contextlib.suppress(DriverError):
@@ -62,7 +62,7 @@ def moved(snapshot: BusSnapshot, start: Angles, step: float) -> list[float]:
 
 
 def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[BusSnapshot]:
-    """Exchange goal and state 100 times a second; watchdogs that a pause of this computer tripped are restarted."""
+    """Exchange goal and state 100 times a second; restart watchdogs that a pause of this computer tripped."""
     while True:
         begin = time.monotonic()
         snapshot = bus.read() if goal is None else bus.exchange(goal, BOUNDS)
@@ -130,7 +130,7 @@ def test_eeprom_is_locked_while_torque_is_on(link: ServoLink, servo_site: ServoS
 
 
 def torque(site: ServoSite) -> list[int]:
-    """What the servos' own registers say, asked over a new connection that changes nothing."""
+    """Return the servos' torque registers, read over a new connection that changes nothing."""
     link = ServoLink(site.path, site.settings.baud_rate, site.settings.reply_margin)
     link.open()
     try:
