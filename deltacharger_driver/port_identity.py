@@ -109,24 +109,24 @@ def identify(
     """
     port = BoardPort(path, BAUD_RATE)
     try:
-        board, heard = _find_board(port)
+        board, received = _find_board(port)
         if board is not None:
             return board
         servos = find_servos(port, speeds, ids, patience)
     finally:
         port.close()
-    if servos and not (heard and all(servo.garbled for servo in servos)):
+    if servos and not (received and all(servo.garbled for servo in servos)):
         return PortIdentity(path, "servos", "servos: " + "; ".join(map(str, servos)), tuple(servos))
-    if heard:
-        return PortIdentity(path, "other", f"received {heard} bytes that neither servos nor board send")
+    if received:
+        return PortIdentity(path, "other", f"received {received} bytes that neither servos nor board send")
     return PortIdentity(path, "silent", "no answer at any speed")
 
 
 def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
     """Return the board, if there is one, and the number of bytes received."""
     decoder = PacketDecoder()
-    heard = _receive(port, _LISTEN)
-    packets = decoder.feed(heard + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
+    received = _receive(port, _LISTEN)
+    packets = decoder.feed(received + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
     counters = decoder.counters
     for packet in packets:
         if packet.type == PacketType.HELLO:

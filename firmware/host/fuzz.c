@@ -15,7 +15,7 @@
 
 #define AT_ONCE 16u /* packets that are damaged together */
 #define LONGEST_PLAIN 520u
-#define ROUND_US 600000000u /* simulated time before a board is booted anew */
+#define ROUND_US 600000000u /* simulated time before a board is booted again */
 
 static uint64_t random_state;
 

@@ -24,10 +24,10 @@ class Bench:
         self.packets: list[Packet] = []
         self.sequence = 0
         self.beating = False
-        self.hear(self.board.poll(self.now))
+        self.take(self.board.poll(self.now))
         self.now += 1e-7  # so that rounding never delays a due event
 
-    def hear(self, data: bytes) -> list[Packet]:
+    def take(self, data: bytes) -> list[Packet]:
         new = self.decoder.feed(data)
         self.packets += new
         return new
@@ -46,7 +46,7 @@ class Bench:
         return self.receive(wire)
 
     def receive(self, wire: bytes) -> list[Packet]:
-        return self.hear(self.board.receive(wire, self.now))
+        return self.take(self.board.receive(wire, self.now))
 
     def run(self, seconds: float) -> list[Packet]:
         start = len(self.packets)
@@ -54,7 +54,7 @@ class Bench:
             self.now += STEP
             if self.beating and number % 4 == 0:
                 self.send(PacketType.HEARTBEAT)
-            self.hear(self.board.poll(self.now))
+            self.take(self.board.poll(self.now))
         return self.packets[start:]
 
     def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> Ack:

@@ -133,11 +133,11 @@ def test_a_late_poll_sends_all_samples_and_a_very_late_one_flags_overrun() -> No
     bench.send(PacketType.START)
     bench.run(0.1)
     bench.now += 0.1
-    late = tactile(bench.hear(bench.board.poll(bench.now)))
+    late = tactile(bench.take(bench.board.poll(bench.now)))
     assert len(late) == pytest.approx(12, abs=1)
     assert not any(p.flags & 2 for p in late)
     bench.now += 10.0
-    flood = tactile(bench.hear(bench.board.poll(bench.now)))
+    flood = tactile(bench.take(bench.board.poll(bench.now)))
     assert len(flood) == 16
     assert [bool(p.flags & 2) for p in flood] == [True] + [False] * 15
     assert flood[0].sequence - late[-1].sequence == pytest.approx(1200 - 15, abs=2)

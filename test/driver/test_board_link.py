@@ -294,11 +294,11 @@ class Puppet:
     def __init__(self, answer: Callable[[Packet], bytes]) -> None:
         self._answer = answer
         self._decoder = PacketDecoder()
-        self.heard: list[int] = []
+        self.received: list[int] = []
 
     def receive(self, data: bytes, now: float) -> bytes:
         packets = self._decoder.feed(data)
-        self.heard += [packet.type for packet in packets]
+        self.received += [packet.type for packet in packets]
         return b"".join(self._answer(packet) for packet in packets)
 
     def poll(self, now: float) -> bytes:
@@ -338,8 +338,8 @@ def test_an_incompatible_device_is_refused_with_the_reason(
     puppet = Puppet(answer)
     with PseudoTerminal(puppet) as cable, pytest.raises(error, match=words):
         BoardLink(cable.path).open()
-    assert set(puppet.heard) == {PacketType.HELLO}, "nothing else is sent to a board that is not understood"
-    assert len(puppet.heard) <= 3
+    assert set(puppet.received) == {PacketType.HELLO}, "nothing else is sent to a board that is not understood"
+    assert len(puppet.received) <= 3
 
 
 def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink) -> None:

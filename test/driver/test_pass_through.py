@@ -52,10 +52,10 @@ class Echo:
     """A device on the bus that returns received bytes, and records them."""
 
     def __init__(self) -> None:
-        self.heard = b""
+        self.received = b""
 
     def receive(self, data: bytes, now: float) -> bytes:
-        self.heard += data
+        self.received += data
         return data
 
     def poll(self, now: float) -> bytes:
@@ -87,7 +87,7 @@ def test_bytes_pass_unchanged(tmp_path: Path) -> None:
 
                 wait_until(came)
                 assert back == sent
-                assert echo.heard.endswith(sent)
+                assert echo.received.endswith(sent)
         port.close()
         assert not port.path.is_symlink()
         link.close()

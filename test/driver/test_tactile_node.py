@@ -58,8 +58,8 @@ class Client(Node):
             ChargerPower, "charger_power", self.powers.append, QoSProfile(depth=1), callback_group=group
         )
         self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10, callback_group=group)
-        for topic, heard in self.batteries.items():
-            self.create_subscription(BatteryState, topic, heard.append, 10, callback_group=group)
+        for topic, messages in self.batteries.items():
+            self.create_subscription(BatteryState, topic, messages.append, 10, callback_group=group)
         self._tare = self.create_client(Trigger, "tare", callback_group=group)
         self._probe = self.create_client(Probe, "probe", callback_group=group)
         self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
@@ -123,8 +123,8 @@ class Rig:
 
     def batteries(self) -> tuple[BatteryState, BatteryState]:
         """Return the next messages of the charger's battery and of the target's."""
-        for heard in self.client.batteries.values():
-            heard.clear()
+        for messages in self.client.batteries.values():
+            messages.clear()
         own, target = self.client.batteries.values()
         wait_until(lambda: own and target, "both batteries")
         return own[-1], target[-1]

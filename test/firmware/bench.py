@@ -34,7 +34,7 @@ class Bench:
         self._beat = start
         for name, value in settings.items():
             self.host.command(f"{name} {value}")
-        self._hear(self.host.sent(f"boot {start}"))
+        self._decode(self.host.sent(f"boot {start}"))
 
     def close(self) -> None:
         """End the program; no packet that it sent may be damaged."""
@@ -52,7 +52,7 @@ class Bench:
         for type, payload in packets:
             self._sequence = (self._sequence + 1) % 65536
             wire += encode_packet(Packet(type, payload, self._sequence))
-        return self._hear(self.host.sent(f"wire {wire.hex()}"))
+        return self._decode(self.host.sent(f"wire {wire.hex()}"))
 
     def run(self, duration: int) -> list[Packet]:
         """Advance `duration` us, with a heartbeat every 20 ms while `beating`, and return received packets."""
@@ -70,13 +70,13 @@ class Bench:
     def jump(self, instant: int) -> list[Packet]:
         """Set the counter without polls in between."""
         self.now = instant
-        return self._hear(self.host.sent(f"jump {instant}"))
+        return self._decode(self.host.sent(f"jump {instant}"))
 
     def _advance(self, until: int) -> None:
         self.now = until
-        self._hear(self.host.sent(f"advance {until}"))
+        self._decode(self.host.sent(f"advance {until}"))
 
-    def _hear(self, data: bytes) -> list[Packet]:
+    def _decode(self, data: bytes) -> list[Packet]:
         new = self.decoder.feed(data)
         self.packets += new
         return new

@@ -256,12 +256,12 @@ class FirmwareBus:
         """Pass bytes both ways at `now`, s; the board takes those from the servos at its next poll."""
         if self._device is None:
             return
-        came = self._device.poll(now)
-        heard = bytes.fromhex(self._host.command(f"bus {came.hex()}").removeprefix("bus").strip())
-        answer = self._device.receive(heard, now) if heard else b""
+        from_bus = self._device.poll(now)
+        to_bus = bytes.fromhex(self._host.command(f"bus {from_bus.hex()}").removeprefix("bus").strip())
+        answer = self._device.receive(to_bus, now) if to_bus else b""
         if answer:
             self._host.command(f"bus {answer.hex()}")
-        if came or answer:
+        if from_bus or answer:
             self._host.idle = 0
 
     def next_event(self, now: float) -> float:

@@ -53,15 +53,15 @@ class Side:
         self.board = board
         self.plant = plant
         self.decoder = PacketDecoder()
-        self.heard: list[Packet] = []
+        self.received: list[Packet] = []
 
-    def hear(self, data: bytes) -> None:
-        self.heard += self.decoder.feed(data)
+    def take(self, data: bytes) -> None:
+        self.received += self.decoder.feed(data)
 
     def story(self) -> list[tuple[object, ...]]:
         """Return the packets to the host since the last call, in order, except frames and power."""
         events: list[tuple[object, ...]] = []
-        for packet in self.heard:
+        for packet in self.received:
             if packet.type == PacketType.ACK:
                 ack = decode_ack(packet.payload)
                 events.append(("ack", ack.type, ack.error, ack.sequence, ack.data))
@@ -72,7 +72,7 @@ class Side:
         return events
 
     def state(self) -> tuple[object, ...]:
-        powers = [packet for packet in self.heard if packet.type == PacketType.POWER]
+        powers = [packet for packet in self.received if packet.type == PacketType.POWER]
         return (
             self.board.contactor_commanded,
             self.board.fault,
@@ -82,7 +82,7 @@ class Side:
 
     def frame(self) -> tuple[int, npt.NDArray[np.float32]]:
         """Flags and forces of the last frame."""
-        packet = [packet for packet in self.heard if packet.type == PacketType.TACTILE][-1]
+        packet = [packet for packet in self.received if packet.type == PacketType.TACTILE][-1]
         return packet.flags & FLAG_TARED, np.stack(decode_samples(packet.payload, packet.format))
 
 
@@ -102,7 +102,7 @@ class Day:
         self.beating = True
         self.next_beat = self.now
         for side in self.sides:
-            side.hear(side.board.poll(self.now))
+            side.take(side.board.poll(self.now))
         self.now += 1e-6
 
     def send(self, *commands: tuple[int, bytes], flags: int = 0, format: int = 0) -> None:
@@ -112,7 +112,7 @@ class Day:
             wire += encode_packet(Packet(type, payload, self.sequence, flags=flags, format=format))
             self.sequence += 1
         for side in self.sides:
-            side.hear(side.board.receive(wire, self.now))
+            side.take(side.board.receive(wire, self.now))
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / STEP)):
@@ -121,7 +121,7 @@ class Day:
                 self.send((PacketType.HEARTBEAT, b""))
                 self.next_beat = self.now + 0.02
             for side in self.sides:
-                side.hear(side.board.poll(self.now))
+                side.take(side.board.poll(self.now))
 
     def change_plant(self) -> None:
         """Change charge circuit or touch; the two plants differ while a contactor closes or opens."""
@@ -175,7 +175,7 @@ def test_a_random_session_is_the_same_on_both_boards(seed: int) -> None:
         assert firmware.story() == emulated.story()
         assert firmware.state() == emulated.state()
         for side in day.sides:
-            side.heard.clear()
+            side.received.clear()
     day.send((PacketType.START, b""))
     day.run(0.3)
     (emulated_flags, emulated_forces), (flags, forces) = emulated.frame(), firmware.frame()

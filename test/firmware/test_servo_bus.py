@@ -25,9 +25,9 @@ def bench(new_bench: NewBench) -> Bench:
     return new_bench(servos=1)
 
 
-def bus(bench: Bench, came: bytes = b"") -> bytes:
+def bus(bench: Bench, sent: bytes = b"") -> bytes:
     """Receive bytes from the servos and return the bytes sent to them."""
-    return bytes.fromhex(bench.host.command(f"bus {came.hex()}").removeprefix("bus").strip())
+    return bytes.fromhex(bench.host.command(f"bus {sent.hex()}").removeprefix("bus").strip())
 
 
 def from_servos(packets: list[Packet]) -> list[bytes]:
@@ -90,14 +90,14 @@ def test_bytes_of_the_bus_reach_the_host_unchanged(new_bench: NewBench, baud: in
     bench = new_bench(servos=1, baud=baud)
     source = random.Random(baud)
     ask_servos(bench)
-    came = heard = b""
+    sent = received = b""
     for _ in range(300):
         piece = source.randbytes(source.choice((1, 2, 11, 127, 128, 129, 400)))
-        came += piece
+        sent += piece
         bus(bench, piece)
-        heard += b"".join(from_servos(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
-    heard += b"".join(from_servos(bench.run(50 * MS)))
-    assert heard == came
+        received += b"".join(from_servos(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
+    received += b"".join(from_servos(bench.run(50 * MS)))
+    assert received == sent
     assert bench.state("dropped_servo") == 0
 
 
@@ -114,9 +114,9 @@ def test_bytes_are_gathered_until_the_bus_is_quiet(bench: Bench, speed: int, qui
 
 def test_128_bytes_form_a_packet_at_once(bench: Bench) -> None:
     ask_servos(bench)
-    came = bytes(range(256)) + b"tail"
-    bus(bench, came)
-    assert from_servos(bench.run(0)) == [came[:128], came[128:256]]
+    sent = bytes(range(256)) + b"tail"
+    bus(bench, sent)
+    assert from_servos(bench.run(0)) == [sent[:128], sent[128:256]]
     assert from_servos(bench.run(200)) == [b"tail"]
 
 

@@ -185,7 +185,7 @@ def test_a_second_host_finds_the_board_in_the_state_left_by_the_first(host: Boar
 def test_another_program_cannot_open_the_port(host: BoardHost, board_site: BoardSite) -> None:
     command = [sys.executable, "-c", OPEN_AGAIN, board_site.path]
     began = time.monotonic()
-    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert meanwhile.returncode != 0
-    assert "the port is in use by another program" in meanwhile.stderr
+    second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode != 0
+    assert "the port is in use by another program" in second.stderr
     assert host.link.ping() < time.monotonic() - began

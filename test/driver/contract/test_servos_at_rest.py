@@ -220,9 +220,9 @@ def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_si
 
 def test_another_program_can_open_the_port_only_after_it_is_closed(bus: ServoBus, servo_site: ServoSite) -> None:
     command = [sys.executable, "-c", OPEN_AGAIN, servo_site.path]
-    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert meanwhile.returncode != 0
-    assert "the port is in use by another program" in meanwhile.stderr
+    second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode != 0
+    assert "the port is in use by another program" in second.stderr
     bus.close()
     afterwards = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
     assert afterwards.returncode == 0, afterwards.stderr
