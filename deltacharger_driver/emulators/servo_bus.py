@@ -179,7 +179,7 @@ class ServoBusEmulator:
                 return []
             return [(servo, status(servo.servo, servo.error_byte(CHECKSUM))) for servo in addressed]
         for servo in addressed:
-            servo.heard(now)
+            servo.note_instruction(now)
         code, data = instruction.code, instruction.parameters
         if code == SYNC_READ:
             address, length = _words(data)

@@ -103,7 +103,7 @@ class ServoFirmware:
         """Return the error byte of a status packet with error `number`."""
         return number | (ALERT if self.table.get("hardware_error") else 0)
 
-    def heard(self, now: float) -> None:
+    def note_instruction(self, now: float) -> None:
         """Record an instruction packet for this servo at `now` (s).
 
         Only `tick` checks the watchdog, after received bytes are read: if the emulator itself had to wait for the

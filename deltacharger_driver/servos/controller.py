@@ -42,7 +42,7 @@ class ServoController:
 
     Attributes:
         stop_reason: reason of the last stop; it and the next may be read from any thread.
-        unasked_stop: reason why torque went off without a request; '' once it is on again.
+        unrequested_stop: reason why torque went off without a request; '' once it is on again.
         watchdog_trips: number of stops by the servos' bus watchdog.
     """
 
@@ -65,7 +65,7 @@ class ServoController:
         self._requests = ServoRequests()
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
-        self.stop_reason = self.unasked_stop = ""
+        self.stop_reason = self.unrequested_stop = ""
         self._reconnection = Reconnection(self.bus, notify)
         self._restarts = ServoRestarts(self.bus, notify)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
@@ -83,14 +83,14 @@ class ServoController:
         return self._reconnection.count
 
     @property
-    def is_asked(self) -> bool:
+    def has_request(self) -> bool:
         """Whether a request waits for the next cycle."""
-        return self._requests.are_there
+        return self._requests.has_queued
 
     @property
     def is_releasing(self) -> bool:
         """Whether torque is about to be switched off by request."""
-        return self._requests.are_held
+        return self._requests.has_held
 
     def open(self) -> None:
         """Open the port and configure the servos, torque off.
@@ -145,7 +145,7 @@ class ServoController:
         """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
         if self._phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
-            self.unasked_stop = reason
+            self.unrequested_stop = reason
             self._notify(severity, f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
@@ -156,7 +156,7 @@ class ServoController:
         self.stop_reason = reason
         self._stop_at = time.monotonic() + seconds
         self._goals.hold(self._memory.angles)
-        self._contactor.ask_open()
+        self._contactor.request_open()
 
     def cycle(self) -> ServoReport:
         """Run one bus cycle and return the state after it. Never raises `DriverError`."""
@@ -202,8 +202,8 @@ class ServoController:
     def _restore(self, snapshot: BusSnapshot) -> None:
         """Configure restarted servos again; a restart may be why torque went off."""
         for servo in self._restarts.restore(snapshot):
-            if self.unasked_stop:
-                self.unasked_stop += f"; servo {servo} has restarted on its own"
+            if self.unrequested_stop:
+                self.unrequested_stop += f"; servo {servo} has restarted on its own"
         if self._restarts.is_rebooting:
             self._restarts.look(snapshot, self._faults())
 
@@ -285,7 +285,7 @@ class ServoController:
         snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
         self._goals.begin_at(snapshot.angle)
-        self.unasked_stop = ""
+        self.unrequested_stop = ""
         with self._lock:
             self._submitted = None
             self._phase = ServoPhase.ON
@@ -299,7 +299,7 @@ class ServoController:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
         elif self._phase is ServoPhase.STOPPING:
             self._stop_at = min(self._stop_at, time.monotonic() + OPENING_TIME)
-            self._contactor.ask_open()
+            self._contactor.request_open()
         else:
             self._switch_off()
 
@@ -333,8 +333,8 @@ class ServoController:
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
         if self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
-            self.unasked_stop = str(error)
-            self._contactor.ask_open()
+            self.unrequested_stop = str(error)
+            self._contactor.request_open()
         with self._lock:
             self._phase = ServoPhase.DISCONNECTED
             self._submitted = None

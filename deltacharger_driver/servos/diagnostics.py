@@ -91,8 +91,8 @@ def bus_entry(
         level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
     elif refusals.now:
         level, message = WARN, f"{refusals.last}{f'; sent by {refusals.by}' if refusals.by else ''}"
-    elif report.phase is ServoPhase.OFF and controller.unasked_stop:
-        level, message = WARN, f"torque off: {controller.unasked_stop}"
+    elif report.phase is ServoPhase.OFF and controller.unrequested_stop:
+        level, message = WARN, f"torque off: {controller.unrequested_stop}"
     else:
         level, message = OK, report.phase.value
     return DiagnosticEntry(level, message, values, "servo bus")

@@ -63,13 +63,13 @@ class MotionGuard:
 
     def __init__(self) -> None:
         self._reports: dict[bytes, _Report] = {}
-        self._was_heard = False
+        self._was_received = False
         self._leader = Sender()
 
     @property
-    def was_heard(self) -> bool:
+    def was_received(self) -> bool:
         """Whether charger_power was ever received."""
-        return self._was_heard
+        return self._was_received
 
     def observe(self, publisher: bytes, closed: bool, armed: bool, age: float, now: float) -> None:
         """Record a charger_power message.
@@ -81,7 +81,7 @@ class MotionGuard:
             age: s since the measurement by its stamp; negative in the future, NaN for an invalid stamp.
             now: s.
         """
-        self._was_heard = True
+        self._was_received = True
         if age > FRESH or not (closed or age >= -AHEAD):  # a wrong stamp may stop the arm but never free it
             return
         self._reports.pop(publisher, None)
@@ -97,7 +97,7 @@ class MotionGuard:
             is_announced: whether anyone publishes charger_power or serves set_contactor; used only until charger_power
                 is first received.
         """
-        if not self._was_heard:
+        if not self._was_received:
             return ContactorState.UNKNOWN if is_announced else ContactorState.ABSENT
         fresh = [report for report in self._reports.values() if now - report.measured <= FRESH]
         if not fresh:
@@ -112,7 +112,7 @@ class MotionGuard:
             return True
         return state is not ContactorState.CLOSED and sender.is_same(self._leader)
 
-    def led(self, sender: Sender, state: ContactorState) -> None:
+    def record_move(self, sender: Sender, state: ContactorState) -> None:
         """Record that `sender` moved the arm."""
         if state is ContactorState.OPEN:
             self._leader = sender

@@ -55,12 +55,12 @@ class ServoRequests:
         self._held.append(request)
 
     @property
-    def are_there(self) -> bool:
+    def has_queued(self) -> bool:
         """Whether a request is queued."""
         return not self._queue.empty()
 
     @property
-    def are_held(self) -> bool:
+    def has_held(self) -> bool:
         """Whether a request is held."""
         return bool(self._held)
 
@@ -83,17 +83,17 @@ class Contactor(Protocol):
     Neither method may wait or raise: they are called between two bus cycles.
     """
 
-    def ask_open(self) -> None:
+    def request_open(self) -> None:
         """Request an opening."""
 
     def is_open(self) -> bool:
-        """Return whether it was reported open after the last `ask_open`, or does not exist."""
+        """Return whether it was reported open after the last `request_open`, or does not exist."""
 
 
 class NoContactor:
     """For an arm without a power stage."""
 
-    def ask_open(self) -> None:
+    def request_open(self) -> None:
         """Do nothing."""
 
     def is_open(self) -> bool:
@@ -103,7 +103,7 @@ class NoContactor:
 
 def wait_until_open(contactor: Contactor, seconds: float) -> None:
     """Request an opening and wait for it, at most `seconds`; for use outside the cycle."""
-    contactor.ask_open()
+    contactor.request_open()
     end = time.monotonic() + seconds
     while not contactor.is_open() and time.monotonic() < end:
         time.sleep(_POLL_PERIOD)

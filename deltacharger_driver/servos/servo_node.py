@@ -185,7 +185,7 @@ class ServoNode(Node):
                     return
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            if controller.phase is ServoPhase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
+            if controller.phase is ServoPhase.ON or controller.has_request or self._cycles.total % _LISTEN_EVERY == 0:
                 self._take_trajectory()  # a trajectory from before torque went on is refused, not kept
             report = controller.cycle()
             if self.context.ok():

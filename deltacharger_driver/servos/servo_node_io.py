@@ -61,10 +61,10 @@ class ContactorClient:
         self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
         self._pending: Future[Any] | None = None
-        self._asked = 0  # ns, the node's clock; 0 if there was no server
+        self._requested_at = 0  # ns, the node's clock; 0 if there was no server
         self._open = True
 
-    def ask_open(self) -> None:
+    def request_open(self) -> None:
         """Request an opening if there is a server; returns at once."""
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
             if self._pending is not None:
@@ -72,11 +72,11 @@ class ContactorClient:
                 self._pending = None
             self._open = not self._client.service_is_ready()
             if not self._open:
-                self._asked = self._node.get_clock().now().nanoseconds
+                self._requested_at = self._node.get_clock().now().nanoseconds
                 self._pending = self._client.call_async(SetContactor.Request(close=False, holder=_HOLDER))
 
     def is_open(self) -> bool:
-        """Return whether it was measured open and without current after the last `ask_open`, or has no server."""
+        """Return whether it was measured open and without current after the last `request_open`, or has no server."""
         if not self._open:
             with contextlib.suppress(RuntimeError):
                 self._read_power()
@@ -86,7 +86,7 @@ class ContactorClient:
         """Return its known state."""
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
             self._read_power()
-        announced = not self.guard.was_heard and self._is_announced()
+        announced = not self.guard.was_received and self._is_announced()
         return self.guard.state(time.monotonic(), announced)
 
     def _is_announced(self) -> bool:
@@ -107,7 +107,7 @@ class ContactorClient:
                 continue
             stamp = power.header.stamp
             age = stamp_age(stamp.sec, stamp.nanosec, clock)
-            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked and age >= -AHEAD
+            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._requested_at and age >= -AHEAD
             opened |= later and not power.contactor_closed
             flows |= abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
             armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)

@@ -96,7 +96,7 @@ class TrajectoryInbox:
                 self._refuse(error.reason)
                 continue
             if message.points:
-                guard.led(sender, state)
+                guard.record_move(sender, state)
             return
 
     def _follow(self, controller: ServoController, message: Any, sender: Sender) -> None:

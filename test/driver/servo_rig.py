@@ -34,16 +34,16 @@ class Contactor:
     def __init__(self, arm: BenchArm) -> None:
         self.arm = arm
         self.delay = 0.0
-        self.asked: list[float] = []
+        self.requests: list[float] = []
         self.opened_at = 0.0
         self.torque_when_opened: list[bool] | None = None
 
-    def ask_open(self) -> None:
-        self.asked.append(time.monotonic())
-        self.opened_at = self.asked[0] + self.delay
+    def request_open(self) -> None:
+        self.requests.append(time.monotonic())
+        self.opened_at = self.requests[0] + self.delay
 
     def is_open(self) -> bool:
-        if not self.asked or time.monotonic() < self.opened_at:
+        if not self.requests or time.monotonic() < self.opened_at:
             return False
         if self.torque_when_opened is None:
             self.torque_when_opened = self.arm.torque_enabled()

@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender, stamp_age
 
-DOCKING, STRANGER, NOBODY = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
+DOCKING, STRANGER, UNKNOWN = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
 OPEN, ARMED, CLOSED = (
     {"closed": False, "armed": False},
     {"closed": False, "armed": True},
@@ -24,10 +24,10 @@ def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0
     return guard
 
 
-def led(report: dict[str, bool], **keys: float) -> MotionGuard:
+def after_docking_moved(report: dict[str, bool], **keys: float) -> MotionGuard:
     """Return a guard after docking moved the arm with an open contactor, followed by `report`."""
     guard_ = guard(OPEN)
-    guard_.led(DOCKING, ContactorState.OPEN)
+    guard_.record_move(DOCKING, ContactorState.OPEN)
     guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
     return guard_
 
@@ -35,16 +35,16 @@ def led(report: dict[str, bool], **keys: float) -> MotionGuard:
 @pytest.mark.parametrize(
     ("state", "allowed"),
     [
-        (ContactorState.ABSENT, (DOCKING, STRANGER, NOBODY)),
-        (ContactorState.OPEN, (DOCKING, STRANGER, NOBODY)),
+        (ContactorState.ABSENT, (DOCKING, STRANGER, UNKNOWN)),
+        (ContactorState.OPEN, (DOCKING, STRANGER, UNKNOWN)),
         (ContactorState.ARMED, (DOCKING,)),
         (ContactorState.UNKNOWN, (DOCKING,)),
         (ContactorState.CLOSED, ()),
     ],
 )
-def test_who_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
-    found = led(OPEN)
-    assert tuple(sender for sender in (DOCKING, STRANGER, NOBODY) if found.may_move(sender, state)) == allowed
+def test_senders_that_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
+    found = after_docking_moved(OPEN)
+    assert tuple(sender for sender in (DOCKING, STRANGER, UNKNOWN) if found.may_move(sender, state)) == allowed
 
 
 def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
@@ -71,7 +71,7 @@ def test_a_wrong_or_old_stamp_never_frees_the_arm(age: float) -> None:
 
 @pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9])
 def test_a_closed_contactor_counts_whatever_its_stamp(age: float) -> None:
-    assert led(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
+    assert after_docking_moved(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
 
 
 def test_a_report_of_closed_overrides_reports_of_open() -> None:
@@ -96,11 +96,11 @@ def test_the_number_of_publishers_is_bounded() -> None:
 
 
 def test_only_a_sender_that_moves_a_free_arm_becomes_the_leader() -> None:
-    found = led(OPEN)
+    found = after_docking_moved(OPEN)
     for state in set(ContactorState) - {ContactorState.OPEN}:
-        found.led(STRANGER, state)
+        found.record_move(STRANGER, state)
         assert not found.may_move(STRANGER, ContactorState.UNKNOWN)
-    found.led(STRANGER, ContactorState.OPEN)
+    found.record_move(STRANGER, ContactorState.OPEN)
     assert found.may_move(STRANGER, ContactorState.UNKNOWN)
 
 
@@ -112,7 +112,7 @@ def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
 
 
 def test_unknown_senders_are_never_the_same() -> None:
-    assert not NOBODY.is_same(NOBODY)
+    assert not UNKNOWN.is_same(UNKNOWN)
     assert Sender("a").is_same(Sender("a"))  # without a publisher id from rclpy
     assert STRANGER.is_same(STRANGER)  # a sender without secret is known by its publisher id only
 

@@ -362,7 +362,7 @@ def test_a_report_of_closed_overrides_reports_of_open(
     powers = liar.create_publisher(ChargerPower, "charger_power", RELIABLE)
     wait_until(lambda: powers.get_subscription_count() and subject._client.service_is_ready(), "discovery")
     wait_until(lambda: subject.state() is ContactorState.CLOSED, "the stage's word")
-    subject.ask_open()
+    subject.request_open()
     for number in range(100):
         power = ChargerPower(probe_age=math.inf)
         power.header.stamp = liar.get_clock().now().to_msg()

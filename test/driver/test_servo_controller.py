@@ -67,10 +67,10 @@ def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object],
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
-    assert not rig.contactor.asked
+    assert not rig.contactor.requests
     fail(rig)
     rig.until(lambda report: report.phase is ServoPhase.STOPPING)
-    assert rig.contactor.asked  # at once, not only when torque goes off
+    assert rig.contactor.requests  # at once, not only when torque goes off
     begin = time.monotonic()
     stopped = rig.references()[0]
     assert stopped == pytest.approx(rig.arm.angles[0], abs=0.1)
@@ -218,10 +218,10 @@ def test_unplugging_and_closing_also_open_the_contactor(rig: Rig) -> None:
     rig.torque_on()
     rig.terminal.stop()
     rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
-    assert len(rig.contactor.asked) == 1
+    assert len(rig.contactor.requests) == 1
     rig.terminal.start()
     rig.until(lambda report: report.phase is ServoPhase.OFF)
-    rig.contactor.asked.clear()
+    rig.contactor.requests.clear()
     rig.contactor.delay = 0.1
     rig.torque_on()
     rig.controller.close()
