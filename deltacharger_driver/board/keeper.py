@@ -17,7 +17,7 @@ from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
 _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
-_STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: START was lost
+_STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
 _LONGEST_WAIT = 0.1  # s between checks
 _SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
 _FINAL_REPORTS = 0.2  # s of power samples after the last opening: clients that are closing wait for its report
@@ -129,7 +129,7 @@ class BoardKeeper:
             self.guard.tick()
             now = time.monotonic()
             if now - self._last_packet > _SILENCE:
-                raise NoAnswer(self.link.port, "the open link (no packet)", _SILENCE)
+                raise NoAnswer(self.link.port, "START (no packet received)", _SILENCE)
             if self._rebooted or now - self._last_frame > _STREAM_SILENCE:
                 self._configure()
 

@@ -110,7 +110,7 @@ class ServoBus:
         """Return the state of all servos; NaN and not valid for a servo without a good reply.
 
         One sync read while all servos answer. After a failure each servo is read individually, because in a sync read
-        the servos behind a missing one stay silent. A servo missing for longer is read only every few cycles.
+        the servos behind a missing one stay silent. A servo missing for longer is read only every 25th cycle.
 
         Raises:
             PortGone: the port vanished.

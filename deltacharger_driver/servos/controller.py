@@ -121,7 +121,7 @@ class ServoController:
         Args:
             trajectory: its first segment begins at the goal of that moment. Points in the past are skipped; if all
                 are, the last point holds.
-            start: time zero of the trajectory, s, monotonic; a later time of taking effect replaces it.
+            start: time zero of the trajectory, s, monotonic; at the latest the cycle in which it takes effect.
 
         Raises:
             TrajectoryRefused: torque is off, or the servos are being stopped.

@@ -18,7 +18,7 @@ A trajectory's times count from its stamp (without one, from its arrival), and i
 in pieces under one stamp, each replacing the one before.
 
 While charger_power reports a closed contactor, the arm does not move. While the contactor's state is unknown, only the
-last sender may move it (motion_guard). A refusal names its sender in the diagnostics; charging continues.
+sender that moved it before may do so (motion_guard). The diagnostics name a refused sender; charging continues.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time until a servo's winding reaches its limit: an I²t model with cooling. The temperature register lags behind.
+"""Time until a servo's winding reaches its limit: an I²t model with cooling, in addition to its temperature.
 
 The heat h (A²s) above rest follows dh/dt = i² − h/τ; its limit is H. Two constants rest on three statements:
 - Several amperes overheat the servo in minutes: at 3 A the limit must be reached in 60–180 s; 120 s is assumed.

@@ -338,7 +338,7 @@ def test_an_incompatible_device_is_refused_with_the_reason(
     puppet = Puppet(answer)
     with PseudoTerminal(puppet) as cable, pytest.raises(error, match=words):
         BoardLink(cable.path).open()
-    assert set(puppet.received) == {PacketType.HELLO}, "nothing else is sent to a board that is not understood"
+    assert set(puppet.received) == {PacketType.HELLO}, "an incompatible board receives only HELLO"
     assert len(puppet.received) <= 3
 
 

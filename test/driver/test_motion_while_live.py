@@ -176,7 +176,7 @@ def test_a_running_line_becomes_a_hold_when_the_contactor_closes(charger: Charge
     charger.becomes(ContactorState.OPEN)
     end = [angle + 0.4 for angle in START]
     charger.stranger.send((60.0, end))
-    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a line under way")
+    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a running line")
     stage.closed = True
     charger.becomes(ContactorState.CLOSED)
     wait_until(lambda: not charger.node._controller._goals.are_moving, "the hold")
@@ -231,7 +231,7 @@ def test_a_hold_is_always_accepted(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.leader.send((60.0, [angle + 0.4 for angle in START]))
-    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a line under way")
+    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a running line")
     stage.speaks.clear()
     charger.becomes(ContactorState.UNKNOWN)
     assert charger.node._controller._goals.are_moving
@@ -361,7 +361,7 @@ def test_a_report_of_closed_overrides_reports_of_open(
     liar = spin(Node("liar", **options(context, namespace)))
     powers = liar.create_publisher(ChargerPower, "charger_power", RELIABLE)
     wait_until(lambda: powers.get_subscription_count() and subject._client.service_is_ready(), "discovery")
-    wait_until(lambda: subject.state() is ContactorState.CLOSED, "the stage's word")
+    wait_until(lambda: subject.state() is ContactorState.CLOSED, "the power stage's report")
     subject.request_open()
     for number in range(100):
         power = ChargerPower(probe_age=math.inf)

@@ -171,7 +171,7 @@ def test_a_board_reset_during_a_packet_loses_some_cycles(servos: Servos) -> None
         wait_until(lambda: not servos.bus.exchange(ANGLES, CURRENTS).complete)
         wait_until(lambda: servos.bus.exchange(ANGLES, CURRENTS).complete)
     assert not servos.terminal.board.contactor_commanded
-    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs look after them meanwhile"
+    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs protect them"
 
 
 class LivePlant(BenchPlant):

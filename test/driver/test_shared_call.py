@@ -91,7 +91,7 @@ def test_a_block_waits_for_the_running_call_and_precedes_the_next(slow: Slow) ->
     with ThreadPoolExecutor(3) as pool:
         (under_way,) = together(shared, pool, 1)
         first = pool.submit(go_first)
-        wait_until(lambda: shared._priority, "its turn to be asked for")
+        wait_until(lambda: shared._priority, "the block to wait")
         assert not entered.is_set()
         slow.go_on.set()
         assert under_way.result(DEADLINE) == 1

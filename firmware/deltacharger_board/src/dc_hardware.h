@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* All functions that the board needs from its hardware: implement these and nothing else.
  *
- * No hook may wait: 1 ms is the limit, 2 ms for read_taxels. All are called from dc_board_poll. */
+ * No hook may wait: 1 ms is already long; read_taxels may take 2 ms. All are called from dc_board_poll. */
 #ifndef DC_HARDWARE_H
 #define DC_HARDWARE_H
 

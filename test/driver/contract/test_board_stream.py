@@ -153,7 +153,7 @@ def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite)
     dead = np.isnan(forces)
     assert (dead.all(axis=0) == dead.any(axis=0)).all()
     alive = ~dead[0]
-    assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; look at its cable"
+    assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; check its cable"
     assert (forces[:, alive] >= 0.0).all()
     assert (forces[:, alive] <= FULL_SCALE).all()
     if board_site.dead is not None:

@@ -68,7 +68,7 @@ def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> N
 def test_no_close_after_the_probe_is_too_old(loaded: BoardHost) -> None:
     result = loaded.link.probe()
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
-    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to grow old")
+    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to become too old")
     assert refused(loaded) == AckError.INTERLOCK
     assert stays_open(loaded)
 

@@ -209,7 +209,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
 def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_site: ServoSite) -> None:
     bus.read()
     bus.reboot(1)
-    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be noticed")
+    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be detected")
     assert not noticed.valid[1]
     assert math.isnan(noticed.angle[1])
     assert noticed.rebooted == (False, True, False)

@@ -91,7 +91,7 @@ def test_torque_goes_on_at_the_present_angle_whatever_the_goal(bus: ServoBus, st
     bus.enable_torque(BOUNDS)
     for snapshot, _ in zip(cycles(bus, None, restart=False), range(50), strict=False):
         assert snapshot.torque_enabled == (True, True, True)
-        assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm went toward a goal of before"
+        assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm moved toward an old goal"
 
 
 def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angles, step: float) -> None:
@@ -107,13 +107,13 @@ def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angle
 
 
 def test_silence_locks_the_goals_until_the_watchdogs_are_restarted(held: ServoBus, start: Angles, step: float) -> None:
-    time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # the silence itself
+    time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # no packets
     assert until(lambda: (s := held.read()).complete and s, "a snapshot").watchdog_tripped == (True, True, True)
     goal = toward(start, step)
     for snapshot, _ in zip(cycles(held, goal, restart=False), range(50), strict=False):
-        assert max(moved(snapshot, start, step)) < 0.5, "a servo that has heard nothing took a goal"
+        assert max(moved(snapshot, start, step)) < 0.5, "a servo accepted a goal although its watchdog had tripped"
     held.restart_watchdogs()
-    follow(held, goal, lambda snapshot: min(moved(snapshot, start, step)) > 0.5, "the goals to be taken again")
+    follow(held, goal, lambda snapshot: min(moved(snapshot, start, step)) > 0.5, "the goals to be accepted again")
 
 
 def test_eeprom_is_locked_while_torque_is_on(link: ServoLink, servo_site: ServoSite) -> None:
