@@ -45,7 +45,7 @@ typedef struct {
     size_t (*write)(void *context, const uint8_t *bytes, size_t size);
 
     /* Sample both pads: N, raw, left (at +x of the end effector) then right, row-major from the row at +y, column 0 at
-         * +x; NaN = dead. */
+     * +x; NaN = dead. */
     void (*read_taxels)(void *context, float forces[DC_TAXELS]);
 
     void (*read_power)(void *context, dc_power_reading *reading);
@@ -57,7 +57,7 @@ typedef struct {
     void (*start_probe)(void *context);
 
     /* True once the result is available: ohm (inf = open circuit) and V of the target (negative = reversed). At most
-         * 200 ms after start_probe. */
+     * 200 ms after start_probe. */
     bool (*poll_probe)(void *context, float *resistance, float *target);
 
     /* Disconnect the probe's voltage from the electrodes, whether it has ended or not. */
@@ -69,12 +69,12 @@ typedef struct {
     size_t (*servo_read)(void *context, uint8_t *bytes, size_t size);
 
     /* Send at most `size` bytes to the servos; return the number sent. On a half-duplex line it waits until they are
-         * out and switches to reception before it returns. It must send no more than fits into half a millisecond,
-         * because the link is not read meanwhile. */
+     * out and switches to reception before it returns. It must send no more than fits into half a millisecond,
+     * because the link is not read meanwhile. */
     size_t (*servo_write)(void *context, const uint8_t *bytes, size_t size);
 
     /* Set the speed of the servos' bus, bit/s, and discard received bytes; false, without a change, if the board does
-         * not support it. Called at boot too. */
+     * not support it. Called at boot too. */
     bool (*servo_speed)(void *context, uint32_t speed);
 } dc_hardware;
 
@@ -85,7 +85,7 @@ typedef struct {
     float lowest_target;   /* V, lowest voltage that the stage charges */
     float highest_target;  /* V */
     /* Longest time between two polls, read_taxels included, us; limited to 20 000. Every deadline of the contactor is
-         * shortened by it, so that the contract's limits hold at the pins. */
+     * shortened by it, so that the contract's limits hold at the pins. */
     uint32_t poll_period;
 } dc_config;
 

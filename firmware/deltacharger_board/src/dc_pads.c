@@ -77,7 +77,7 @@ bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS])
 {
     for (size_t pad = 0; pad < DC_TAXELS; pad += DC_PAD) {
         /* Without a tare, the resting value of a taxel may come near 1 N. The pad's median replaces the baseline,
-                 * because contact covers only a quarter of a pad. */
+         * because contact covers only a quarter of a pad. */
         const float resting = any_unknown(pads->baseline + pad) ? median(raw + pad) : 0.0f;
         for (size_t i = pad; i < pad + DC_PAD; i++) {
             const float baseline = dc_is_nan(pads->baseline[i]) ? resting : pads->baseline[i];
