@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the driver can fail with. One root; each kind carries its values and says what to do."""
+"""Errors of the driver. All derive from `DriverError`, carry their values and state what to do."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PortError(DriverError, ConnectionError):
 
     Args:
         port: path of the port.
-        reason: what the operating system said; empty where it said nothing.
+        reason: the operating system's message; may be empty.
     """
 
     what = "cannot use the port"
@@ -30,42 +30,42 @@ class PortError(DriverError, ConnectionError):
 
 
 class PortMissing(PortError, FileNotFoundError):
-    """No such port: nothing is plugged in under this name. Example: the adapter enumerated as ttyUSB1."""
+    """No port of this name exists. Example: the adapter enumerated as ttyUSB1."""
 
     what = "there is no such port"
     advice = "plug the adapter in or correct the parameter 'port'"
 
 
 class NoServosBehindBoard(PortMissing):
-    """tactile_node passes no servos through. Example: the board's firmware is older than 1.1."""
+    """tactile_node provides no servo port. Example: the board's firmware is older than 1.1."""
 
     what = "there are no servos behind the board"
     advice = (
-        "flash firmware with SERVOS_ON_BOARD and start tactile_node in this namespace: its log names the servos' port"
+        "flash firmware with SERVOS_ON_BOARD and start tactile_node in this namespace; its log names the servo port"
     )
 
 
 class PortNotSerial(PortError):
-    """What stands under this name carries no serial line. Example: a directory, a file, /dev/null.
+    """The path is not a serial port. Example: a directory, a file, /dev/null.
 
     Args:
         port: path of the port.
-        reason: what it is instead.
+        reason: what the path is.
     """
 
-    what = "this is no serial port"
-    advice = "give the parameter 'port' a serial device, such as one below /dev/serial/by-id"
+    what = "this is not a serial port"
+    advice = "set the parameter 'port' to a serial device, such as one in /dev/serial/by-id"
 
 
 class PortGone(PortError):
     """The port was open and vanished. Example: the USB cable was pulled while the bus ran."""
 
     what = "the port disappeared"
-    advice = "plug the cable back in; the driver reopens the port by itself and stays switched off"
+    advice = "plug the cable back in; the driver reopens the port and stays switched off"
 
 
 class PortBusy(PortError):
-    """Another process owns the port. Example: a second driver or a vendor's wizard is open."""
+    """Another process owns the port. Example: a second driver, or the servo vendor's tool."""
 
     what = "the port is in use by another program"
     advice = "close the other program (lsof names it)"
@@ -82,9 +82,9 @@ class NoAnswer(DriverError, TimeoutError):
     """A device did not answer in time. Example: a servo lost its supply.
 
     Args:
-        device: who was asked.
-        action: what was asked of it.
-        timeout: how long was waited in all, s.
+        device: that did not answer.
+        action: the request.
+        timeout: total time waited, s.
     """
 
     def __init__(self, device: str, action: str, timeout: float) -> None:
@@ -97,25 +97,23 @@ class NoAnswer(DriverError, TimeoutError):
 
 
 class CorruptReply(DriverError, ConnectionError):
-    """A device answered with something that is not a valid reply. Example: a bad checksum, a wrong length.
+    """A device sent an invalid reply. Example: a bad checksum, a wrong length.
 
     Args:
-        device: who was asked.
-        action: what was asked of it.
-        reason: what was wrong with the reply.
+        device: that sent it.
+        action: the request.
+        reason: what is wrong with the reply.
     """
 
     def __init__(self, device: str, action: str, reason: str) -> None:
         self.device = device
         self.action = action
         self.reason = reason
-        super().__init__(
-            f"{device}: unusable reply to {action}: {reason}; look for noise, a bad plug or a duplicate id"
-        )
+        super().__init__(f"{device}: invalid reply to {action}: {reason}; look for noise, a bad plug or a duplicate id")
 
 
 class HandshakeError(DriverError, ConnectionError):
-    """The devices found are not the ones expected. Example: id 2 missing and id 3 at another speed.
+    """The servos found are not the expected ones. Example: id 2 missing and id 3 at another speed.
 
     Args:
         port: path of the port.
@@ -133,8 +131,8 @@ class WrongDevice(DriverError, ConnectionError):
 
     Args:
         port: path of the port.
-        expected: what should be there.
-        found: what is there.
+        expected: device that should be on the port.
+        found: device that is on the port.
     """
 
     def __init__(self, port: str, expected: str, found: str) -> None:
@@ -142,19 +140,19 @@ class WrongDevice(DriverError, ConnectionError):
         self.expected = expected
         self.found = found
         super().__init__(
-            f"{port}: here is {found}, not {expected}; exchange the two cables, or the parameters 'port' of servo_node "
+            f"{port}: found {found}, expected {expected}; swap the two cables, or the parameters 'port' of servo_node "
             "and tactile_node"
         )
 
 
 class ServoFault(DriverError, RuntimeError):
-    """A servo refused an instruction or reports a hardware error. Example: overload after a jam.
+    """A servo rejected an instruction or reports a hardware error. Example: overload after a jam.
 
     Args:
         servo: id of the servo.
-        action: what was asked of it; empty where it reports by itself.
-        fault: what it answered.
-        code: the error byte of the reply or the hardware error register.
+        action: the request; empty if the servo reports an error on its own.
+        fault: the error in words.
+        code: error byte of the reply, or the hardware error register.
     """
 
     def __init__(self, servo: int, action: str, fault: str, code: int = 0) -> None:
@@ -169,8 +167,8 @@ class RangeError(DriverError, ValueError):
     """A value lies outside what the hardware can represent.
 
     Args:
-        name: what the value is.
-        value: the offending value.
+        name: of the value.
+        value: the rejected value.
         low: smallest allowed value.
         high: largest allowed value.
         unit: unit of all three.
@@ -185,7 +183,7 @@ class RangeError(DriverError, ValueError):
 
 
 class TrajectoryRefused(DriverError, ValueError):
-    """A joint trajectory is not carried out; nothing moves. Example: an angle beyond its limit.
+    """A joint trajectory is refused; nothing moves. Example: an angle beyond its limit.
 
     Args:
         reason: what is wrong with it.
@@ -207,4 +205,4 @@ class WrongThread(DriverError, RuntimeError):
     def __init__(self, owner: str, caller: str) -> None:
         self.owner = owner
         self.caller = caller
-        super().__init__(f"the bus belongs to thread '{owner}' and was used from '{caller}'; one thread owns a port")
+        super().__init__(f"the bus belongs to thread '{owner}', not '{caller}'; use it from one thread only")

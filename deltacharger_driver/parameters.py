@@ -21,27 +21,27 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers, words
 
 REPLY_MARGIN = 0.02
-"""s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
-this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
+"""s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms. The
+margin covers scheduling delays of an ordinary kernel and costs nothing until a servo fails."""
 BOARD_MARGIN = 0.03
-"""s more where the servos hang on the board: a sampling of the pads and a tactile frame go first, and on a busy
-computer bytes wait for tactile_node, too."""
+"""s added if the servos are connected to the board: pad sampling and tactile frames have precedence, and on a busy
+computer bytes also wait for tactile_node."""
 
 
 SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}
-"""Parameters of servo_node that a file of measured servos decides, and what they are called there."""
+"""Parameters of servo_node that a file of measured servos sets, and their names in that file."""
 
 
 @dataclass(frozen=True)
 class ServoNodeParameters(Bounded):
-    """What servo_node drives and how far it may go.
+    """Parameters of servo_node: its bus, its servos and their limits.
 
     Raises:
         ParameterError: a value lies outside its bounds, or two contradict each other.
     """
 
     port: str = words(
-        "/dev/ttyUSB0", f"serial port of the servos; `{BEHIND_BOARD}`: they hang on the board with the pads"
+        "/dev/ttyUSB0", f"serial port of the servos; `{BEHIND_BOARD}`: they are connected to the board with the pads"
     )
     baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "bit/s", "speed of the servos' bus")
     ids: tuple[int, ...] = numbers(SERVO_IDS, 0, 252, "", "servo ids of limbs 0, 1, 2")
@@ -50,10 +50,10 @@ class ServoNodeParameters(Bounded):
         (2048, 2048, 2048), -EXTENDED_TICKS, EXTENDED_TICKS, "", "encoder count at arm angle 0, per limb"
     )
     direction: tuple[int, ...] = numbers(
-        (1, 1, 1), -1, 1, "", "1 or -1 per limb: whether the count rises with the angle"
+        (1, 1, 1), -1, 1, "", "per limb: 1 if the count rises with the angle, -1 if it falls"
     )
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo")
-    current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "current bound where a trajectory sets none")
+    current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "current bound if a trajectory sets none")
     current_max: float = number(3.0, 0.0, STALL_CURRENT, "A", "largest current bound a trajectory may set")
     position_p_gain: int = number(
         POSITION_P_GAIN, 1, GAIN_MAX, "", "servos' position P gain, register 84: 434 = 15 N·m/rad; the vendor's is 850"
@@ -62,7 +62,7 @@ class ServoNodeParameters(Bounded):
     position_d_gain: int = number(0, 0, GAIN_MAX, "", "their position D gain, register 80")
     joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
     joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
-    reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "time until a reply is missing")
+    reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "margin until a reply counts as missing")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,12 +74,12 @@ class ServoNodeParameters(Bounded):
 
 @dataclass(frozen=True)
 class TactileNodeParameters(Bounded):
-    """Where tactile_node finds the board and what it asks of it."""
+    """Parameters of tactile_node."""
 
     port: str = words("/dev/ttyACM0", "serial port of the board")
     baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "baud", "speed on a UART ({unit}); any on USB")
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
     pitch: float = number(0.0024, 0.0001, 0.1, "m", "distance between neighbouring taxels")
     heartbeat_priority: int = number(
-        1, 0, 99, "", "of SCHED_FIFO for the thread of the heartbeat, where that is permitted; 0 = ordinary"
+        1, 0, 99, "", "SCHED_FIFO priority of the heartbeat thread, if permitted; 0 = ordinary"
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the charger's devices is on a serial port, and at which speed. Writes no register of any device.
+"""Identify which device of the charger is on a serial port, and its speed. Writes no device register.
 
-Asked are only what every device may be asked at any time: pings of servos, and the board's HELLO.
+Sends only requests that are safe at any time: pings of servos, and HELLO to the board.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from deltacharger_driver.servos.protocol import HEADER, STATUS, crc16, instructi
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""
-_PATIENCE = 0.05  # s; servos with ids up to about 15 answer a ping to all within it
-_LISTEN = 2.4 / POWER_RATE  # s in which a board, which sends its power unasked, is heard twice
+_PATIENCE = 0.05  # s; servos with ids up to about 15 answer a broadcast ping in this time
+_LISTEN = 2.4 / POWER_RATE  # s in which a board sends POWER at least twice
 _HELLO_WAIT = 0.15  # s
 _ATTEMPTS = 4
 _PING_REPLY = 14  # bytes
-_PING_LENGTH = 64  # bytes of wire that a ping and the replies of an arm take at most
+_PING_LENGTH = 64  # bytes; upper limit for a ping and the replies of an arm
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class FoundServo:
 
     Attributes:
         servo: its id.
-        speed: at which it answers, bit/s.
+        speed: bit/s.
         protocol: 1 or 2.
-        model: its model number; 0 with Protocol 1.0, which does not tell it in a ping.
-        firmware: its version; 0 likewise.
-        garbled: bytes came each time that this id alone was asked, and never an intact reply: two servos with one id
+        model: model number; 0 with Protocol 1.0, whose ping does not report it.
+        firmware: version; 0 with Protocol 1.0.
+        garbled: this id answered every ping with bytes but never with an intact reply: two servos share the id and
             answer at the same time.
     """
 
@@ -61,7 +61,7 @@ class FoundServo:
 
     def __str__(self) -> str:
         if self.garbled:
-            return f"id {self.servo} at {self.speed} bit/s, unintelligible"
+            return f"id {self.servo} at {self.speed} bit/s, garbled replies"
         if self.protocol == 1:
             return f"id {self.servo} at {self.speed} bit/s with Protocol 1.0"
         name = {MODEL: "MX-64", MODEL_PROTOCOL_1: "MX-64 for Protocol 1.0"}.get(self.model, f"model {self.model}")
@@ -70,15 +70,15 @@ class FoundServo:
 
 @dataclass(frozen=True)
 class PortIdentity:
-    """What is on a port.
+    """The device on a port.
 
     Attributes:
         port: its path.
-        kind: "servos", "board", "silent" (nothing answers) or "other" (bytes come that neither of them sends).
-        details: the same as a sentence.
+        kind: "servos", "board", "silent" (no answer) or "other" (bytes that neither of them sends).
+        details: description in words.
         servos: those that answered.
-        hello: the board's introduction; None where it is none, or gave none that is understood.
-        version: of the protocol that the board speaks; 0 where it is none.
+        hello: the board's HELLO; None if there is no board or no valid HELLO.
+        version: protocol version of the board; 0 if there is no board.
     """
 
     port: str
@@ -95,38 +95,38 @@ def identify(
     ids: Iterable[int] = SERVO_IDS,
     patience: float = _PATIENCE,
 ) -> PortIdentity:
-    """Find out which device is on a port: listen, greet a board, then ping servos at every speed.
+    """Identify the device on a port: listen, send HELLO, then ping servos at every speed.
 
     Args:
-        path: of the port; nobody else may have it open.
-        speeds: at which servos are looked for, bit/s.
-        ids: that are asked for Protocol 1.0, which has no ping to all.
-        patience: s to wait for replies to a ping to all; a servo answers the later the higher its id, 3 ms each.
+        path: of the port; no other program may have it open.
+        speeds: to try for servos, bit/s.
+        ids: to ping with Protocol 1.0, which has no broadcast ping.
+        patience: s to wait for replies to a broadcast ping; a servo answers 3 ms later per id.
 
     Raises:
-        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
-        PortGone: it vanished meanwhile.
+        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: the port cannot be opened.
+        PortGone: it vanished while being identified.
     """
     port = BoardPort(path, BAUD_RATE)
     try:
-        board, heard = _find_board(port)
+        board, received = _find_board(port)
         if board is not None:
             return board
         servos = find_servos(port, speeds, ids, patience)
     finally:
         port.close()
-    if servos and not (heard and all(servo.garbled for servo in servos)):
+    if servos and not (received and all(servo.garbled for servo in servos)):
         return PortIdentity(path, "servos", "servos: " + "; ".join(map(str, servos)), tuple(servos))
-    if heard:
-        return PortIdentity(path, "other", f"{heard} bytes came that neither the servos nor the board send")
-    return PortIdentity(path, "silent", "nothing answers at any speed")
+    if received:
+        return PortIdentity(path, "other", f"received {received} bytes that neither servos nor board send")
+    return PortIdentity(path, "silent", "no answer at any speed")
 
 
 def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
-    """Return the board where it is one, and how many bytes came in any case."""
+    """Return the board, if there is one, and the number of bytes received."""
     decoder = PacketDecoder()
-    heard = _receive(port, _LISTEN)
-    packets = decoder.feed(heard + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
+    received = _receive(port, _LISTEN)
+    packets = decoder.feed(received + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
     counters = decoder.counters
     for packet in packets:
         if packet.type == PacketType.HELLO:
@@ -137,16 +137,16 @@ def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
             text = f"board, version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad"
             return PortIdentity(port.port, "board", text, hello=hello, version=hello.major), counters.bytes
     if any(is_from_board(packet.type) for packet in packets):
-        text = "board, but it does not introduce itself"
+        text = "board, but it does not answer HELLO"
         return PortIdentity(port.port, "board", text, version=1), counters.bytes
     if counters.refused_version is not None:
-        text = f"board that speaks version {counters.refused_version}"
+        text = f"board with protocol version {counters.refused_version}"
         return PortIdentity(port.port, "board", text, version=counters.refused_version), counters.bytes
     return None, counters.bytes
 
 
 def _receive(port: BoardPort, duration: float) -> bytes:
-    """Return all that comes within `duration` s."""
+    """Return all bytes received within `duration` s."""
     received = bytearray()
     end = time.monotonic() + duration
     while (left := end - time.monotonic()) > 0.0:
@@ -160,7 +160,7 @@ def find_servos(
     ids: Iterable[int] = SERVO_IDS,
     patience: float = _PATIENCE,
 ) -> list[FoundServo]:
-    """Ping all servos at each speed; arguments as in `identify`. The port is left at the last speed.
+    """Ping all servos at each speed; arguments as in `identify`. The port stays at the last speed.
 
     Raises:
         PortGone: the port vanished.
@@ -180,7 +180,7 @@ def find_servos(
 
 
 def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
-    """Ping a servo that did not answer the ping to all: the reply may have been lost, or it knows no such ping."""
+    """Ping one servo that did not answer the broadcast ping: its reply was lost, or it supports only Protocol 1.0."""
     answers = 0
     for _ in range(_ATTEMPTS):
         reply = _exchange(port, instruction_packet(servo, PING), wait)
@@ -196,13 +196,13 @@ def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[Found
 
 
 def _exchange(port: BoardPort, question: bytes, wait: float) -> bytes:
-    """Return what comes within `wait` s of a question, without its echo, which some adapters give."""
+    """Send `question` and return the bytes received within `wait` s, without the echo that some adapters give."""
     port.write(question)
     return _receive(port, wait).replace(question, b"")
 
 
 def _ping_replies(data: bytes, speed: int) -> list[FoundServo]:
-    """Return the servos whose replies to a ping stand intact in `data`."""
+    """Return the servos with an intact ping reply in `data`."""
     found = []
     start = data.find(HEADER)
     while start >= 0:
@@ -222,5 +222,5 @@ def _ping_1(servo: int) -> bytes:
 
 
 def _status_1(servo: int) -> bytes:
-    """Return the beginning of a status packet without parameters."""
+    """Return the first bytes of a Protocol 1.0 status packet without parameters."""
     return b"\xff\xff" + bytes((servo, 2))

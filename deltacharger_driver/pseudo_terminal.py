@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pseudo-terminal that serves an emulated serial device: the far end of a cable, without the cable."""
+"""A pseudo-terminal that serves an emulated serial device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Protocol
 
 from deltacharger_driver.servos.mx64 import SPEEDS
 
-_LONGEST_WAIT = 0.5  # s, so that stop() is noticed even where the wake-up pipe fails
+_LONGEST_WAIT = 0.5  # s; stop() works even if the wake-up pipe fails
 
 
 _SPEEDS = tuple(SPEEDS.values())
@@ -27,27 +27,27 @@ def _speed_of(descriptor: int) -> int:
 
 
 class ByteDevice(Protocol):
-    """A serial device as bytes in and bytes out; it owns no port and no clock."""
+    """A serial device as bytes in and bytes out, without port and clock."""
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host at `now` (s, monotonic) and return the answer, possibly empty."""
 
     def poll(self, now: float) -> bytes:
-        """Return what the device sends unasked at `now` (s, monotonic), possibly empty."""
+        """Return bytes that the device sends without a request at `now` (s, monotonic); may be empty."""
 
     def next_event(self, now: float) -> float:
-        """Return the seconds until `poll` wants to be called again; inf for never."""
+        """Return the seconds until the next call of `poll` is due; inf for never."""
 
 
 class PseudoTerminal:
     """Serve a `ByteDevice` on a pseudo-terminal from one thread.
 
-    The host opens `path` like any serial port. Bytes that the host does not read are dropped once the kernel's
-    buffer is full, as they would be on a wire; termios speed settings are accepted, and `speed` tells them.
+    The host opens `path` like any serial port. Once the kernel's buffer is full, bytes that the host does not read
+    are dropped, as on a wire. The host may set any termios speed; `speed` returns it.
 
     Args:
         device: the emulated device.
-        link: a symbolic link to create (replacing an older one) so that the port has a stable name.
+        link: a symbolic link to create, replacing an older one: a stable name of the port.
     """
 
     def __init__(self, device: ByteDevice, link: Path | None = None) -> None:
@@ -64,14 +64,14 @@ class PseudoTerminal:
         self.error: BaseException | None = None
 
     def speed(self) -> int:
-        """Return the speed that the host has set, bit/s; 0 where no servo knows it or the cable is out."""
+        """Return the speed that the host has set, bit/s; 0 if servos do not support it or the cable is out."""
         try:
             return _speed_of(self._slave) if self._slave >= 0 else 0
-        except (OSError, termios.error):  # pulled meanwhile
+        except (OSError, termios.error):  # cable pulled
             return 0
 
     def start(self) -> PseudoTerminal:
-        """Open the terminal, create the link and begin to serve."""
+        """Open the terminal, create the link and start the thread."""
         self._wake_reader, self._wake_writer = os.pipe()
         self._stopping = False
         self._wanted = True
@@ -93,15 +93,15 @@ class PseudoTerminal:
         os.close(self._wake_writer)
 
     def unplug(self) -> None:
-        """Pull the cable: the host loses its port while the device, which keeps its power, goes on without a host."""
+        """Pull the cable: the host loses its port, the device keeps running."""
         self._switch(False, self._unplugged)
 
     def replug(self) -> None:
-        """Put the cable back; `path` is the same where there is a link."""
+        """Put the cable back; `path` changes unless there is a link."""
         self._switch(True, self._plugged)
 
     def wake(self) -> None:
-        """Let the device be polled now, whatever `next_event` said; from any thread."""
+        """Poll the device now, regardless of `next_event`; callable from any thread."""
         with contextlib.suppress(OSError):
             os.write(self._wake_writer, b"x")
 
@@ -143,7 +143,7 @@ class PseudoTerminal:
         self.stop()
 
     def _remove_link(self) -> None:
-        """Remove the link, unless another terminal has taken it over."""
+        """Remove the link, unless it points to another terminal."""
         if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._terminal:
             self._link.unlink()
 
@@ -160,7 +160,7 @@ class PseudoTerminal:
             raise
 
     def _exchange(self) -> None:
-        """Wait for bytes, the device's next event or a wake-up, and pass on what there is."""
+        """Wait for bytes, the device's next event or a wake-up; then pass bytes on."""
         wait = min(max(self._device.next_event(time.monotonic()), 0.0), _LONGEST_WAIT)
         poller = select.poll()
         poller.register(self._wake_reader, select.POLLIN)
@@ -184,7 +184,7 @@ class PseudoTerminal:
             data = data[written:]
 
     def _drop_unread(self) -> None:
-        """Make room by discarding what the host never read, the oldest first, as a full receive buffer would."""
+        """Discard the oldest bytes that the host did not read, as a full receive buffer does."""
         with contextlib.suppress(BlockingIOError):
             os.set_blocking(self._slave, False)
             os.read(self._slave, 4096)

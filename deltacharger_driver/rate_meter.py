@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often something happens, and how late. No ROS."""
+"""Rate of events and their lateness. No ROS."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-_LONGEST = 512  # latenesses kept between two looks; ten seconds of heartbeats
+_LONGEST = 512  # values kept; ten seconds of heartbeats
 
 
 class RateMeter:
-    """Counts events between two looks; one thread counts, another may look.
+    """Counts events and returns their rate; one thread counts, another may read.
 
     Attributes:
         total: events since the start.
-        late: those of them that came late.
+        late: how many of them were late.
 
     Args:
         clock: s, monotonic.
@@ -24,7 +24,7 @@ class RateMeter:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.total = self.late = 0
         self._clock = clock
-        self._looked_at_count, self._looked_at = 0, clock()
+        self._last_count, self._last_time = 0, clock()
 
     def count(self, late: bool = False) -> None:
         """Count one event."""
@@ -32,15 +32,15 @@ class RateMeter:
         self.late += late
 
     def rate(self) -> float:
-        """Return the events per second, Hz, since the last call; NaN where no time has passed."""
+        """Return the events per second, Hz, since the last call; NaN if no time has passed."""
         count, now = self.total, self._clock()
-        happened, elapsed = count - self._looked_at_count, now - self._looked_at
-        self._looked_at_count, self._looked_at = count, now
-        return happened / elapsed if elapsed > 0.0 else math.nan
+        events, elapsed = count - self._last_count, now - self._last_time
+        self._last_count, self._last_time = count, now
+        return events / elapsed if elapsed > 0.0 else math.nan
 
 
 class Lateness:
-    """How much later than due something happened: the largest ever, and the last ones; one thread notes, any looks.
+    """Lateness of periodic events: the maximum and the last values; one thread writes, any may read.
 
     Attributes:
         largest: s since the start; NaN before the first.
@@ -51,7 +51,7 @@ class Lateness:
         self._recent: deque[float] = deque(maxlen=_LONGEST)
 
     def note(self, lateness: float) -> None:
-        """Note one lateness, s."""
+        """Record one lateness, s."""
         self._recent.append(lateness)
         if not lateness <= self.largest:
             self.largest = lateness

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opening a serial port for this process alone; each way in which that fails has its own error, on either port."""
+"""Open a serial port exclusively; each kind of failure has its own error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import serial
 from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing, PortNotSerial
 
 HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)
-"""What a vanished port raises, by the call and the moment; the last two where pyserial has dropped its descriptor."""
+"""Errors of a vanished port, depending on the call; the last two if pyserial has dropped its descriptor."""
 
 _ABSENT = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ENOTDIR, errno.ELOOP)
 _KINDS = (
@@ -27,18 +27,18 @@ _KINDS = (
 
 
 def open_serial(path: str, baud: int) -> serial.Serial:
-    """Open a serial port, raw, non-blocking, locked against other programs.
+    """Open a serial port: raw, non-blocking, locked against other programs.
 
     Args:
         path: of the device, or of a link to it.
         baud: speed, bit/s.
 
     Raises:
-        PortMissing: nothing of this name, or a name behind which no device answers.
+        PortMissing: the path does not exist, or no device answers there.
         PortNotSerial: a directory, a file, a device without a serial line.
         PortDenied: this user may not open it.
-        PortBusy: another program has it.
-        PortError: anything else, such as a speed that the adapter does not have.
+        PortBusy: another program has it open.
+        PortError: anything else, such as a speed that the adapter does not support.
     """
     try:
         return serial.Serial(path, baud, timeout=0, exclusive=True)
@@ -61,7 +61,7 @@ def _explain(path: str, error: BaseException) -> PortError:
 
 
 def _number(error: BaseException) -> int:
-    """Return the system's error number; pyserial keeps that of a failed set-up only in the error behind its own."""
+    """Return the system's error number; after a failed set-up, only the cause of pyserial's error has it."""
     link: BaseException | None = error
     while link is not None:
         if isinstance(link, OSError) and link.errno:
@@ -73,7 +73,7 @@ def _number(error: BaseException) -> int:
 
 
 def _kind(path: str) -> str:
-    """Return what is under a name where that can be no serial port, else ''."""
+    """Return what a path is if it cannot be a serial port, else ''."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
@@ -82,16 +82,16 @@ def _kind(path: str) -> str:
 
 
 def _absence(path: str) -> str:
-    """Return what a person may not see of a port that is not there."""
+    """Return why a port is missing although its name may exist."""
     if os.path.exists(path):
-        return "the name exists, but no device answers behind it"
+        return "the name exists, but no device answers there"
     if os.path.islink(path):
         return f"the name links to {os.path.realpath(path)}, which does not exist"
     return ""
 
 
 def _ownership(path: str) -> str:
-    """Return who may open a port, as `ls -l` shows it; '' where even that is secret."""
+    """Return who may open a port, as `ls -l` shows it; '' if that cannot be read."""
     port = Path(path)
     try:
         status = port.stat()
@@ -99,6 +99,6 @@ def _ownership(path: str) -> str:
         return ""
     try:
         owner = f"{port.owner()} {port.group()}"
-    except KeyError:  # without names, as in a container
+    except KeyError:  # the ids have no names, as in a container
         owner = f"{status.st_uid} {status.st_gid}"
     return f"{stat.filemode(status.st_mode)} {owner}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tactile_node tells of both batteries in the standard form: battery and target_battery."""
+"""Topics battery and target_battery of tactile_node, as sensor_msgs/BatteryState."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from deltacharger_ros.flat_messages import Stamps
 from deltacharger_ros.qos import LATEST
 
 PERIOD = 1.0
-"""s between two messages of a battery."""
-_PRESENT = 6.0  # V, either way; a probe puts 5 V at most across what is no battery
+"""Period of the messages, s."""
+_PRESENT = 6.0  # V, either polarity; without a battery the probe causes 5 V at most
 _FIELDS = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity", "percentage")
 
 
 class BatteryPublishers:
-    """Publishes what the power stage measures of its own battery and of the target's; the rest is unknown, NaN.
+    """Publishes the power stage's measurements of both batteries; unknown fields are NaN.
 
     Args:
         node: the publisher.
-        frames: how the charger's frames are named.
+        frames: names of the charger's frames.
     """
 
     def __init__(self, node: Node, frames: FrameParameters) -> None:
         self._stamps = Stamps(node.get_clock())
-        self._told = [
+        self._publishers = [
             (node.create_publisher(BatteryState, topic, LATEST), read, frames.named(frame))
             for topic, read, frame in (
                 ("battery", own_battery, CHARGER_BASE),
@@ -40,9 +40,9 @@ class BatteryPublishers:
         ]
 
     def publish(self, sample: PowerSample | None) -> None:
-        """Publish both; None = nothing is known now."""
+        """Publish both; None = no fresh sample."""
         stamp = self._stamps.convert(time.monotonic() if sample is None else sample.time)
-        for publisher, read, frame in self._told:
+        for publisher, read, frame in self._publishers:
             message = read(sample)
             message.header.frame_id = frame
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
@@ -50,9 +50,9 @@ class BatteryPublishers:
 
 
 def own_battery(sample: PowerSample | None) -> BatteryState:
-    """Return the charger's battery, of which the current (A) alone is not measured: it feeds servos and computer, too.
+    """Return the charger's battery. Its current (A) is unknown: servos and computer draw from it too.
 
-    That it discharges is known while it charges a target. Whether the robot is being charged itself is not.
+    It discharges while it charges a target. Otherwise its state is unknown: the robot may itself be on a charger.
     """
     message = _battery("charger", math.nan if sample is None else sample.power.battery_voltage)
     if message.present and sample is not None and sample.power.charge_current >= ZERO_CURRENT:
@@ -61,9 +61,9 @@ def own_battery(sample: PowerSample | None) -> BatteryState:
 
 
 def target_battery(sample: PowerSample | None) -> BatteryState:
-    """Return the target's battery as the charge circuit sees it: V and A into it while docked, else nothing.
+    """Return the target's battery: V and A into it while docked, else NaN.
 
-    The voltage is that between the electrodes: while current flows, the battery's own and what its wires take.
+    The voltage is measured at the electrodes: while current flows, it includes the drop of the target's wires.
     """
     if sample is None:
         return _battery("target", math.nan)
@@ -76,7 +76,7 @@ def target_battery(sample: PowerSample | None) -> BatteryState:
 
 
 def _status(current: float) -> int:
-    """Return what a current (A, positive into the battery) makes of it."""
+    """Return the charging status for a current, A, positive into the battery."""
     if current >= ZERO_CURRENT:
         return int(BatteryState.POWER_SUPPLY_STATUS_CHARGING)
     if current <= -ZERO_CURRENT:
@@ -85,7 +85,7 @@ def _status(current: float) -> int:
 
 
 def _battery(location: str, voltage: float) -> BatteryState:
-    """Return a battery of which nothing but the voltage (V) is known."""
+    """Return a battery message with only the voltage (V) known."""
     message = BatteryState(location=location, **dict.fromkeys(_FIELDS, math.nan))
     message.voltage = voltage
     message.present = abs(voltage) >= _PRESENT

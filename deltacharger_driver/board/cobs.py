@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consistent overhead byte stuffing (Cheshire and Baker, 1999): any bytes, without the byte zero.
+"""Consistent overhead byte stuffing (Cheshire and Baker, 1999): encodes any bytes without the byte zero.
 
-A zero on the wire then always means "a packet begins or ends here", so a reader recovers from any garbage at
-the next zero.
+A zero on the wire always marks the begin or end of a packet. A reader resynchronises at the next zero after any
+garbage.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class CobsError(Picklable, ValueError):
 
 
 def encode(data: bytes) -> bytes:
-    """Return `data` without zeros: one byte longer, and one more for every 254 bytes in a row without a zero.
+    """Return `data` without zeros: one byte longer, plus one for every 254 bytes in a row without a zero.
 
     Args:
-        data: any bytes, also none.
+        data: any bytes; may be empty.
 
     Returns:
         The stuffed bytes, without delimiters; never empty.
@@ -54,7 +54,7 @@ def _stuff_long(run: bytes, out: bytearray) -> bytes:
 
 
 def decode(data: bytes) -> bytes:
-    """Return what `encode` was given.
+    """Return the bytes that `encode` was given.
 
     Args:
         data: stuffed bytes without delimiters.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A connection to the board over one serial port: greeting, requests and their answers, the heartbeat.
+"""A connection to the board over one serial port: HELLO, requests and their answers, heartbeat.
 
-Threads: a reader decodes and calls the callbacks; a heart sends the heartbeat, and only while `keep_alive`
-says so.
+Two threads: the reader decodes packets and calls the callbacks; the heartbeat thread sends heartbeats until the
+deadline set by `keep_alive`.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from deltacharger_driver.rate_meter import Lateness
 
 
 class BoardConnection:
-    """One board on one serial port, as often as it is opened. `link.BoardLink` has the commands.
+    """One board on one serial port; can be opened repeatedly. `link.BoardLink` has the commands.
 
-    Commands may be called from any thread but the callbacks'; several may wait at once. After `PortGone` the
-    link is down until `close` and `open` are called again; sequence numbers, clock and counters go on.
+    Any thread except a callback may send commands, several at a time. After `PortGone` the link is down until `close`
+    and `open` are called again. Sequence numbers, clock and counters continue.
 
     Args:
         port: path of the port.
         baud_rate: speed on a UART; any on USB.
         on_tactile: called in the reader's thread with every `TactileSample`.
         on_power: called in the reader's thread with every `PowerSample`.
-        on_boot: called in the reader's thread when the board has rebooted: it neither streams nor is tared,
-            and the contactor is open. Must not wait for a command.
+        on_boot: called in the reader's thread when the board has rebooted: it does not stream, is not tared, and its
+            contactor is open. Must not wait for a command.
         on_gone: called once, in any thread, when the port has vanished.
-        on_servo: called in the reader's thread with bytes from the servos' bus, where it hangs on the board.
-        heartbeat_priority: of SCHED_FIFO for the heartbeat's thread, where that is permitted; 0 = ordinary.
+        on_servo: called in the reader's thread with bytes from the servos' bus, if it is connected to the board.
+        heartbeat_priority: SCHED_FIFO priority of the heartbeat thread, if permitted; 0 = ordinary.
     """
 
     def __init__(
@@ -80,16 +80,16 @@ class BoardConnection:
         self.gone: PortGone | None = None
 
     def open(self) -> Hello:
-        """Open the port and greet the board.
+        """Open the port and exchange HELLO with the board.
 
         Returns:
-            What the board says about itself.
+            The board's HELLO.
 
         Raises:
             PortError: the port cannot be opened (missing, not serial, busy, denied) or vanished again.
-            NoAnswer: nothing intelligible came; the message says what did.
-            BoardMismatch: the board speaks another version or has other arrays.
-            WrongDevice: the servos are on this port.
+            NoAnswer: no intelligible answer; the message describes the bytes received.
+            BoardMismatch: the board speaks another version or has other array sizes.
+            WrongDevice: the servos are connected to this port.
         """
         if self._port is not None:
             raise RuntimeError(f"{self.port} is already open; close the link first")
@@ -121,9 +121,9 @@ class BoardConnection:
         return hello
 
     def close(self) -> None:
-        """Stop both threads and release the port; a closed contactor then opens for want of a heartbeat.
+        """Stop both threads and release the port; without heartbeat, a closed contactor then opens.
 
-        Calling it twice does no harm. Pending commands end with `PortGone`. Not to be called from a callback.
+        Idempotent. Pending commands end with `PortGone`. Must not be called from a callback.
         """
         self._closing.set()
         if self._heartbeat is not None:
@@ -152,38 +152,38 @@ class BoardConnection:
 
     @property
     def drift(self) -> float:
-        """Drift of the board's clock against the host's as estimated now, s/s."""
+        """Estimated drift of the board's clock against the host's, s/s."""
         return self._receiver.drift
 
     @property
     def heartbeat_lateness(self) -> Lateness | None:
-        """How late the heartbeats of this connection were sent; None where there is none."""
+        """Lateness of the heartbeats of this connection; None without a connection."""
         heartbeat = self._heartbeat
         return None if heartbeat is None else heartbeat.lateness
 
     @property
     def heartbeat_runs_with(self) -> str:
-        """Priority of the heartbeat's thread in words; '' without a connection."""
+        """Priority of the heartbeat thread in words; '' without a connection."""
         heartbeat = self._heartbeat
         return "" if heartbeat is None else heartbeat.runs_with
 
     def hello(self) -> Hello:
-        """Ask the board who it is.
+        """Request the board's HELLO.
 
         Raises:
-            NoAnswer, PortGone: as every command.
+            NoAnswer, PortGone: as for every command.
         """
         self._receiver.hello = None
-        for _ in range(2):  # the introduction may be lost while its acknowledgement arrives
+        for _ in range(2):  # HELLO may be lost although its ACK arrives
             self._ask(PacketType.HELLO, attempt_timeout=0.15, attempts=3)
             if self._receiver.hello is not None:
                 return self._receiver.hello
-        raise NoAnswer(self.port, "HELLO (acknowledged without an introduction)", 0.3)
+        raise NoAnswer(self.port, "HELLO (acknowledged, but no HELLO received)", 0.3)
 
     def keep_alive(self, until: float) -> None:
-        """Send heartbeats until `until` (s, monotonic) and not longer; each call replaces the instant.
+        """Send heartbeats until `until` (s, monotonic); each call replaces that deadline.
 
-        The first is sent before this returns, so that a close may follow at once.
+        The first is sent before this returns, so the contactor may be closed at once.
         """
         if self._heartbeat is None:
             raise PortGone(self.port, "the link is closed")
@@ -204,7 +204,7 @@ class BoardConnection:
         advice: dict[int, str] | None = None,
     ) -> BoardRequest:
         if threading.current_thread() is self._reader:
-            raise RuntimeError(f"{type.name} from a callback would wait for itself; use another thread")
+            raise RuntimeError(f"{type.name} from a callback would block forever; call it from another thread")
         with self._requests.waiting(BoardRequest(type, payload)) as request:
             for attempt in range(attempts):
                 self._receiver.counters.retries += attempt > 0

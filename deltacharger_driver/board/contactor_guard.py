@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who gets the contactor closed: the lease joined to what the board reports. No ROS; tactile_node wraps it.
+"""Controls the contactor: combines the lease with the board's reports. No ROS; tactile_node wraps it.
 
-Energy never depends on a live host. The guard relays a live lease as the board's heartbeat and never invents one:
-the heartbeat's deadline is the lease's, so whatever hangs here, it stops in time.
+Energy never depends on a live host. The guard relays a live lease as the board's heartbeat and never sends a heartbeat
+without one. Both have the same deadline, so the heartbeat stops in time even if the guard hangs.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileS
 from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.errors import DriverError, NoAnswer
 
-STALE_FRAME = 0.1  # s; a frame sampled longer ago says nothing about contact now
+STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now
 STALE_POWER = 0.5  # s
-_PROBE_SHARED = 0.05  # s that a probe counts for later callers, where several waited for it
-_FRAMES = 32  # kept; more than the 20 that come in STALE_FRAME at the highest rate
+_PROBE_SHARED = 0.05  # s for which a probe that several callers awaited is reused
+_FRAMES = 32  # kept; at the highest rate 20 arrive within STALE_FRAME
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
 
 
 class ContactorGuard:
-    """Serves closes, openings and probes, and ends the lease on everything that ends it.
+    """Serves closes, openings and probes, and ends the lease on every opening or fault.
 
     Thread-safe. `observe_*` are called in the link's reader thread and never wait; the others may wait for the board.
 
     A close or a renewal needs fresh tactile frames with contact: any live taxel at 1 N or more on at least one pad
-    within the last 0.1 s (the board's own notion of contact in TARE; both pads are not asked for, because a
-    misaligned ridge may miss one). A first close also needs a fresh probe that allows it.
+    within the last 0.1 s. TARE of the board uses the same criterion. One pad suffices, because a misaligned ridge may
+    miss the other. A first close also needs a fresh probe that allows it.
 
     Args:
         link: to the board.
-        on_lease: called when a lease begins, so that somebody calls `tick` when it lapses.
+        on_lease: called when a lease begins, so that the owner calls `tick` when it lapses.
     """
 
     def __init__(
@@ -64,12 +64,12 @@ class ContactorGuard:
 
     @property
     def holder(self) -> str:
-        """Who holds the lease, '' where nobody does."""
+        """Holder of the lease; '' if there is none."""
         with self._lock:
             return self._lease.holder if self._lease.is_live(time.monotonic()) else ""
 
     def lease_record(self) -> dict[str, object]:
-        """Return who holds the contactor for how long, and what became of the leases since the start, to be told."""
+        """Return holder and remaining time of the lease, and counts since the start, for diagnostics."""
         with self._lock:
             lease, now = self._lease, time.monotonic()
             live = lease.is_live(now)
@@ -89,17 +89,17 @@ class ContactorGuard:
             return self._lease.resistance, self._lease.probe_age(time.monotonic())
 
     def remaining(self) -> float:
-        """Return the seconds until `tick` is due; inf where there is no lease."""
+        """Return the seconds until `tick` is due; inf without a lease."""
         with self._lock:
             return self._lease.remaining(time.monotonic())
 
     def observe_tactile(self, sample: TactileSample) -> None:
-        """Take note of a tactile frame."""
+        """Record a tactile frame."""
         with self._lock:
             self._frames.append(sample)
 
     def observe_power(self, sample: PowerSample) -> None:
-        """Take note of the power stage; the lease ends where the board has opened by itself."""
+        """Record a sample of the power stage; end the lease if the board opened on its own."""
         with self._power_seen:
             before, self._power = self._power, sample
             power = sample.power
@@ -115,12 +115,12 @@ class ContactorGuard:
 
     @property
     def was_closed(self) -> bool:
-        """Whether the board reported the contactor closed last."""
+        """Whether the board's last report shows the contactor closed."""
         with self._lock:
             return self._was_closed
 
     def interrupted(self) -> None:
-        """Take note that the port vanished or the board rebooted: the contactor opens or is open."""
+        """Handle a vanished port or a reboot of the board: the contactor opens or is open."""
         with self._lock:
             self._opened()
             self._frames.clear()
@@ -129,15 +129,15 @@ class ContactorGuard:
         self._link.stop_heartbeat()
 
     def close(self, holder: str, duration: float, token: str = "") -> float:
-        """Close the contactor for a lease, or renew it. A close waits for a probe under way and goes before the next.
+        """Close the contactor for a lease, or renew it. A close waits for a running probe and precedes the next one.
 
         Args:
-            holder: who asks.
-            duration: s; cut to 0.25.
-            token: the holder's secret, which renews the lease that it began; '' = the name is enough.
+            holder: name of the client.
+            duration: s; limited to 0.25.
+            token: the holder's secret; a lease begun with a token is renewed only with it. '' = the name suffices.
 
         Returns:
-            s that the lease lasts from now.
+            Remaining time of the lease, s.
 
         Raises:
             LeaseRefused: another holder, no contact, stale frames, no fresh probe, a short …; nothing was closed.
@@ -145,7 +145,7 @@ class ContactorGuard:
             DriverError: the board cannot be reached.
         """
         try:
-            with self._commands:  # what would be refused waits for nothing
+            with self._commands:  # refuse without waiting for a probe
                 self._open_if_lapsed()
                 with self._lock:
                     self._check(holder, duration, token, time.monotonic())
@@ -175,8 +175,8 @@ class ContactorGuard:
             with self._lock:
                 if self._lease.openings == openings:
                     return until - now
-        self._link.stop_heartbeat()  # an opening came in between; keep_alive must not outlive it
-        raise LeaseRefused("the contactor was opened meanwhile; probe and ask again")
+        self._link.stop_heartbeat()  # the contactor was opened in between; keep_alive must not outlive that
+        raise LeaseRefused("the contactor was opened during this request; probe and close again")
 
     def _check(self, holder: str, duration: float, token: str, now: float) -> None:
         self._check_board(now)
@@ -184,7 +184,7 @@ class ContactorGuard:
         self._check_contact(now)
 
     def _opened(self) -> None:
-        """Note an opening, under the lock."""
+        """Record an opening; call it with the lock held."""
         self._lease.opened()
         self._probe.forget()
 
@@ -193,7 +193,7 @@ class ContactorGuard:
         if self._shut:
             raise LeaseRefused("the node is shutting down")
         if power is None or now - power.time > STALE_POWER:
-            raise LeaseRefused("the power stage is silent; check the board")
+            raise LeaseRefused("the power stage sends no data; check the board")
         if power.power.fault:
             fault = fault_name(power.power.fault)
             raise LeaseRefused(f"the board opened and latched a fault: {fault}; open to clear it, then probe")
@@ -201,9 +201,9 @@ class ContactorGuard:
     def _check_contact(self, now: float) -> None:
         age = now - self._frames[-1].time if self._frames else math.inf
         if age > STALE_FRAME:
-            told = "there are none" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
-            raise LeaseRefused(f"tactile frames are stale ({told}); nothing shows that the electrodes touch")
-        if not any(_feels(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
+            age_text = "none received" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
+            raise LeaseRefused(f"tactile frames are stale ({age_text}); contact is not confirmed")
+        if not any(_in_contact(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
             raise LeaseRefused(f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
 
     def _begin(self, until: float) -> None:
@@ -214,9 +214,9 @@ class ContactorGuard:
             self._link.contactor(True)
         except DriverError as error:
             self._end_lease()
-            if isinstance(error, NoAnswer):  # after a refusal an open would clear a fault that somebody should see
+            if isinstance(error, NoAnswer):  # after a refusal, an opening would clear a fault that must stay visible
                 with contextlib.suppress(DriverError):
-                    self._link.contactor(False)  # the close may have been carried out
+                    self._link.contactor(False)  # the board may have closed
             raise
 
     def _end_lease(self) -> None:
@@ -225,18 +225,18 @@ class ContactorGuard:
         self._link.stop_heartbeat()
 
     def open(self) -> None:
-        """Open the contactor, whoever holds it, and clear the latched fault.
+        """Open the contactor, whatever its holder, and clear the latched fault.
 
         Raises:
             NoAnswer, PortGone: not acknowledged; the heartbeat has stopped, so the board opens within 100 ms.
         """
         self._end_lease()  # before waiting for anything
         with self._commands:
-            self._end_lease()  # a close that was being served may have begun a lease since
+            self._end_lease()  # a concurrent close may have begun a lease
             self._link.contactor(False)
 
     def tick(self) -> None:
-        """Open the contactor where the lease has lapsed; call it when `remaining` has passed."""
+        """Open the contactor if the lease has lapsed; call it after `remaining` s."""
         with self._commands:
             self._open_if_lapsed()
 
@@ -249,7 +249,7 @@ class ContactorGuard:
             self._link.contactor(False)
 
     def probe(self) -> ProbeResult:
-        """Measure the circuit between the electrodes; up to 250 ms. Who comes meanwhile gets the same result.
+        """Measure the circuit between the electrodes; takes up to 250 ms. Concurrent callers share the result.
 
         Raises:
             LeaseRefused: the contactor is closed, or an opening voided the result.
@@ -268,17 +268,17 @@ class ContactorGuard:
         result = self._link.probe()
         with self._lock:
             if self._lease.openings != openings:
-                raise LeaseRefused("the contactor was opened meanwhile, which voids the probe; probe again")
+                raise LeaseRefused("the contactor was opened during the probe, which voids it; probe again")
             self._lease.probed(result.resistance, result.target_voltage, result.time)
         return result
 
     def shut_down(self) -> bool:
-        """Open for good and wait until the board reports it.
+        """Open for the last time and wait until the board reports it.
 
-        A contactor that is known to be open is left alone, so that a latched fault survives for who comes next.
+        If the contactor is known to be open, no command is sent: a latched fault stays visible to the next client.
 
         Returns:
-            Whether the contactor was seen open.
+            Whether the board reported it open.
         """
         with self._lock:
             self._shut = True
@@ -297,6 +297,6 @@ class ContactorGuard:
         return power is not None and power.time >= instant and not power.power.contactor_closed
 
 
-def _feels(sample: TactileSample) -> bool:
-    """Whether a live taxel feels contact."""
+def _in_contact(sample: TactileSample) -> bool:
+    """Return whether a live taxel reads contact."""
     return bool((sample.pads >= CONTACT_FORCE).any())

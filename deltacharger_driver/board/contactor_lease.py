@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may keep the contactor closed, and until when: pure logic, the clock is passed in.
+"""The lease that keeps the contactor closed: pure logic, the clock is passed in.
 
-A close is a lease of at most 0.25 s that its holder renews. When the lease lapses, the holder is dead or
-hangs, and the contactor must be opened before anybody is served. Every opening, by whom or whatever, ends the
-lease and voids the probe, so each close follows a measurement of the circuit that it closes.
+A close is a lease of at most 0.25 s that its holder renews. A lapsed lease means that the holder is dead or hangs; the
+contactor must then be opened before any other request is served. Every opening, whatever its cause, ends the lease and
+voids the probe. So each close follows a measurement of the circuit that it closes.
 """
 
 from __future__ import annotations
@@ -17,14 +17,11 @@ from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.errors import DriverError
 
 LONGEST_NAME = 64
-"""Characters of a holder's name and of its token."""
+"""Largest length of a holder's name and of its token."""
 
 
 class LeaseRefused(DriverError, PermissionError):
-    """A close or a renewal is refused. Example: another node holds the contactor.
-
-    Its message says why not, and what to do.
-    """
+    """A close or a renewal is refused. Example: another node holds the contactor."""
 
 
 class ContactorLease:
@@ -33,14 +30,13 @@ class ContactorLease:
     Not thread-safe: its owner calls it under one lock.
 
     Attributes:
-        holder: who holds it; '' where nobody does.
-        until: s, when it lapses unless renewed.
-        openings: counts openings; who compares it across a wait knows whether the contactor was opened
-            meanwhile.
-        renewals: counts the leases that their holder prolonged.
-        lapses: counts the leases that ran out; kept by the owner, who opens then.
-        resistance: ohm, the last probe's result, void or not; NaN where none was made.
-        target_voltage: V, the last probe's result.
+        holder: name of the holder; '' if there is none.
+        until: s; end of the lease unless renewed.
+        openings: number of openings; compare it before and after a wait to detect one.
+        renewals: number of renewals.
+        lapses: number of leases that ran out; kept by the owner, which then opens the contactor.
+        resistance: ohm, result of the last probe, even if void; NaN before the first.
+        target_voltage: V, result of the last probe.
     """
 
     def __init__(self) -> None:
@@ -55,44 +51,43 @@ class ContactorLease:
         self._token = ""
 
     def is_live(self, now: float) -> bool:
-        """Whether somebody holds the lease at `now` (s)."""
+        """Return whether the lease is held at `now` (s)."""
         return bool(self.holder) and now < self.until
 
     def has_lapsed(self, now: float) -> bool:
-        """Whether a lease ran out without an opening since: open the contactor, then call `opened`."""
+        """Return whether a lease ran out without an opening since: open the contactor, then call `opened`."""
         return bool(self.holder) and now >= self.until
 
     def remaining(self, now: float) -> float:
-        """Return the seconds until the lease lapses, 0 where it has, inf where there is none."""
+        """Return the seconds until the lease lapses; 0 if it has, inf without a lease."""
         return max(self.until - now, 0.0) if self.holder else math.inf
 
     def probed(self, resistance: float, target_voltage: float, now: float) -> None:
-        """Note a probe's result (ohm, V) at `now`."""
+        """Record a probe's result (ohm, V) at `now`."""
         self.resistance = resistance
         self.target_voltage = target_voltage
         self._probed_at = now
 
     def probe_age(self, now: float) -> float:
-        """Return the seconds since the last probe that still counts; inf = never, or voided by an opening."""
+        """Return the age of the last valid probe, s; inf = none, or voided by an opening."""
         return now - self._probed_at
 
     def check(self, holder: str, duration: float, now: float, token: str = "") -> None:
-        """Refuse what `take` would refuse, without changing anything.
+        """Raise the errors of `take` without changing anything.
 
         Raises:
-            LeaseRefused: no name, a name or a token that is too long, no positive duration, lapsed and not yet opened,
-                held by another or begun with another token, or, for a new lease, no probe younger than 2 s that allows
-                a close.
+            LeaseRefused: no name; name or token too long; duration not positive; lapsed and not yet opened; held by
+                another holder or with another token; for a new lease, no probe younger than 2 s that allows a close.
         """
         for what, text in (("holder", holder), ("token", token)):
             if len(text) > LONGEST_NAME:
                 raise LeaseRefused(f"the {what} has {len(text)} characters; give at most {LONGEST_NAME}")
         if not holder:
-            raise LeaseRefused("the holder has no name; give one, so that others know who holds the contactor")
+            raise LeaseRefused("the holder has no name; set 'holder', which is reported to other clients")
         if not duration > 0.0:  # also NaN
-            raise LeaseRefused(f"a lease of {duration:g} s closes nothing; ask for up to {LONGEST_LEASE} s and renew")
+            raise LeaseRefused(f"lease of {duration:g} s: not positive; request up to {LONGEST_LEASE} s and renew it")
         if self.has_lapsed(now):
-            raise LeaseRefused(f"the lease of '{self.holder}' lapsed and the contactor is not open yet; ask again")
+            raise LeaseRefused(f"the lease of '{self.holder}' lapsed and the contactor is not open yet; retry")
         if self.is_live(now):
             if holder != self.holder or not self._is_known(token):
                 raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
@@ -100,14 +95,14 @@ class ContactorLease:
         self._check_probe(now)
 
     def _is_known(self, token: str) -> bool:
-        """Whether `token` is the one with which the lease began; a lease without one is held by its name alone."""
+        """Return whether `token` is the lease's own; for a lease without token, the name suffices."""
         return not self._token or hmac.compare_digest(token.encode(), self._token.encode())
 
     def _check_probe(self, now: float) -> None:
         age = self.probe_age(now)
         if not age < PROBE_LIFETIME:
-            made = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
-            raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {made}; call probe")
+            state = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
+            raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {state}; call probe")
         problem = probe_problem(self.resistance, self.target_voltage)
         if problem:
             raise LeaseRefused(problem)
@@ -116,13 +111,13 @@ class ContactorLease:
         """Grant or renew the lease.
 
         Args:
-            holder: who asks.
-            duration: s; cut to 0.25.
+            holder: name of the client.
+            duration: s; limited to 0.25.
             now: s.
-            token: the holder's secret: who begins a lease with one renews it with the same.
+            token: the holder's secret; a lease begun with a token is renewed only with it.
 
         Returns:
-            Until when it lasts, s.
+            End of the lease, s.
 
         Raises:
             LeaseRefused: as in `check`.
@@ -136,7 +131,7 @@ class ContactorLease:
         return self.until
 
     def opened(self) -> None:
-        """Note that the contactor was opened, by whom or whatever: the lease ends and the probe is void."""
+        """Record an opening, whatever its cause: the lease ends and the probe is void."""
         self.holder = self._token = ""
         self.until = -math.inf
         self._probed_at = -math.inf

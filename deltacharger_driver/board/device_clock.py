@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a device's clock and sequence numbers to the host's: when was it sampled, and what was lost."""
+"""Converts a device's clock and sequence numbers to the host's: sampling times and lost packets."""
 
 from __future__ import annotations
 
 import itertools
 import math
 
-WINDOW = 30.0  # s of history; at 8 s a loaded host's second of late packets tilts the line by milliseconds
+WINDOW = 30.0  # s of history; with 8 s, one second of late packets on a loaded host tilts the line by milliseconds
 _BUCKET = 0.5  # s, one minimum each
-_SHORTEST_BASELINE = 2.5  # s of history before a drift is believed
+_SHORTEST_BASELINE = 2.5  # s of history before a drift is estimated
 _LARGEST_DRIFT = 500e-6  # s/s; two poor crystals differ by 200e-6
 
 
 class DeviceClock:
-    """Maps a device's clock to the host's by the packets that were delayed least.
+    """Maps a device's clock to the host's by the packets with the least delay.
 
-    Every packet gives `received - device_time`, the true offset plus a delay that is never negative. The
-    minimum over the last seconds is the offset plus the shortest delay (Cristian, 1989; the one-way form of
-    NTP's clock filter). The drift between the crystals is followed by the line that lies under the minima of
-    all half-second buckets, as close to them as it can (an edge of their lower convex hull: Moon, Skelly and
-    Towsley, 1999), so that late packets do not tilt it.
+    Every packet gives `received - device_time`: the true offset plus a delay that is never negative. The minimum over
+    the last seconds is the offset plus the shortest delay (Cristian, 1989; the one-way form of NTP's clock filter).
+    The drift between the crystals is the slope of the closest line below the minima of all half-second buckets: an edge
+    of their lower convex hull (Moon, Skelly and Towsley, 1999). So late packets do not tilt it.
 
-    The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be seen from one side and
-    remains in the result.
+    The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be measured one-way and remains in
+    the result.
     """
 
     def __init__(self) -> None:
@@ -32,11 +31,11 @@ class DeviceClock:
         """Forget everything; the device's clock restarted."""
         self._minima: list[tuple[float, float]] = []  # device time, smallest received - device time
         self._bucket = -math.inf
-        self.drift = 0.0  # s/s, positive where the host's clock runs faster
+        self.drift = 0.0  # s/s, positive if the host's clock runs faster
         self.offset = math.nan  # s, at the device's time zero
 
     def update(self, device_time: float, received: float) -> float:
-        """Learn from one packet and return when its device time was on the host's clock.
+        """Add one packet and return its device time on the host's clock.
 
         Args:
             device_time: s, the device's clock.
@@ -71,7 +70,7 @@ class DeviceClock:
 
 
 def _slope_beneath(points: list[tuple[float, float]]) -> float:
-    """Return the slope of the line below all points from which they have the least distance in all.
+    """Return the slope of the line below all points with the least total distance to them.
 
     It is the edge of their lower convex hull (Andrew, 1979) that spans their mean time.
 
@@ -91,12 +90,12 @@ def _slope_beneath(points: list[tuple[float, float]]) -> float:
 
 
 def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    """Whether b lies on or above the line from a to c."""
+    """Return whether b lies on or above the line from a to c."""
     return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
 
 
 class SequenceUnwrapper:
-    """Turns sequence numbers modulo 65536 into numbers that only rise, also over a reboot of the device.
+    """Turns sequence numbers modulo 65536 into numbers that only rise, also across a reboot of the device.
 
     Attributes:
         lost: packets missed so far: every gap, modulo 65536.
@@ -107,7 +106,7 @@ class SequenceUnwrapper:
         self.lost = 0
         self.duplicates = 0
         self._base = 0
-        self._last: int | None = None  # None until the first packet: a host may join a stream that runs
+        self._last: int | None = None  # None until the first packet: a host may join a running stream
 
     def reboot(self) -> None:
         """Expect numbers from 0 again and continue above everything returned so far."""
@@ -115,7 +114,7 @@ class SequenceUnwrapper:
         self._last = -1
 
     def update(self, sequence: int) -> int | None:
-        """Return the unwrapped number of a packet, or None for a repetition."""
+        """Return the unwrapped number of a packet, or None for a repeated packet."""
         if self._last is None:
             self._last = sequence
             return self._base + sequence

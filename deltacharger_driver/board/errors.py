@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board can refuse, beside what a port can do (errors.py)."""
+"""Errors of the board, in addition to those of a port (errors.py)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from deltacharger_driver.board.protocol import VERSION, AckError, type_name
 from deltacharger_driver.errors import DriverError
 
 _EXPLANATIONS = {
-    AckError.BAD_PAYLOAD: "it did not understand the value",
-    AckError.UNKNOWN: "it does not know this command; update the board's firmware",
+    AckError.BAD_PAYLOAD: "invalid value",
+    AckError.UNKNOWN: "unknown command; update the board's firmware",
     AckError.INTERLOCK: (
         "interlock: a close needs a live heartbeat, no latched fault and a probe younger than 2 s "
         "without a short, reversal or open circuit; open, then probe, then close"
     ),
-    AckError.NOT_NOW: "not now",
+    AckError.NOT_NOW: "not possible now",
 }
 
 
@@ -23,8 +23,8 @@ class CommandRefused(DriverError, RuntimeError):
     Args:
         type: number of the command's packet type.
         error: number of the error, see `AckError`.
-        advice: what it means for this command.
-        attempts: how often it was sent; an earlier attempt may have been carried out.
+        advice: explanation for this command; replaces the default one.
+        attempts: how often the command was sent; an earlier attempt may have been executed.
     """
 
     def __init__(self, type: int, error: int, advice: str = "", attempts: int = 1) -> None:
@@ -39,19 +39,21 @@ class CommandRefused(DriverError, RuntimeError):
 
 
 class BoardRebooted(DriverError, ConnectionResetError):
-    """The board booted while it was asked; what was asked is lost. Example: its supply dipped.
+    """The board rebooted while a command was pending; the command is lost. Example: its supply dipped.
 
     Args:
-        action: what was asked of it.
+        action: the command.
     """
 
     def __init__(self, action: str) -> None:
         self.action = action
-        super().__init__(f"the board rebooted during {action}; it forgot tare, probe and contactor: ask again")
+        super().__init__(
+            f"the board rebooted during {action}; tare and probe are lost, the contactor is open; repeat the command"
+        )
 
 
 class BoardMismatch(DriverError, ConnectionError):
-    """The board is not one this driver can use. Example: firmware of another protocol version.
+    """This driver cannot use the board. Example: firmware of another protocol version.
 
     Args:
         port: path of the port.

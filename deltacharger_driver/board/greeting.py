@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is on the port: the board's introduction checked, and its silence explained."""
+"""Checks the board's HELLO and explains a missing answer."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from deltacharger_driver.port_identity import find_servos
 
 
 def check_hello(port: str, hello: Hello) -> None:
-    """Refuse a board of another kind.
+    """Refuse an incompatible board.
 
     Raises:
-        BoardMismatch: it speaks another version or has other arrays.
+        BoardMismatch: it speaks another version or has other array sizes.
     """
     if hello.major != VERSION:
         raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
@@ -27,19 +27,19 @@ def check_hello(port: str, hello: Hello) -> None:
 
 
 def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, error: NoAnswer) -> Exception:
-    """Return what the bytes that came since `before` say about a board that did not answer."""
+    """Return the error for a board that did not answer, from the bytes received since `before`."""
     if now.version_errors > before.version_errors:
         return BoardMismatch(port, f"the board speaks version {now.refused_version}")
     if now.packets > before.packets:
-        return NoAnswer(f"{port}: the board sends but does not hear", error.action, error.timeout)
+        return NoAnswer(f"{port}: the board sends but does not answer", error.action, error.timeout)
     if now.bytes > before.bytes:
         count = now.bytes - before.bytes
-        return BoardMismatch(port, f"{count} bytes came, but no intact packet: wrong baud rate or device")
+        return BoardMismatch(port, f"received {count} bytes, but no intact packet: wrong baud rate or device")
     return error
 
 
 def refuse_servos(port: str, baud_rate: int) -> None:
-    """Look for servos at the port's speed and as from the factory.
+    """Look for servos at the port's speed and at the factory default.
 
     Raises:
         WrongDevice: they answer.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host's heartbeat to the board: sent only while a deadline that somebody keeps renewing lies ahead."""
+"""The host's heartbeat to the board: sent only until a deadline that its client keeps renewing."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _NEVER = float("-inf")
 class Heartbeat:
     """A thread that sends every 20 ms until a deadline.
 
-    It never extends the deadline itself: where the one who renews it dies or hangs, the heartbeat stops and the board
-    opens the contactor.
+    It never extends the deadline itself: if the client dies or hangs, the heartbeat stops and the board opens the
+    contactor.
 
     Attributes:
-        lateness: of each heartbeat after its due time.
-        runs_with: its thread's priority in words; '' before `start`.
+        lateness: of each heartbeat.
+        runs_with: the thread's priority in words; '' before `start`.
 
     Args:
-        send: sends one; may raise `PortGone`, which ends the thread.
+        send: sends one heartbeat; may raise `PortGone`, which ends the thread.
         name: of the thread.
-        priority: of SCHED_FIFO for its thread, where that is permitted; 0 = ordinary.
+        priority: SCHED_FIFO priority of the thread, if permitted; 0 = ordinary.
     """
 
     def __init__(self, send: Callable[[], None], name: str, priority: int = 0) -> None:
@@ -56,7 +56,7 @@ class Heartbeat:
         self._thread.join()
 
     def keep_alive(self, until: float) -> None:
-        """Send until `until` (s) and not longer; the first before this returns where none was being sent.
+        """Send until `until` (s). If none are being sent, the first is sent before this returns.
 
         Raises:
             PortGone: the port vanished.

@@ -16,25 +16,25 @@ from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
-_SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs
-_STREAM_SILENCE = 0.5  # s without a frame while the rest works: the board does not know that it should stream
-_LONGEST_WAIT = 0.1  # s between looks
-_SERVOS_SAFE = 1.0  # s at the end in which who drives the servos through the board may make them safe
-_LAST_WORDS = 0.2  # s of power samples after an opening at the end: who closes at the same time waits to hear of it
+_SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
+_STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
+_LONGEST_WAIT = 0.1  # s between checks
+_SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
+_FINAL_REPORTS = 0.2  # s of power samples after the last opening: clients that are closing wait for its report
 
 
 class BoardKeeper:
-    """One board, from plugging in to unplugging, as often as it takes.
+    """Connects to one board and reconnects as often as necessary.
 
-    After every connection and every reboot of the board it sets the rate and starts the stream; the contactor stays
-    open and nothing is tared until somebody asks.
+    After every connection and every reboot of the board it sets the rate and starts the stream. The contactor stays
+    open and the pads are not tared until a client requests it.
 
     Attributes:
         link: to the board.
-        carries_servos: whether the servos' bus hangs on the board that was connected last.
+        carries_servos: whether the servos' bus is connected to the last board.
         guard: of its contactor.
-        servos: the port of the servos, where the board carries them.
-        problem: why there is no connection, '' where there is one.
+        servos: the servo port, if the board carries the bus.
+        problem: why there is no connection; '' while connected.
 
     Args:
         port: path of the port.
@@ -43,8 +43,8 @@ class BoardKeeper:
         on_tactile: called in the reader's thread.
         on_power: called in the reader's thread.
         on_change: called in the keeper's thread with `problem` whenever it changes.
-        servo_port: where the port of the servos appears, where the board carries them.
-        heartbeat_priority: as of `BoardConnection`.
+        servo_port: path of the servo port, if the board carries the bus.
+        heartbeat_priority: as for `BoardConnection`.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class BoardKeeper:
                 self._watch()
                 self._shut_down()
             except DriverError as error:
-                self._tell(str(error))
+                self._report(str(error))
             finally:
                 self.guard.interrupted()
                 self.servos.close()
@@ -118,7 +118,7 @@ class BoardKeeper:
         self.link.start()
         if self.carries_servos:
             self.servos.open()
-        self._tell("")
+        self._report("")
 
     def _watch(self) -> None:
         while not self._stop.is_set():
@@ -129,7 +129,7 @@ class BoardKeeper:
             self.guard.tick()
             now = time.monotonic()
             if now - self._last_packet > _SILENCE:
-                raise NoAnswer(self.link.port, "being listened to (no packet)", _SILENCE)
+                raise NoAnswer(self.link.port, "START (no packet received)", _SILENCE)
             if self._rebooted or now - self._last_frame > _STREAM_SILENCE:
                 self._configure()
 
@@ -138,12 +138,12 @@ class BoardKeeper:
         with contextlib.suppress(DriverError):
             self.guard.shut_down()
         if was_closed:
-            threading.Event().wait(_LAST_WORDS)  # the reader goes on
+            threading.Event().wait(_FINAL_REPORTS)  # the reader continues
         self.servos.wait_until_quiet(_SERVOS_SAFE)
         with contextlib.suppress(DriverError):
             self.link.stop()
 
-    def _tell(self, problem: str) -> None:
+    def _report(self, problem: str) -> None:
         if problem != self.problem:
             self.problem = problem
             self._on_change(problem)

@@ -17,9 +17,9 @@ _PING_NUMBERS = itertools.count()
 
 
 class BoardLink(BoardConnection):
-    """The tactile arrays and the power stage behind one serial port; arguments and threads as of `BoardConnection`.
+    """The tactile arrays and the power stage behind one serial port; arguments and threads as for `BoardConnection`.
 
-    Every command raises `NoAnswer` where the board does not answer, `PortGone` where the port vanished.
+    Every command raises `NoAnswer` if the board does not answer, and `PortGone` if the port vanished.
     """
 
     def __enter__(self) -> BoardLink:
@@ -30,24 +30,24 @@ class BoardLink(BoardConnection):
         self.close()
 
     def start(self) -> None:
-        """Let the board stream tactile frames; also where it does already."""
+        """Start the stream of tactile frames; harmless if it runs already."""
         self._ask(PacketType.START)
 
     def stop(self) -> None:
-        """End the stream of tactile frames; power goes on."""
+        """Stop the stream of tactile frames; POWER continues."""
         self._ask(PacketType.STOP)
 
     def set_rate(self, rate: float) -> None:
         """Set the rate of tactile frames, Hz.
 
         Raises:
-            CommandRefused: the board does not sample at this rate.
+            CommandRefused: the board does not support this rate.
         """
         advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"it does not sample at {rate:g} Hz; it starts at 120 Hz"}
         self._ask(PacketType.RATE, encode_rate(rate), advice=advice)
 
     def tare(self) -> None:
-        """Let the board take the present, unloaded reading as zero. The host never subtracts again.
+        """Make the board take the present, unloaded reading as zero. The host subtracts nothing more.
 
         Raises:
             CommandRefused: something touches a pad.
@@ -63,11 +63,11 @@ class BoardLink(BoardConnection):
         Raises:
             CommandRefused: an interlock; opening is never refused.
         """
-        advice: dict[int, str] = {AckError.NOT_NOW: "it is closed already"}
+        advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is already closed"}
         try:
             self._ask(PacketType.CONTACTOR, bytes([close]), attempt_timeout=0.05, attempts=4, advice=advice)
         except CommandRefused as error:
-            # A repeated close that finds the contactor closed means that only the first answer was lost.
+            # If a repeated close finds the contactor closed, only the first answer was lost.
             if not (close and error.error == AckError.NOT_NOW and error.attempts > 1):
                 raise
 
@@ -75,10 +75,10 @@ class BoardLink(BoardConnection):
         """Measure the circuit between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to 250 ms.
 
         Raises:
-            CommandRefused: the contactor is closed, a probe runs already, or an opening interrupted it.
+            CommandRefused: the contactor is closed, a probe is running, or an opening interrupted it.
         """
         advice: dict[int, str] = {
-            AckError.NOT_NOW: "the contactor is closed, another probe runs, or an opening interrupted this one"
+            AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one"
         }
         request = self._ask(PacketType.PROBE, attempt_timeout=0.35, attempts=2, advice=advice)
         assert request.ack is not None
@@ -86,7 +86,7 @@ class BoardLink(BoardConnection):
         return ProbeResult(resistance, voltage, request.received)
 
     def ping(self, data: bytes | None = None) -> float:
-        """Send up to 64 bytes there and back and return the round trip in s.
+        """Send up to 64 bytes, have them returned, and return the round-trip time, s.
 
         Raises:
             ValueError: more than 64 bytes.
@@ -98,7 +98,7 @@ class BoardLink(BoardConnection):
         return self._ask(PacketType.PING, data).received - sent
 
     def send_to_servos(self, data: bytes) -> None:
-        """Send bytes on the servos' bus behind the board. Nobody confirms them: the servos' answers come by on_servo.
+        """Send bytes on the servos' bus behind the board, without confirmation; replies arrive through on_servo.
 
         Raises:
             PortGone: the port vanished.
@@ -110,7 +110,7 @@ class BoardLink(BoardConnection):
         """Set the speed of the servos' bus behind the board, bit/s.
 
         Raises:
-            CommandRefused: the board does not have this speed.
+            CommandRefused: the board does not support this speed.
         """
-        advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"it does not speak to servos at {speed} bit/s"}
+        advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"the servos' bus does not support {speed} bit/s"}
         self._ask(PacketType.SERVO_SPEED, encode_servo_speed(speed), advice=advice)

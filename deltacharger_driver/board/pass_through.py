@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servos' bus behind the board as a serial port of this computer: one cable serves servos and pads.
 
-Bytes are passed through, whatever they mean: who opens the port speaks to the servos as over an adapter of its own.
+All bytes are passed through unchanged: a program uses the port like a servo adapter.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from deltacharger_driver.errors import DriverError, NoServosBehindBoard, PortErr
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 _log = logging.getLogger(__name__)
-_QUIET = 0.1  # s without a byte, ten cycles of servo_node, after which nobody speaks to the servos any more
+_QUIET = 0.1  # s without a byte (ten cycles of servo_node) after which the port counts as unused
 _LOOK = 0.01  # s
 
 
 class PassThrough:
-    """A port for the servos, there while a board that carries them is connected.
+    """The servos' serial port; exists while a board that carries them is connected.
 
     Args:
         link: to the board.
-        path: where the port appears, as a link to a pseudo-terminal.
+        path: of the port, a link to a pseudo-terminal.
     """
 
     def __init__(self, link: BoardLink, path: Path) -> None:
@@ -39,18 +39,18 @@ class PassThrough:
         self._terminal = PseudoTerminal(self, path)
         self._lock = threading.Lock()
         self._is_open = False
-        self._came = b""
-        self._speed = 0  # that the board was told, bit/s; 0 = none since its boot
+        self._received = b""
+        self._speed = 0  # last speed sent to the board, bit/s; 0 = none since its boot
         self._asked = -math.inf
 
     def open(self) -> None:
-        """Let the port appear; where it is there already, tell the board, which has booted, the speed again.
+        """Create the port. If it exists, the board has booted: its speed is set again before the next bytes.
 
         Raises:
-            PortError: it cannot be made.
+            PortError: it cannot be created.
         """
         with self._lock:
-            self._speed, self._came = 0, b""
+            self._speed, self._received = 0, b""
             if self._is_open:
                 return
             try:
@@ -58,32 +58,32 @@ class PassThrough:
                 self._terminal.start()
             except OSError as error:
                 raise PortError(
-                    str(self.path), f"the port of the servos behind the board cannot be made: {error}"
+                    str(self.path), f"the servo port behind the board cannot be created: {error}"
                 ) from error
             self._is_open = True
 
     def close(self) -> None:
-        """Take the port away: who has it open loses it, as if the cable were pulled. Safe to call twice."""
+        """Remove the port; for a program that has it open, the cable is pulled. Idempotent."""
         with self._lock:
             was_open, self._is_open = self._is_open, False
         if was_open:
             self._terminal.stop()
 
     def wait_until_quiet(self, timeout: float) -> None:
-        """Wait until nobody has spoken to the servos for a moment, at most `timeout` s: who makes them safe may end."""
+        """Wait until the port is unused, at most `timeout` s, so that servo_node can make the servos safe."""
         end = time.monotonic() + timeout
         while (now := time.monotonic()) < min(end, self._asked + _QUIET):
             time.sleep(min(_LOOK, end - now))
 
     def take(self, data: bytes) -> None:
-        """Take bytes that came from the servos' bus; for the link's reader."""
+        """Take bytes from the servos' bus; called by the link's reader."""
         with self._lock:
             if self._is_open:
-                self._came += data
+                self._received += data
                 self._terminal.wake()
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Send what was written to the port, the port's speed first where it is another."""
+        """Send bytes written to the port; if its speed changed, set the bus speed first."""
         self._asked = now
         speed = self._terminal.speed()
         try:
@@ -91,32 +91,32 @@ class PassThrough:
                 self._link.set_servo_speed(speed)
                 self._speed = speed
             self._link.send_to_servos(data)
-        except DriverError as error:  # to who asks, the servos are silent; the keeper looks after the link
+        except DriverError as error:  # the program sees silent servos; the keeper reconnects the link
             _log.debug("not passed through: %s", error)
         return b""
 
     def poll(self, now: float) -> bytes:
-        """Return what has come from the servos' bus."""
+        """Return bytes received from the servos' bus."""
         with self._lock:
-            came, self._came = self._came, b""
-        return came
+            received, self._received = self._received, b""
+        return received
 
     def next_event(self, now: float) -> float:
-        """Return inf: `take` wakes."""
+        """Return inf: `take` wakes the terminal."""
         return math.inf
 
 
 @contextlib.contextmanager
 def servos_behind(port: str, baud_rate: int) -> Iterator[str]:
-    """Yield the path of a port for the servos that hang on a board, for a while in which no tactile_node runs.
+    """Yield the path of a port for the servos connected to a board; only while no tactile_node runs.
 
     Args:
-        port: of the board; nobody else may have it open.
+        port: of the board; no other program may have it open.
         baud_rate: of the link to it, bit/s.
 
     Raises:
-        PortError, NoAnswer, BoardMismatch, WrongDevice: as of `BoardLink.open`.
-        NoServosBehindBoard: no servos hang on this board.
+        PortError, NoAnswer, BoardMismatch, WrongDevice: as for `BoardLink.open`.
+        NoServosBehindBoard: no servos are connected to this board.
     """
     with contextlib.ExitStack() as stack:
         link = BoardLink(port, baud_rate, on_servo=lambda data: servos.take(data))

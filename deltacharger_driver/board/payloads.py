@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What packets of the board link carry, as values and as bytes (docs/board-link.md). Pure functions."""
+"""Payloads of the board link's packets, as values and as bytes (docs/board-link.md). Pure functions."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class Hello(NamedTuple):
 
     @property
     def carries_servos(self) -> bool:
-        """Whether the servos' bus hangs on the board, which then carries its bytes."""
+        """Whether the servos' bus is connected to the board, which then passes its bytes."""
         return self.minor >= SERVO_MINOR
 
 
 class Ack(NamedTuple):
-    """Payload of an ACK packet: which packet it answers, how, and what the answer carries."""
+    """Payload of an ACK packet: type and sequence of the command, error and data."""
 
     type: int
     error: int
@@ -90,7 +90,7 @@ def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike, sample_format: Sam
 
     Args:
         left: (10, 10) or (100,) N, row-major from the top row; NaN = dead. Clipped to 0…10 N.
-        right: the same for the other pad.
+        right: like `left`, for the other pad.
         sample_format: U8, U12 or U16.
 
     Returns:
@@ -122,11 +122,11 @@ def decode_samples(payload: bytes, sample_format: int) -> Taxels:
         (2, 10, 10) N: left and right, row-major from the top row, NaN = dead.
 
     Raises:
-        PacketError: unknown format, or a length that does not belong to it.
+        PacketError: unknown format, or wrong length for the format.
     """
     expected = _SAMPLE_BYTES.get(sample_format, 0)
     if not expected:
-        raise PacketError(PacketType.TACTILE, f"sample format {sample_format} is not known")
+        raise PacketError(PacketType.TACTILE, f"sample format {sample_format} is unknown")
     if len(payload) != expected:
         raise PacketError(PacketType.TACTILE, f"{len(payload)} bytes of samples instead of {expected}")
     codes: npt.NDArray[Any]
@@ -156,7 +156,7 @@ def decode_power(payload: bytes) -> Power:
     if closed > 1:
         raise PacketError(PacketType.POWER, f"contactor is {closed} instead of 0 or 1")
     if fault > _LAST_FAULT:
-        raise PacketError(PacketType.POWER, f"fault {fault} is above the last, {_LAST_FAULT}")
+        raise PacketError(PacketType.POWER, f"fault {fault} is unknown; the last is {_LAST_FAULT}")
     if reserved:
         raise PacketError(PacketType.POWER, f"its last two bytes are {reserved} instead of 0")
     return Power(battery, target, current, closed == 1, fault)
@@ -168,7 +168,7 @@ def encode_hello(hello: Hello) -> bytes:
 
 
 def decode_hello(payload: bytes) -> Hello:
-    """Read the payload of the board's HELLO packet; another version or other arrays are for the caller to judge.
+    """Read the payload of the board's HELLO packet. The caller checks version and array sizes.
 
     Raises:
         PacketError: wrong length, or a rate that is negative or not finite.
@@ -184,7 +184,7 @@ def encode_ack(ack: Ack) -> bytes:
 
 
 def decode_ack(payload: bytes) -> Ack:
-    """Read the payload of an ACK packet; an error number that is not known is an error all the same.
+    """Read the payload of an ACK packet. Unknown error numbers are kept.
 
     Raises:
         PacketError: too short.
@@ -194,12 +194,12 @@ def decode_ack(payload: bytes) -> Ack:
 
 
 def encode_probe(resistance: float, target_voltage: float) -> bytes:
-    """Return what the ACK of a PROBE carries: ohm (inf = open circuit) and V."""
+    """Return the data of the ACK of a PROBE: ohm (inf = open circuit) and V."""
     return _PROBE.pack(resistance, target_voltage)
 
 
 def decode_probe(data: bytes) -> tuple[float, float]:
-    """Read what the ACK of a PROBE carries: ohm (inf = open circuit, NaN = not measured) and V (NaN likewise).
+    """Read the data of the ACK of a PROBE: ohm (inf = open circuit) and V; NaN = not measured.
 
     Raises:
         PacketError: wrong length, a resistance of -inf, an infinite voltage.
@@ -212,10 +212,10 @@ def decode_probe(data: bytes) -> tuple[float, float]:
 
 
 def decode_ping(payload: bytes) -> bytes:
-    """Read the payload of a PING packet, which is any bytes.
+    """Read the payload of a PING packet, which may be any bytes.
 
     Raises:
-        PacketError: more than 64.
+        PacketError: more than 64 bytes.
     """
     if len(payload) > LONGEST_PING:
         raise PacketError(PacketType.PING, f"{len(payload)} bytes; it carries at most {LONGEST_PING}")
@@ -226,7 +226,7 @@ def decode_servo(payload: bytes) -> bytes:
     """Read the payload of a SERVO packet: bytes of the servos' bus.
 
     Raises:
-        PacketError: none, or more than 128.
+        PacketError: no bytes, or more than 128.
     """
     if not 1 <= len(payload) <= LONGEST_SERVO:
         raise PacketError(PacketType.SERVO, f"{len(payload)} bytes; it carries 1 to {LONGEST_SERVO}")
@@ -239,7 +239,7 @@ def encode_servo_speed(speed: int) -> bytes:
 
 
 def decode_servo_speed(payload: bytes) -> int:
-    """Read the payload of a SERVO_SPEED packet: bit/s; whether the board has this speed is its own affair.
+    """Read the payload of a SERVO_SPEED packet: bit/s; the board checks whether it supports this speed.
 
     Raises:
         PacketError: wrong length.
@@ -254,7 +254,7 @@ def encode_rate(rate: float) -> bytes:
 
 
 def decode_rate(payload: bytes) -> float:
-    """Read the payload of a RATE packet: Hz; whether the board samples at this rate is its own affair.
+    """Read the payload of a RATE packet: Hz; the board checks whether it supports this rate.
 
     Raises:
         PacketError: wrong length, or a rate that is negative or not finite.
@@ -266,12 +266,12 @@ def decode_rate(payload: bytes) -> float:
 
 def _refuse_infinite(type: PacketType, name: str, value: float) -> None:
     if math.isinf(value):
-        raise PacketError(type, f"{name} is {value}; what was not measured is NaN")
+        raise PacketError(type, f"{name} is {value}; a missing value must be NaN")
 
 
 def _check_rate(type: PacketType, rate: float) -> None:
-    if not 0.0 <= rate < math.inf:  # also NaN: a rate is set and never measured
-        raise PacketError(type, f"a rate of {rate} Hz")
+    if not 0.0 <= rate < math.inf:  # also refuses NaN
+        raise PacketError(type, f"rate {rate} Hz is negative or not finite")
 
 
 def _unpack(layout: struct.Struct, data: bytes, type: PacketType) -> tuple[Any, ...]:
@@ -281,18 +281,18 @@ def _unpack(layout: struct.Struct, data: bytes, type: PacketType) -> tuple[Any, 
 
 
 def probe_problem(resistance: float, target_voltage: float) -> str:
-    """Say why a probe's result forbids closing the contactor; empty where it does not.
+    """Return why a probe's result forbids closing the contactor; '' if it allows it.
 
     Args:
         resistance: ohm between the electrodes, inf = open circuit.
         target_voltage: V, negative = reversed.
     """
     if math.isinf(resistance):
-        return "open circuit: the electrodes do not touch the target's; dock again"
+        return "open circuit: the electrodes do not touch the target; dock again"
     if math.isnan(resistance) or math.isnan(target_voltage):
         return "the probe measured nothing; check its wiring"
     if target_voltage < 0.0:
-        return f"reversed polarity: the target shows {target_voltage:.2f} V; swap its terminals"
+        return f"reversed polarity: the target has {target_voltage:.2f} V; swap its terminals"
     if resistance < SHORT_RESISTANCE:
         return f"short circuit: {resistance:.3g} ohm between the electrodes; dock again"
     return ""

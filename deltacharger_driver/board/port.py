@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board's serial port: each way to fail to open has its name, every way to vanish is one `PortGone`."""
+"""The board's serial port: each failure to open has its own error; a vanished port raises `PortGone`."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import select
 from deltacharger_driver.errors import PortGone
 from deltacharger_driver.serial_open import HANG_UPS, open_serial
 
-_WRITE_TIMEOUT = 0.2  # s; a port that takes nothing for so long is as good as unplugged
+_WRITE_TIMEOUT = 0.2  # s; a port that accepts no bytes for this time counts as unplugged
 
 
 class BoardPort:
-    """One open serial port, read by `poll` and `os.read` (1 % of a core at 120 Hz; pyserial's own read takes
-    25 %).
+    """An open serial port, read by `poll` and `os.read`: 1 % of a core at 120 Hz; pyserial's own read takes 25 %.
 
     One thread reads; any may write, one at a time.
 
@@ -24,7 +23,7 @@ class BoardPort:
         baud_rate: speed on a UART; any on USB.
 
     Raises:
-        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: the port cannot be opened.
     """
 
     def __init__(self, port: str, baud_rate: int) -> None:
@@ -37,10 +36,10 @@ class BoardPort:
         self._poller.register(self._wake_reader, select.POLLIN)
 
     def set_speed(self, baud_rate: int) -> None:
-        """Go on at another speed, bit/s; what came at the old one and was not read is lost.
+        """Change the speed, bit/s; unread bytes are discarded.
 
         Raises:
-            PortGone: the port vanished, or its adapter does not have this speed.
+            PortGone: the port vanished, or its adapter does not support this speed.
         """
         try:
             self._serial.baudrate = baud_rate
@@ -49,7 +48,7 @@ class BoardPort:
             raise PortGone(self.port, str(error)) from error
 
     def read(self, timeout: float) -> bytes:
-        """Wait at most `timeout` s and return what has come, b'' where nothing has or `wake` was called.
+        """Wait at most `timeout` s for bytes; return b'' if none arrived or `wake` was called.
 
         Raises:
             PortGone: the port vanished.
@@ -73,7 +72,7 @@ class BoardPort:
         """Send all of `data`.
 
         Raises:
-            PortGone: the port vanished or takes nothing.
+            PortGone: the port vanished or accepts no bytes.
         """
         rest = memoryview(data)
         try:
@@ -89,15 +88,15 @@ class BoardPort:
         poller = select.poll()
         poller.register(self._descriptor, select.POLLOUT)
         if not poller.poll(_WRITE_TIMEOUT * 1000.0):
-            raise OSError(f"it took no bytes for {_WRITE_TIMEOUT} s")
+            raise OSError(f"it accepted no bytes for {_WRITE_TIMEOUT} s")
 
     def wake(self) -> None:
-        """End a `read` that waits in another thread."""
+        """End a `read` waiting in another thread."""
         with contextlib.suppress(OSError):
             os.write(self._wake_writer, b"x")
 
     def close(self) -> None:
-        """Release the port; nobody may be reading. Never raises."""
+        """Release the port; no thread may be reading. Never raises."""
         with contextlib.suppress(*HANG_UPS):
             self._serial.close()
         for descriptor in (self._wake_reader, self._wake_writer):

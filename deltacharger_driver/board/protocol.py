@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of the board link: framing, header, checksum, and the numbers both sides agree on
-(docs/board-link.md).
+"""Packets of the board link: framing, header, checksum and constants of the protocol (docs/board-link.md).
 
-Pure functions and a decoder; no port, no clock, no state of the board. What packets carry is in
-payloads.py.
+Pure functions and a decoder, without port, clock or state of the board. payloads.py has the payloads.
 """
 
 from __future__ import annotations
@@ -21,15 +19,15 @@ from deltacharger_driver.errors import DriverError
 VERSION = 1
 MINOR = 0
 SERVO_MINOR = 1
-"""Minor version of a board that carries the bytes of the servos' bus; one that does not says MINOR."""
+"""Minor version of a board that passes the bytes of the servos' bus; other boards report MINOR."""
 TAXELS = ROWS * COLUMNS
 FULL_SCALE = 10.0  # N, the code one below the top
 DEFAULT_RATE = FRAME_RATE  # Hz, after every boot
 POWER_RATE = 20.0  # Hz
 HEARTBEAT_PERIOD = 0.020  # s
 HEARTBEAT_TIMEOUT = 0.100  # s without one opens the contactor
-PROBE_LIFETIME = 2.0  # s a probe answer allows a close
-PROBE_DEADLINE = 0.250  # s until a probe is answered at the latest
+PROBE_LIFETIME = 2.0  # s; a close needs a probe younger than this
+PROBE_DEADLINE = 0.250  # s; longest time until a probe is answered
 SHORT_RESISTANCE = 1.0  # ohm, below it the electrodes are shorted
 LONGEST_PING = 64  # bytes
 LONGEST_SERVO = 128  # bytes of the servos' bus in one packet
@@ -39,7 +37,7 @@ _CRC = struct.Struct("<I")
 
 
 class PacketType(enum.IntEnum):
-    """What a packet is."""
+    """Type of a packet."""
 
     TACTILE = 1
     POWER = 2
@@ -58,7 +56,7 @@ class PacketType(enum.IntEnum):
 
 
 class SampleFormat(enum.IntEnum):
-    """How a taxel's force is written; the number is the header's format field."""
+    """Encoding of a taxel's force; the number is the header's format field."""
 
     NONE = 0
     U8 = 1
@@ -82,7 +80,7 @@ class AckError(enum.IntEnum):
 
 
 class BoardFault(enum.IntEnum):
-    """Why the board opened the contactor by itself; latched until the next opening command."""
+    """Why the board opened the contactor on its own; latched until the next opening command."""
 
     NONE = 0
     NO_CHARGE_CURRENT = 1
@@ -108,21 +106,21 @@ _FROM_BOARD = frozenset(
 
 
 class PacketError(DriverError, ValueError):
-    """A packet's payload is not what its type demands. Example: a TACTILE packet of 12 bytes.
+    """A packet's payload or header is invalid for its type. Example: a TACTILE packet of 12 bytes.
 
     Args:
         type: number of the packet's type.
-        reason: what is wrong with it.
+        reason: what is wrong.
     """
 
     def __init__(self, type: int, reason: str) -> None:
         self.type = type
         self.reason = reason
-        super().__init__(f"{type_name(type)} packet: {reason}; check that both sides speak version {VERSION}")
+        super().__init__(f"{type_name(type)} packet: {reason}; check that both sides use version {VERSION}")
 
 
 def type_name(type: int) -> str:
-    """Return the name of a packet type, also of one that is not known."""
+    """Return the name of a packet type; works for unknown numbers too."""
     try:
         return PacketType(type).name
     except ValueError:
@@ -130,7 +128,7 @@ def type_name(type: int) -> str:
 
 
 def fault_name(fault: int) -> str:
-    """Return a fault in words, also one that is not known."""
+    """Return a fault in words; works for unknown numbers too."""
     try:
         return BoardFault(fault).name.lower().replace("_", " ")
     except ValueError:
@@ -138,10 +136,10 @@ def fault_name(fault: int) -> str:
 
 
 class Packet(NamedTuple):
-    """One packet as it stands on the wire, its checksum verified.
+    """One packet of the wire; its checksum is verified.
 
     Attributes:
-        type: number of its type, possibly an unknown one.
+        type: number of its type; may be unknown.
         payload: the bytes after the header.
         sequence: counts packets per direction and type, modulo 65536.
         device_time_us: us since the board booted; 0 from the host.
@@ -161,8 +159,8 @@ def encode_packet(packet: Packet, version: int = VERSION) -> bytes:
     """Return the bytes on the wire, delimiters included.
 
     Args:
-        packet: what to send.
-        version: major version to claim; only tests and the emulator's fault hooks claim another.
+        packet: to encode.
+        version: major version in the header; only tests and the emulator's fault hooks change it.
 
     Raises:
         struct.error: a field does not fit.
@@ -174,7 +172,7 @@ def encode_packet(packet: Packet, version: int = VERSION) -> bytes:
 
 @dataclass
 class DecoderCounters:
-    """What a decoder met so far. Every number only rises."""
+    """Counts of a decoder; they only rise."""
 
     bytes: int = 0
     packets: int = 0
@@ -187,16 +185,16 @@ class DecoderCounters:
 
     @property
     def damaged(self) -> int:
-        """Pieces between delimiters that were no intact packet."""
+        """Number of pieces between delimiters that were not an intact packet."""
         return self.cobs_errors + self.crc_errors + self.length_errors
 
 
 class PacketDecoder:
-    """Cuts a byte stream into packets, however it is chopped and whatever lies between them.
+    """Cuts a byte stream into packets, however it is split and whatever lies between them.
 
-    A piece that is not an intact packet of this version is counted and dropped; the next delimiter starts afresh.
-    The memory is bounded by `longest` plus what one call is given. Flags and format are the receiver's to judge
-    (`check_header`), for they depend on the type.
+    A piece that is not an intact packet of this version is counted and dropped; decoding resumes at the next delimiter.
+    Memory is bounded by `longest` plus the data of one call. The receiver checks flags and format with `check_header`,
+    because they depend on the type.
 
     Args:
         longest: longest stuffed packet in bytes; the longest of version 1 has 422.
@@ -216,7 +214,7 @@ class PacketDecoder:
         packets = [packet for piece in pieces if (packet := self._decode(piece)) is not None]
         if len(self._rest) > self._longest:
             self._rest = b""
-            self._overlong = True  # what follows up to the next delimiter belongs to the same damage
+            self._overlong = True  # bytes up to the next delimiter belong to the same damaged packet
         return packets
 
     def _decode(self, piece: bytes) -> Packet | None:
@@ -253,19 +251,19 @@ class PacketDecoder:
 
 
 def check_header(packet: Packet) -> None:
-    """Check what a packet's header says beside its type: only TACTILE has a sample format and flags.
+    """Check sample format and flags of a packet; only TACTILE has them.
 
     Raises:
-        PacketError: it says something that version 1 does not know.
+        PacketError: a value that version 1 does not define for this type.
     """
     tactile = packet.type == PacketType.TACTILE
     formats = _SAMPLE_FORMATS if tactile else (SampleFormat.NONE,)
     if packet.format not in formats:
-        raise PacketError(packet.type, f"sample format {packet.format} does not belong to it")
+        raise PacketError(packet.type, f"sample format {packet.format} is invalid for this type")
     if packet.flags & ~(_ALL_FLAGS if tactile else 0):
-        raise PacketError(packet.type, f"flags {packet.flags:#04x} do not belong to it")
+        raise PacketError(packet.type, f"flags {packet.flags:#04x} are invalid for this type")
 
 
 def is_from_board(type: int) -> bool:
-    """Whether the board sends packets of this type."""
+    """Return whether the board sends packets of this type."""
     return type in _FROM_BOARD

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arrives from the board, made sense of: on the host's clock, numbered for good, reboots noticed."""
+"""Interprets packets from the board: converts times to the host's clock, unwraps numbers, detects reboots."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import BoardLinkCounters, PowerSample, TactileSample
 
 _log = logging.getLogger(__name__)
-_CLOCK_STEP_BACK = 0.5  # s; a device clock that falls further has restarted
+_CLOCK_STEP_BACK = 0.5  # s; if the device clock falls further, it has restarted
 
 
 class BoardReceiver:
-    """The state of the receiving side, over all connections of one link. Used by one thread at a time.
+    """State of the receiving side, over all connections of one link. Used by one thread at a time.
 
     Attributes:
-        hello: the board's last introduction.
-        counters: of the whole link; its owner counts what it sends.
+        hello: the board's last HELLO.
+        counters: of the whole link; its owner adds the sent packets.
 
     Args:
-        requests: who waits for answers.
+        requests: commands that wait for answers.
         on_tactile: called with every frame.
         on_power: called with every reading of the power stage.
         on_boot: called when the board has rebooted.
-        on_servo: called with the bytes that came from the servos' bus.
+        on_servo: called with bytes from the servos' bus.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class BoardReceiver:
             self._notice_boot_id(value)
         device_time = packet.device_time_us * 1e-6
         if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
-            self._boot_id = None  # its HELLO was lost; the next one tells the new number
+            self._boot_id = None  # its HELLO was lost; the next one has the new number
             self._reboot()
         self._latest_device_time = max(self._latest_device_time, device_time)
         when = self._device_clock.update(device_time, received)
@@ -146,7 +146,7 @@ class BoardReceiver:
         self._call(self._on_servo, data)
 
     def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
-        """Run a callback; its failure must not end the link, so it is counted and told once."""
+        """Run a callback; a failure must not end the link, so it is counted and logged once."""
         if callback is None:
             return
         try:
@@ -165,4 +165,4 @@ _HANDLERS: dict[int, tuple[Callable[[Packet], Any], Callable[[BoardReceiver, Pac
     PacketType.PING: (lambda p: decode_ping(p.payload), BoardReceiver._take_ping),
     PacketType.SERVO: (lambda p: decode_servo(p.payload), BoardReceiver._take_servo),
 }
-"""How a packet is read, and what is done with it. It is read whole before it moves clock or counters."""
+"""Decoder and handler per packet type. A packet is decoded completely before it changes clock or counters."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to the board that wait for their answers."""
+"""Commands to the board waiting for their answers."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from deltacharger_driver.board.protocol import PacketType
 
 @dataclass
 class BoardRequest:
-    """One command. Every attempt has its own sequence number, and an answer to any of them counts.
+    """One command. Every attempt has its own sequence number; an answer to any of them counts.
 
     Attributes:
         type: of the command.
-        payload: what it carries; a PING is recognised by it.
+        payload: of the command; identifies a PING.
         sequences: of the attempts so far.
-        done: set when `ack`, `error` or a returned PING is there.
-        received: s, when the answer came.
+        done: set when `ack`, `error` or a returned PING has arrived.
+        received: s, arrival of the answer.
     """
 
     type: PacketType
@@ -35,7 +35,7 @@ class BoardRequest:
 
 
 class BoardRequests:
-    """All commands that wait; any thread may ask, one answers."""
+    """All waiting commands; any thread may add one, one thread delivers answers."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class BoardRequests:
 
     @contextmanager
     def waiting(self, request: BoardRequest) -> Iterator[BoardRequest]:
-        """Let `request` be answered inside the block."""
+        """Accept answers to `request` inside the block."""
         with self._lock:
             self._waiting.append(request)
         try:
@@ -53,12 +53,12 @@ class BoardRequests:
                 self._waiting.remove(request)
 
     def attempt(self, request: BoardRequest, sequence: int) -> None:
-        """Note an attempt before it is sent."""
+        """Record an attempt before it is sent."""
         with self._lock:
             request.sequences.add(sequence)
 
     def acknowledge(self, ack: Ack, received: float) -> None:
-        """Hand an ACK to the command that it answers; a late one finds nobody and is dropped."""
+        """Deliver an ACK to its command; a late one is dropped."""
         with self._lock:
             for request in self._waiting:
                 if request.type == ack.type and ack.sequence in request.sequences:
@@ -68,7 +68,7 @@ class BoardRequests:
                     return
 
     def ping_returned(self, payload: bytes, received: float) -> None:
-        """Hand a returned PING to the one that sent it."""
+        """Deliver a returned PING to its sender."""
         with self._lock:
             for request in self._waiting:
                 if request.type is PacketType.PING and request.payload == payload and not request.done.is_set():
@@ -84,7 +84,7 @@ class BoardRequests:
                 request.done.set()
 
     def rebooted(self) -> None:
-        """End all waiting commands but HELLO, whose answer may be what told of the boot."""
+        """End all waiting commands except HELLO, whose answer may have revealed the reboot."""
         with self._lock:
             for request in self._waiting:
                 if request.type is not PacketType.HELLO and not request.done.is_set():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the board link hands out: samplings on the host's clock, results and counters."""
+"""Values returned by the board link: samples on the host's clock, results and counters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class TactileSample(NamedTuple):
 
     Attributes:
         time: sampling instant, s on the host's monotonic clock.
-        sequence: unwrapped, rising over a reboot; gaps are lost frames.
+        sequence: unwrapped, rising across a reboot; gaps are lost frames.
         device_time_us: us on the board's clock at the sampling instant.
-        pads: (2, 10, 10) N, float32: left, which is the pad at +x, and right; row 0 at +y, column 0 at +x of
-            end_effector; NaN = dead.
+        pads: (2, 10, 10) N, float32: left (the pad at +x) and right; row 0 at +y, column 0 at +x of end_effector;
+            NaN = dead.
         tared: the board subtracts a tare.
         overrun: the board lost samplings before this one.
     """
@@ -40,7 +40,7 @@ class PowerSample:
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """A probe: ohm (inf = open circuit), V (negative = reversed), and when it was measured (s, monotonic)."""
+    """A probe: ohm (inf = open circuit), V (negative = reversed) and its time (s, monotonic)."""
 
     resistance: float
     target_voltage: float
@@ -49,7 +49,7 @@ class ProbeResult:
 
 @dataclass
 class BoardLinkCounters:
-    """What the link met so far. Every number only rises."""
+    """Counts of the link; they only rise."""
 
     tactile: int = 0
     power: int = 0

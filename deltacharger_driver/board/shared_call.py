@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measurement that many may ask for at once: who comes while it runs gets the same result."""
+"""A measurement for concurrent callers: a caller that arrives while it runs gets the same result."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
 
-_REFUSAL = 0.05  # s from the beginning of a call until its error is told: who calls again and again costs little
-_LATER = 16  # callers for whom one result counts later
+_REFUSAL = 0.05  # s from the begin of a call until its error is raised: limits the cost of repeated calls
+_LATER = 16  # later callers that may reuse one result
 
 
 class SharedCall(Generic[Result]):
     """Calls an action for any number of threads, never twice at a time. Thread-safe.
 
-    Who comes while it runs waits for its outcome, an error included. However many callers there are, and however often
-    they call, nobody waits for more than the call under way and one of its own.
+    A caller that arrives while it runs waits for that result or error. Whatever the number of callers, each waits
+    at most for the running call and one more.
 
     Args:
         action: what is called; takes a moment.
-        lasts: s for which a result that several waited for counts for later callers too; without it, each of those who
-            queue for a thread would cost a call of its own.
+        lasts: s for which later callers reuse a result that several callers awaited. Without it, each caller queued
+            for a thread would cost its own call.
     """
 
     def __init__(self, action: Callable[[], Result], lasts: float) -> None:
@@ -31,12 +31,12 @@ class SharedCall(Generic[Result]):
         self._lasts = lasts
         self._changed = threading.Condition()
         self._running: _Run[Result] | None = None
-        self._last: _Run[Result] | None = None  # that succeeded, where several waited for it
-        self._priority = 0  # how many others wait for their turn before the next call
+        self._last: _Run[Result] | None = None  # the last success, if several callers awaited it
+        self._priority = 0  # number of blocks that wait to enter before the next call
 
     @property
     def is_running(self) -> bool:
-        """Whether the action is being called."""
+        """Whether the action is running."""
         return self._running is not None
 
     def __call__(self) -> Result:
@@ -62,7 +62,7 @@ class SharedCall(Generic[Result]):
         return run.outcome()
 
     def forget(self) -> None:
-        """Let the last result count for nobody who comes later."""
+        """Discard the last result for later callers."""
         with self._changed:
             self._last = None
 
@@ -80,20 +80,20 @@ class SharedCall(Generic[Result]):
             run.done.set()
 
     def __enter__(self) -> None:
-        """Wait until nothing runs, and let nothing begin until the exit."""
+        """Wait until the action is idle and block new calls until the exit."""
         with self._changed:
             self._priority += 1
             self._changed.wait_for(lambda: self._running is None)
 
     def __exit__(self, *exception: object) -> None:
-        """Let it begin again."""
+        """Allow calls again."""
         with self._changed:
             self._priority -= 1
             self._changed.notify_all()
 
 
 class _Run(Generic[Result]):
-    """One call: how many wait for it, how many have got its result later, its outcome, when it began and ended (s)."""
+    """One call: its waiting and later callers, its outcome, and its begin and end (s)."""
 
     def __init__(self) -> None:
         self.done = threading.Event()

@@ -6,10 +6,10 @@ Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, dept
 Serves: tare, set_contactor, probe.
 Parameters: port, baud_rate, rate, pitch, heartbeat_priority.
 
-Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s; while it lives, the
-node relays it as the board's heartbeat, and it never invents one. The node refuses to close without fresh frames,
-contact and a fresh probe, or on a short, a reversal, an open circuit or a latched fault. When the port vanishes, the
-lease ends, the topics fall silent, and the node reopens the port by itself.
+Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s. While it lives, the
+node relays it as the board's heartbeat; it never sends a heartbeat without a lease. The node refuses to close without
+fresh frames, contact and a fresh probe, or on a short, reversed polarity, an open circuit or a latched fault. When the
+port vanishes, the lease ends, the topics stop, and the node reopens the port.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.unknown import unknown
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_TARE_SHARED = 0.05  # s that a tare counts for later callers, where several waited for it
+_TARE_SHARED = 0.05  # s for which a tare that several callers awaited is reused
 
 
 class TactileNode(Node):
     """See the module's docstring.
 
-    Frames and power are published from the board link's reader thread; the services may wait for the board (a probe up
-    to 0.25 s). A close waits for a probe under way, an opening for none.
+    Frames and power are published from the board link's reader thread. The services may wait for the board (a probe up
+    to 0.25 s). A close waits for a running probe; an opening does not.
     """
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
         given, frames = declare_all(self, TactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
-        try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
+        try:  # failing at start is a wrong set-up; a port that vanishes later is reopened
             BoardPort(given.port, given.baud_rate).close()
         except DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
@@ -77,7 +77,7 @@ class TactileNode(Node):
         self._batteries = BatteryPublishers(self, frames)
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
-        # Each with workers of its own: whoever calls one without end keeps nobody from the others.
+        # One callback group each: a client that calls one service without end does not block the others.
         self.create_service(
             Trigger, "tare", self._on_tare, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE
         )
@@ -92,7 +92,7 @@ class TactileNode(Node):
             qos_profile=SERVICE,
         )
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
-        steady_timer(self, PERIOD, self._tell_batteries)
+        steady_timer(self, PERIOD, self._publish_batteries)
         self._keeper = BoardKeeper(
             given.port,
             given.baud_rate,
@@ -122,11 +122,11 @@ class TactileNode(Node):
             self._samples.power(sample, *self._keeper.guard.probe_record())
 
     def _fresh_power(self) -> PowerSample | None:
-        """Return the newest sample of the power stage, None where it is silent."""
+        """Return the newest sample of the power stage; None if it is stale."""
         sample = self._power
         return None if sample is None or time.monotonic() - sample.time > STALE_POWER else sample
 
-    def _tell_batteries(self) -> None:
+    def _publish_batteries(self) -> None:
         if self.context.ok():
             self._batteries.publish(self._fresh_power())
 
@@ -135,12 +135,12 @@ class TactileNode(Node):
             self._lines.error(problem)
         else:
             link = self._keeper.link
-            servos = f"; the servos hang on it: {self._keeper.servos.path}" if self._keeper.carries_servos else ""
+            servos = f"; servos connected through it: {self._keeper.servos.path}" if self._keeper.carries_servos else ""
             runs_with = link.heartbeat_runs_with
             self._lines.info(f"board connected at {link.port}; heartbeat priority: {runs_with}{servos}")
 
     def _served(self, response: Any, action: Callable[[], str]) -> Any:
-        """Fill `success` and `message` from an action that returns the message or raises why not."""
+        """Fill `success` and `message` from an action that returns the message or raises an error."""
         problem = self._keeper.problem
         try:
             if problem:
@@ -177,7 +177,7 @@ class TactileNode(Node):
                 guard.open()
                 return "opened"
             lasts = guard.close(request.holder, seconds(request.lease), request.token)
-            return f"closed for {lasts:.3f} s; renew it before"
+            return f"closed for {lasts:.3f} s; renew it in time"
 
         return self._served(response, switch)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tactile_node says to ROS: tactile_frame and charger_power from samples."""
+"""ROS output of tactile_node: tactile_frame and charger_power from samples."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _POWER_FIELDS = (
 
 
 class SamplePublishers:
-    """Publishes from one thread, the link's reader.
+    """Publishes from the link's reader thread only.
 
     Args:
         node: the publisher.
@@ -57,7 +57,7 @@ class SamplePublishers:
         )
 
     def power(self, sample: PowerSample, probe_resistance: float, probe_age: float) -> None:
-        """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none that counts)."""
+        """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void)."""
         power = sample.power
         measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
         self._powers.publish(

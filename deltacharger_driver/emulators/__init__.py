@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulators of servos and board that speak the real bytes."""
+"""Emulators of servos and board with the real protocols."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Three servos on a bench instead of a world: the least physics that lets the servo emulator be used on its own.
+"""Three servos without a simulated world: minimal physics for the servo emulator.
 
-It is there because the driver is tested below the world, under loads that a test sets.
-Each servo is a spring and a damper with a torque limit, against a settable load; they do not feel each other.
-deltacharger_sim knows the arm's geometry.
+It lets driver tests set the loads directly. Each servo is a spring and a damper with a torque limit against a settable
+load. The servos do not affect each other; deltacharger_sim has the arm's geometry.
 """
 
 from __future__ import annotations
@@ -16,23 +15,23 @@ from collections.abc import Callable
 from deltacharger_core.machine import NOMINAL_VOLTAGE, SERVO_DAMPING, SERVO_STIFFNESS, TORQUE_CONSTANT
 
 _STEP = 1e-3  # s
-_LONGEST = 1.0  # s; a longer pause is not caught up
+_LONGEST = 1.0  # s; a longer pause is not simulated completely
 
 
 class BenchArm:
     """A `ServoPlant` of servos that follow d · ω = clip(gain · k (reference − angle), ± Kt · limit) + load.
 
-    Thread-safe. Without torque a servo stays where it is, held by its gear.
+    Thread-safe. Without torque a servo keeps its angle, held by its gear.
 
     Attributes:
         load: N·m on each servo, toward +angle.
-        voltage: V of the supply of each servo when no current is drawn.
+        voltage: V of each servo's supply without load.
         supply_resistance: Ω of regulator and cable, common to all servos.
         temperature: °C of each servo.
         commands: last (torque enabled, reference rad, current limit A, gain) of each servo; None before the first.
 
     Args:
-        angles: where the servos stand at first, rad.
+        angles: initial angles, rad.
         clock: s, monotonic.
     """
 
@@ -66,7 +65,7 @@ class BenchArm:
     def command_servo(
         self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
     ) -> None:
-        """Let servo `index` hold `reference` (rad) with at most `current_limit` (A), `gain` times as stiff as usual."""
+        """Make servo `index` hold `reference` (rad) with at most `current_limit` (A) at `gain` times its stiffness."""
         with self._lock:
             self._advance()
             self.commands[index] = (torque_enabled, reference, current_limit, gain)
@@ -98,7 +97,7 @@ class BenchArm:
             return
         _, reference, current_limit, gain = command
         limit, stiffness = TORQUE_CONSTANT * current_limit, SERVO_STIFFNESS * gain
-        # Implicit in the angle, so that no stiffness makes it unstable; where that is clipped, the torque is known.
+        # Implicit in the angle: stable at any stiffness. If the torque is clipped, it is known.
         change = (stiffness * (reference - self._angle[index]) + self.load[index]) / (SERVO_DAMPING / _STEP + stiffness)
         torque = stiffness * (reference - self._angle[index] - change)
         if abs(torque) > limit:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench instead of a world: the least physics that lets the board emulator be used on its own.
+"""Pads and circuit without a simulated world: minimal physics for the board emulator.
 
-It is there because the driver is tested below the world, under forces and voltages that a test sets.
-Two pads under settable forces with offset and noise, and a battery that charges a target through a resistor. It knows
-no geometry; deltacharger_sim does.
+It lets driver tests set forces and voltages directly: two pads with settable forces, offset and noise, and a battery
+that charges a target through a resistor. It has no geometry; deltacharger_sim has.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from deltacharger_driver.board.protocol import BoardFault
 
 PRECHARGE_TIME = 0.060  # s from the command to the contactor
 RAMP = 100.0  # A/s
-OPEN_CURRENT = 1.0  # A, below it a ramped opening opens
+OPEN_CURRENT = 1.0  # A; below it a ramped opening opens the contactor
 LARGEST_CURRENT = 18.0  # A
 
 
@@ -31,7 +30,7 @@ class BenchPlant:
     Attributes:
         left, right: (10, 10) N of contact on each pad.
         battery: V. target: V, negative = reversed. resistance: ohm of the loop, inf = not touching.
-        detected: a fault to report as detected, 0 none.
+        detected: a fault to report as detected, 0 = none.
 
     Args:
         offset: N added to every taxel, as before a tare.

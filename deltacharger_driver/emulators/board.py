@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board of docs/board-link.md without the board: bytes in, bytes out, the clock passed in.
+"""Emulator of the board of docs/board-link.md: bytes in, bytes out, the clock passed in.
 
-Serve it on a `PseudoTerminal` and the driver cannot tell the difference, except for what docs/emulators.md lists.
+Served on a `PseudoTerminal`, it behaves like a real board, except for the differences listed in docs/emulators.md.
 """
 
 from __future__ import annotations
@@ -50,35 +50,34 @@ from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant
 from deltacharger_driver.emulators.wire_faults import DelayLine, WireFaults
 from deltacharger_driver.pseudo_terminal import ByteDevice
 
-SLOWEST, FASTEST = 0.1, 1000.0  # Hz that RATE accepts
-_BACKLOG = 16  # samplings the board can hold back while nobody polls it
+SLOWEST, FASTEST = 0.1, 1000.0  # Hz, range of RATE
+_BACKLOG = 16  # samplings kept until the next poll
 
 
 class BoardPlant(PadPlant, PowerPlant, Protocol):
-    """Everything the board measures and switches; it keeps its own time."""
+    """Everything that the board measures and switches; it has its own clock."""
 
 
 class BoardEmulator:
-    """A stateful board behind its link; a `ByteDevice`.
+    """The board as a `ByteDevice`.
 
     Thread-safe: hooks may be called while a `PseudoTerminal` serves it.
 
     Attributes:
-        faults: what the wire does to packets.
+        faults: errors of the wire.
         servos: the bus behind the board.
-        unknown_types: packets of types that the board does not know.
+        unknown_types: number of packets of unknown types.
 
     Args:
         plant: the physics.
-        sample_format: how taxels are written.
+        sample_format: encoding of the taxels.
         probe_time: s that a probe takes, at most 0.25.
-        drift: s/s that the board's clock runs too fast.
+        drift: rate error of the board's clock, s/s; positive = fast.
         seed: of boot ids and wire faults; None draws one.
-        boot_time: s that a boot takes; meanwhile the board neither hears nor speaks, and its contactor is open.
-        on_sample: called for every sampling with its sequence number, the instant at which it was due and the one at
-            which it was taken, s.
+        boot_time: duration of a boot, s; during it the board neither receives nor sends, and its contactor is open.
+        on_sample: called for every sampling with its sequence number, its due time and its actual time, s.
         on_heartbeat: called for every heartbeat with its arrival, s.
-        servos: the bus of the servos where it hangs on the board, which then carries its bytes.
+        servos: the servos' bus, if it is connected to the board.
     """
 
     def __init__(
@@ -115,12 +114,12 @@ class BoardEmulator:
 
     @property
     def counters(self) -> DecoderCounters:
-        """What the board's decoder met."""
+        """Counters of the board's decoder."""
         return self._decoder.counters
 
     @property
     def contactor_commanded(self) -> bool:
-        """Whether a close was accepted and nothing has opened the contactor since."""
+        """Whether a close was accepted and no opening followed."""
         return self._power.closed
 
     @property
@@ -129,16 +128,16 @@ class BoardEmulator:
         return self._power.fault
 
     def reboot(self, boot_time: float | None = None) -> None:
-        """Let the board boot at its next turn (within 50 ms when served); `boot_time` (s) as constructed where None."""
+        """Boot at the next poll (within 50 ms when served); `boot_time` in s, None = as constructed."""
         self._boot_wanted = self._boot_time if boot_time is None else boot_time
 
     def trip(self, fault: int) -> None:
-        """Let the power stage open at once and latch a fault, as if it had detected it."""
+        """Open the power stage at once and latch a fault, as if it had detected one."""
         with self._lock:
             self._power.trip(fault)
 
     def set_dead(self, pad: int, row: int, column: int, dead: bool = True) -> None:
-        """Let a taxel die or live again: pad 0 is left, 1 right."""
+        """Make a taxel dead or live: pad 0 is left, 1 right."""
         with self._lock:
             self._pads.set_dead(pad, row, column, dead)
 
@@ -147,18 +146,18 @@ class BoardEmulator:
         with self._lock:
             if self._advance(now) and not self.faults.deaf:
                 for packet in self._decoder.feed(data):
-                    self._obey(packet, now)
-                    self._finish(now)  # an opening ends a probe: that is answered before another PROBE takes its place
+                    self._execute(packet, now)
+                    self._finish(now)  # an opening ends a probe: answer it before another PROBE replaces it
             return self._flush(now)
 
     def poll(self, now: float) -> bytes:
-        """Return what the board sends unasked at `now`."""
+        """Return what the board sends on its own at `now`."""
         with self._lock:
             self._advance(now)
             return self._flush(now)
 
     def next_event(self, now: float) -> float:
-        """Return the seconds until `poll` has something to do."""
+        """Return the seconds until `poll` is due."""
         with self._lock:
             if self._boot_wanted is not None:
                 return 0.0
@@ -188,10 +187,10 @@ class BoardEmulator:
         self._pads.reset()
         self._power.reset(now)
         self.servos.reset()
-        self._introduce(now)
+        self._send_hello(now)
 
     def _advance(self, now: float) -> bool:
-        """Let everything happen that is due at `now`, the contactor first; return whether the board is running."""
+        """Do everything due at `now`, the contactor first; return whether the board is running."""
         if self._boot_wanted is not None:
             self._running_from, self._boot_wanted = now + self._boot_wanted, None
             self._power.reset(now)
@@ -211,7 +210,7 @@ class BoardEmulator:
         return True
 
     def _finish(self, now: float) -> None:
-        """Answer the probe and the tare where they have ended."""
+        """Answer the probe and the tare if they have ended."""
         if self._power.probe_aborted:
             self._power.probe_aborted = False
             self._acknowledge(PacketType.PROBE, self._probe_sequence, AckError.NOT_NOW, now)
@@ -224,7 +223,7 @@ class BoardEmulator:
             self._acknowledge(PacketType.TARE, self._tare_sequence, tare, now)
 
     def _stream(self, now: float) -> None:
-        """Send every sampling that is due; a board goes on sampling while its host is slow to poll."""
+        """Send every due sampling; sampling continues even if the host polls slowly."""
         period = 1.0 / self._rate
         behind = math.floor((now - self._next_sample) / period) if now >= self._next_sample else -1
         if behind >= _BACKLOG:
@@ -252,11 +251,11 @@ class BoardEmulator:
     def _acknowledge(self, type: int, sequence: int, error: AckError, now: float, data: bytes = b"") -> None:
         self._queue(PacketType.ACK, now, encode_ack(Ack(type, error, sequence, data)))
 
-    def _introduce(self, now: float) -> None:
+    def _send_hello(self, now: float) -> None:
         hello = Hello(VERSION, self.servos.minor, ROWS, COLUMNS, self._boot_id, self._rate)
         self._queue(PacketType.HELLO, now, encode_hello(hello))
 
-    def _obey(self, packet: Packet, now: float) -> None:
+    def _execute(self, packet: Packet, now: float) -> None:
         command = _COMMANDS.get(packet.type)
         if command is None or (packet.type in _OF_SERVOS and not self.servos):
             self.unknown_types += 1
@@ -281,7 +280,7 @@ class BoardEmulator:
         self._queue(PacketType.PING, now, decode_ping(packet.payload))
 
     def _hello(self, packet: Packet, now: float) -> AckError:
-        self._introduce(now)
+        self._send_hello(now)
         return AckError.DONE
 
     def _start(self, packet: Packet, now: float) -> AckError:
@@ -302,7 +301,7 @@ class BoardEmulator:
 
     def _set_rate(self, packet: Packet, now: float) -> AckError:
         rate = decode_rate(packet.payload)
-        if not SLOWEST <= rate <= FASTEST:  # also NaN
+        if not SLOWEST <= rate <= FASTEST:  # also refuses NaN
             return AckError.BAD_PAYLOAD
         self._rate = rate
         if self._next_sample < math.inf:

@@ -26,10 +26,10 @@ class PadPlant(Protocol):
 
 
 class EmulatedPads:
-    """Both arrays as the board sees them.
+    """Both arrays on the board's side.
 
     Attributes:
-        tared: a tare is being subtracted.
+        tared: whether a tare is subtracted.
 
     Args:
         plant: the physics.
@@ -41,7 +41,7 @@ class EmulatedPads:
         self.reset()
 
     def reset(self) -> None:
-        """Boot: the tare is forgotten."""
+        """Boot: discard the tare."""
         self.tared = False
         self._baseline: Forces = np.full((2, ROWS, COLUMNS), np.nan)  # N; NaN = unknown
         self._tare_sum: Forces = np.zeros((2, ROWS, COLUMNS))
@@ -50,16 +50,16 @@ class EmulatedPads:
         self.tare_due = math.inf
 
     def set_dead(self, pad: int, row: int, column: int, dead: bool = True) -> None:
-        """Let a taxel die or live again: pad 0 is left, 1 right."""
+        """Make a taxel dead or live: pad 0 is left, 1 right."""
         self._dead[pad, row, column] = dead
 
     def sample(self) -> Forces:
-        """Return (2, 10, 10) N: left and right after the tare, not below 0; NaN = dead, or no sample in the tare."""
+        """Return (2, 10, 10) N: left and right after the tare, at least 0; NaN = dead, or not in the tare."""
         raw = self._read()
         return np.maximum(raw - self._baseline if self.tared else raw, 0.0)
 
     def start_tare(self, now: float) -> AckError:
-        """Begin a tare; DONE means that `poll_tare` will say how it ended."""
+        """Start a tare; DONE means that `poll_tare` will return the result."""
         if self.tare_due < math.inf or self._loaded(self._read()):
             return AckError.NOT_NOW
         self._tare_sum[:] = 0.0
@@ -69,7 +69,7 @@ class EmulatedPads:
         return AckError.DONE
 
     def poll_tare(self, now: float) -> AckError | None:
-        """Take the samples that are due and return how the tare ended, None while it runs."""
+        """Take due samples; return the result of the tare, None while it runs."""
         while now >= self.tare_due:
             raw = self._read()
             if self._loaded(raw):
@@ -80,7 +80,7 @@ class EmulatedPads:
             self._tare_count += 1
             if self._tare_count == TARE_SAMPLES:
                 with np.errstate(invalid="ignore"):
-                    self._baseline = self._tare_sum / self._tare_live  # 0 / 0 is NaN: dead all the time
+                    self._baseline = self._tare_sum / self._tare_live  # 0 / 0 is NaN: dead in every sample
                 self.tared = True
                 self.tare_due = math.inf
                 return AckError.DONE
@@ -93,10 +93,10 @@ class EmulatedPads:
         return raw
 
     def _loaded(self, raw: Forces) -> bool:
-        """Whether any live taxel carries a load after the present tare.
+        """Return whether any live taxel carries a load after the present tare.
 
-        A resting value that no tare has found may come near a newton by itself; each pad's own median stands in for it,
-        since contact covers a quarter of a pad.
+        Without a tare, the resting value of a taxel may come near 1 N. The median of its pad then replaces the
+        baseline, because contact covers only a quarter of a pad.
         """
         baseline = np.where(np.isnan(self._baseline), _medians(raw), self._baseline)
         return bool((raw - baseline >= CONTACT_FORCE).any())  # NaN compares false

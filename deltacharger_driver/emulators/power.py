@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated board's power stage: contactor, heartbeat, latched faults and the probe, with every interlock."""
+"""The emulated board's power stage: contactor, heartbeat, latched faults and probe, with every interlock."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from deltacharger_driver.board.payloads import Power, probe_problem
 from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, BoardFault
 
 HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
-"""s without a heartbeat that the contactor stays closed: the rest is what the board may need to notice and to open."""
-CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed, and after an opening
+"""s without a heartbeat until the contactor opens; the remaining 5 ms are for the board to notice and to open."""
+CHECK_PERIOD = 0.010  # s between checks of the power stage's detectors while closed, and after an opening
 
 
 class PowerPlant(Protocol):
     """The physics behind the power stage, on its own clock."""
 
     def read_power(self) -> tuple[float, float, float, bool, int]:
-        """Return battery V, target V, charge A (NaN = not measured), contactor closed, fault detected now (0 none).
+        """Return battery V, target V, charge A (NaN = not measured), contactor closed, fault detected now (0 = none).
 
         The fault is one of 1, 2, 4, 5, 6, 7, 9 of docs/board-link.md; the board latches it.
         """
@@ -27,7 +27,7 @@ class PowerPlant(Protocol):
         """Pre-charge, close and ramp up."""
 
     def open_contactor(self, ramp: bool) -> None:
-        """Open: below 1 A first (≤ 50 ms) with `ramp`, at once without."""
+        """Open: with `ramp` reduce the current below 1 A first (≤ 50 ms), otherwise open at once."""
 
     def probe(self) -> tuple[float, float]:
         """Return ohm between the electrodes (inf = open circuit) and V of the target, measured at low voltage."""
@@ -38,8 +38,8 @@ class EmulatedPower:
 
     Attributes:
         closed: a close was accepted and no opening followed (the plant may still pre-charge).
-        fault: the latched fault, 0 none.
-        probe_aborted: something ended the probe that ran, and nobody has answered it yet.
+        fault: the latched fault, 0 = none.
+        probe_aborted: the running probe was aborted, and the host has no answer yet.
 
     Args:
         plant: the physics.
@@ -54,14 +54,14 @@ class EmulatedPower:
         self.reset(0.0)
 
     def reset(self, now: float) -> None:
-        """Boot: everything forgotten, the contactor open."""
+        """Boot: reset all state, open the contactor."""
         if self.closed:
             self._plant.open_contactor(False)
         self.closed = False
         self.fault = int(BoardFault.NONE)
         self._seen_closed = False
         self._heartbeat_deadline = -math.inf
-        self._probe_deadline = -math.inf  # until when the last probe allows a close
+        self._probe_deadline = -math.inf  # the last probe allows a close until then
         self._probe_due = math.inf
         self._next_check = now
         self.probe_aborted = False
@@ -71,12 +71,12 @@ class EmulatedPower:
         self._heartbeat_deadline = now + HEARTBEAT_LIMIT
 
     def close(self, now: float) -> AckError:
-        """Close where every interlock allows it."""
+        """Close if every interlock allows it."""
         if self.closed:
             return AckError.NOT_NOW
         if now >= self._heartbeat_deadline or self.fault or now >= self._probe_deadline:
             return AckError.INTERLOCK
-        self._abort_probe()  # its circuit must be off the electrodes before they carry the battery
+        self._abort_probe()  # the probe's circuit must leave the electrodes before the battery is connected
         self.closed = True
         self._seen_closed = False
         self._next_check = now + CHECK_PERIOD
@@ -84,7 +84,7 @@ class EmulatedPower:
         return AckError.DONE
 
     def open(self, now: float) -> None:
-        """Open as commanded, ramping down, and forget the latched fault; one that is still there comes back."""
+        """Open as commanded, ramping down, and clear the latched fault; a persisting one is latched again."""
         self._open(ramp=True)
         self.fault = int(BoardFault.NONE)
         self._next_check = now + CHECK_PERIOD
@@ -109,14 +109,14 @@ class EmulatedPower:
             self.probe_aborted = True
 
     def start_probe(self, now: float) -> AckError:
-        """Begin to measure; DONE means that `poll_probe` will have the answer."""
+        """Start a probe; DONE means that `poll_probe` will return the result."""
         if self.closed or self._probe_due < math.inf or self._plant.read_power()[3]:
             return AckError.NOT_NOW
         self._probe_due = now + self._probe_time
         return AckError.DONE
 
     def poll_probe(self, now: float) -> tuple[float, float] | None:
-        """Return the result (ohm, V) of a probe that has just ended."""
+        """Return the result (ohm, V) of a probe that just ended, else None."""
         if now < self._probe_due:
             return None
         self._probe_due = math.inf
@@ -126,7 +126,7 @@ class EmulatedPower:
         return resistance, voltage
 
     def poll(self, now: float) -> None:
-        """Watch the heartbeat and the power stage's own detectors."""
+        """Check the heartbeat and the power stage's detectors."""
         if self.closed and now >= self._heartbeat_deadline:
             self.trip(BoardFault.HEARTBEAT_LOST)
         if now >= self._next_check:
@@ -134,15 +134,15 @@ class EmulatedPower:
             self._next_check = now + CHECK_PERIOD if self.closed else math.inf
 
     def read(self) -> Power:
-        """Look at the plant, latch what it detects, and return what a POWER packet says."""
+        """Read the plant, latch a detected fault, and return the content of a POWER packet."""
         battery, target, current, contactor, detected = self._plant.read_power()
         if detected == BoardFault.NO_CHARGE_CURRENT and not self.closed:
-            detected = BoardFault.NONE  # no current is what an opening is for
+            detected = BoardFault.NONE  # after an opening no current is expected
         if detected and not self.fault:
             self.trip(detected)
             contactor = self._plant.read_power()[3]
         elif self._seen_closed and not contactor and self.closed:
-            self._void()  # it opened by itself: a plug pulled, a fuse
+            self._void()  # it opened on its own: a pulled plug, a fuse
         self._seen_closed = bool(contactor)
         return Power(battery, target, current, bool(contactor), self.fault)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos on a bus: bytes in, bytes out, with faults to order. docs/emulators.md says what is not simulated.
+"""Emulated servos on a bus: bytes in, bytes out, with injected faults. docs/emulators.md lists what is not simulated.
 
 Serve a `ServoBusEmulator(BenchArm())` on a `PseudoTerminal` and open the terminal's path like any serial port.
 """
@@ -41,19 +41,19 @@ from deltacharger_driver.servos.packets import (
 class ServoBusEmulator:
     """Emulated MX-64 servos with Protocol 2.0 on one bus, a `ByteDevice` for `PseudoTerminal`.
 
-    They come as the driver expects to find them on the robot: 1 Mbit/s, everything else as from the factory.
+    Their configuration is the one the driver expects on the robot: 1 Mbit/s, everything else as from the factory.
 
     Args:
         plant: their physics; servo i of the bus is servo i of the plant.
         ids: of the servos, in the plant's order.
-        paced: let bytes take the time that the wire takes, not only the return delay.
-        line_speed: returns the host's speed, bit/s, such as `PseudoTerminal.speed`; servos hear nothing at another
+        paced: delay bytes by their wire time too, not only by the return delay.
+        line_speed: returns the host's speed, bit/s, such as `PseudoTerminal.speed`; servos receive nothing at another
             speed than theirs. None = any.
         seed: of the random faults.
 
     Attributes:
-        faults: what goes wrong; may be changed at any time.
-        line_speed: as above; may be set later, when the terminal exists.
+        faults: injected faults; may be changed at any time.
+        line_speed: as above; may be set later, once the terminal exists.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class ServoBusEmulator:
         self._outgoing: list[tuple[float, bytes]] = []
 
     def servo(self, servo: int) -> ServoFirmware:
-        """Return the emulated servo with id `servo`, to look into its registers or break it.
+        """Return the emulated servo with id `servo`, to inspect its registers or break it.
 
         Raises:
-            DriverError: there is none.
+            DriverError: no servo has this id.
         """
         for firmware in self._servos:
             if firmware.servo == servo:
@@ -85,7 +85,7 @@ class ServoBusEmulator:
         raise DriverError(f"no emulated servo {servo}; there are {[f.servo for f in self._servos]}")
 
     def alter(self, place: int, change: Callable[[ServoFirmware], None]) -> None:
-        """Do something between two instructions to the servo at `place` (as in `ids`, whatever its id is by now)."""
+        """Apply `change` between two instructions to the servo at `place` in `ids`, whatever its present id."""
         with self._lock:
             change(self._servos[place])
 
@@ -95,12 +95,12 @@ class ServoBusEmulator:
             self.servo(servo).raise_error(bits)
 
     def reboot(self, servo: int, now: float) -> None:
-        """Let a servo restart by itself at `now` (s, monotonic), as after a dip of its supply."""
+        """Restart a servo at `now` (s, monotonic), as after a dip of its supply."""
         with self._lock:
             self.servo(servo).reboot(now)
 
     def use_protocol_1(self, servo: int) -> None:
-        """Give a servo the old firmware."""
+        """Give a servo Protocol 1.0 firmware."""
         with self._lock:
             self.servo(servo).protocol = 1
             self._parser.protocol_1 = True
@@ -115,11 +115,11 @@ class ServoBusEmulator:
         with self._lock:
             if not self.faults.deaf:
                 for instruction in self._parser.feed(data, now):
-                    self._carry_out(instruction, now)
+                    self._execute(instruction, now)
             return self._due(now)
 
     def poll(self, now: float) -> bytes:
-        """Let time pass and return the replies that are due now."""
+        """Advance time and return the replies due now."""
         with self._lock:
             for servo in self._servos:
                 servo.tick(now)
@@ -139,7 +139,7 @@ class ServoBusEmulator:
         self._outgoing = [item for item in self._outgoing if item[0] > now]
         return ready
 
-    def _carry_out(self, instruction: Instruction, now: float) -> None:
+    def _execute(self, instruction: Instruction, now: float) -> None:
         speed = self.line_speed() if self.line_speed is not None else None
         present = [
             servo
@@ -157,7 +157,7 @@ class ServoBusEmulator:
         self._send(replies, start)
 
     def _send(self, replies: list[tuple[ServoFirmware, bytes]], start: float) -> None:
-        """Queue replies one behind the other; those of servos with one id come at the same time."""
+        """Queue replies one after another; replies of servos with the same id collide."""
         for _, group in itertools.groupby(replies, key=lambda item: item[0].servo):
             together = list(group)
             servo = together[0][0]
@@ -173,13 +173,13 @@ class ServoBusEmulator:
         self, instruction: Instruction, present: list[ServoFirmware], now: float
     ) -> list[tuple[ServoFirmware, bytes]]:
         addressed = [servo for servo in present if instruction.servo in (BROADCAST, servo.servo)]
-        addressed.sort(key=lambda servo: servo.servo)  # each has its turn after those with lower ids
+        addressed.sort(key=lambda servo: servo.servo)  # each waits for those with lower ids
         if not instruction.intact:
             if instruction.servo == BROADCAST:
                 return []
             return [(servo, status(servo.servo, servo.error_byte(CHECKSUM))) for servo in addressed]
         for servo in addressed:
-            servo.heard(now)
+            servo.note_instruction(now)
         code, data = instruction.code, instruction.parameters
         if code == SYNC_READ:
             address, length = _words(data)
@@ -195,7 +195,7 @@ class ServoBusEmulator:
             return []
         replies = []
         for servo in addressed:
-            # Whether a servo answers is decided by its state before the instruction: a reboot is still confirmed.
+            # The state before the instruction decides whether a servo answers: a reboot is still confirmed.
             level, servo_id = servo.table.get("status_return_level"), servo.servo
             error, payload = _single(servo, code, data, now)
             quiet = instruction.servo == BROADCAST and code != PING
@@ -209,7 +209,7 @@ def _words(data: bytes) -> tuple[int, int]:
 
 
 def _single(servo: ServoFirmware, code: int, data: bytes, now: float) -> tuple[int, bytes]:
-    """Carry out an instruction that concerns one servo and return (error number, reply's parameters)."""
+    """Execute an instruction for one servo and return (error number, parameters of the reply)."""
     if code == PING:
         return OK, servo.table.get("model").to_bytes(2, "little") + bytes((servo.table.get("firmware"),))
     if code == READ:
@@ -268,7 +268,7 @@ def _bulk_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
 
 
 def _protocol_1(instruction: Instruction, present: list[ServoFirmware]) -> list[tuple[ServoFirmware, bytes]]:
-    """Answer what identifies a servo with old firmware: a ping, and its model number (310)."""
+    """Answer a ping, or a read of the model number (310), as a servo with Protocol 1.0 firmware."""
     for servo in present:
         if servo.servo != instruction.servo or not instruction.intact:
             continue

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong on an emulated servo bus, to order."""
+"""Injected faults of an emulated servo bus."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from dataclasses import dataclass, field
 from deltacharger_driver.errors import DriverError
 
 FAULTS = ("drop", "corrupt", "truncate", "duplicate", "garbage")
-"""What can befall a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""
+"""Faults of a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""
 
 
 @dataclass
 class ServoFaults:
-    """What goes wrong on an emulated bus; may be changed at any time, from any thread.
+    """Faults of an emulated bus; may be changed at any time, from any thread.
 
     Attributes:
-        missing: ids without supply: they neither hear nor answer.
-        deaf: nothing that the host sends reaches the servos, which work on.
+        missing: ids without supply: they neither receive nor answer.
+        deaf: the servos receive nothing from the host and keep running.
         delay: added before every reply, s.
-        rate: fault of `FAULTS` → share of replies that it befalls, 0–1.
-        servos: ids whose replies `rate` concerns; empty = all.
-        rate_of: id → the same as `rate`, for one servo and in addition.
+        rate: fault of `FAULTS` → share of affected replies, 0–1.
+        servos: ids affected by `rate`; empty = all.
+        rate_of: id → like `rate`, for one servo and in addition.
     """
 
     missing: set[int] = field(default_factory=set)
@@ -35,25 +35,25 @@ class ServoFaults:
     _next: Counter[tuple[str, int]] = field(default_factory=Counter)
 
     def next_reply(self, fault: str, servo: int, count: int = 1) -> None:
-        """Let `fault` befall the next `count` replies of one servo.
+        """Apply `fault` to the next `count` replies of one servo.
 
         Raises:
-            DriverError: there is no such fault.
+            DriverError: unknown fault.
         """
         if fault not in FAULTS:
             raise DriverError(f"unknown fault '{fault}'; known: {', '.join(FAULTS)}")
         self._next[(fault, servo)] += count
 
     def apply(self, servo: int, reply: bytes, random_source: random.Random) -> bytes:
-        """Return what is left of `reply`."""
+        """Return `reply` after the faults."""
         if not self.rate and not self._next and not self.rate_of:
             return reply
         for fault in FAULTS:
-            if self._befalls(fault, servo, random_source):
+            if self._occurs(fault, servo, random_source):
                 reply = _damage(fault, reply, random_source)
         return reply
 
-    def _befalls(self, fault: str, servo: int, random_source: random.Random) -> bool:
+    def _occurs(self, fault: str, servo: int, random_source: random.Random) -> bool:
         if self._next[(fault, servo)] > 0:
             self._next[(fault, servo)] -= 1
             return True
@@ -66,7 +66,7 @@ def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
     if not reply or fault == "drop":
         return b""
     if fault == "corrupt":
-        # Behind the length, so that the packet is found and its checksum must catch it.
+        # Behind the length, so that the packet is found and its checksum must detect the error.
         at = random_source.randrange(min(7, len(reply) - 1), len(reply))
         return reply[:at] + bytes((reply[at] ^ random_source.randrange(1, 256),)) + reply[at + 1 :]
     if fault == "truncate":
@@ -77,7 +77,7 @@ def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
 
 
 def collide(first: bytes, second: bytes, random_source: random.Random) -> bytes:
-    """Return what a UART (8N1) makes of two replies at once: the second begins 1 to 9 bits later, and 0 wins."""
+    """Return what a UART (8N1) receives from two colliding replies: the second starts 1 to 9 bits later, and 0 wins."""
     line = _bits(first)
     other = [1] * random_source.randrange(1, 10) + _bits(second)
     length = max(len(line), len(other))
@@ -91,7 +91,7 @@ def _bits(data: bytes) -> list[int]:
 
 
 def _received(line: list[int]) -> bytes:
-    """Read bytes off a line; where a stop bit is missing the byte is passed on and the line awaited to be idle."""
+    """Read bytes from a line; if a stop bit is missing, keep the byte and wait until the line is idle."""
     found, at = bytearray(), 0
     line = [*line, *[1] * 10]
     while at < len(line) - 9:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs inside an emulated MX-64: modes, profile, watchdog, latched errors, restart. Its motor is a plant."""
+"""Firmware of an emulated MX-64: modes, profile, watchdog, latched errors, restart. A plant is its motor."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from deltacharger_driver.servos.profile import Profile, shape
 ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
-_PROFILE_PERIOD = 5e-3  # s between two forwarded references while a profile runs
+_PROFILE_PERIOD = 5e-3  # s between two updates of the plant's reference while a profile runs
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
-_LARGEST_OFFSET = 1024  # counts of homing offset that mode 3 heeds
+_LARGEST_OFFSET = 1024  # counts; largest homing offset used in mode 3
 _IN_POSITION = 10  # counts from the goal; the vendor gives no figure
 _NOT_FOLLOWING = 114  # counts from the reference, 10°; the vendor gives no figure
 _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 
 
 class ServoPlant(Protocol):
-    """The physics behind emulated servos: motor, gear, load and supply. It keeps its own clock."""
+    """The physics behind emulated servos: motor, gear, load and supply. It has its own clock."""
 
     def command_servo(
         self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
     ) -> None:
-        """Let the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A).
+        """Make the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A).
 
-        `gain` is its position P gain over what servo_node writes, by which the plant's stiffness is multiplied.
+        `gain` is the position P gain relative to servo_node's value; it scales the plant's stiffness.
         """
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
@@ -60,8 +60,8 @@ class ServoFirmware:
 
     Attributes:
         table: its registers.
-        protocol: 2, or 1 to emulate a servo with old firmware, which answers only pings and its model number.
-        supply_limit: V that its supply does not exceed, whatever the plant says; inf = as the plant says.
+        protocol: 2, or 1 to emulate old firmware, which answers only pings and reads of its model number.
+        supply_limit: upper limit of the supply, V, whatever the plant returns; inf = none.
     """
 
     def __init__(self, plant: ServoPlant, index: int, servo: int) -> None:
@@ -87,12 +87,12 @@ class ServoFirmware:
 
     @property
     def speed(self) -> int:
-        """The speed it listens and answers at, bit/s."""
+        """Its speed, bit/s."""
         return SPEEDS.get(self.table.get("baud"), 0)
 
     @property
     def return_delay(self) -> float:
-        """How long it waits before it answers, s."""
+        """Delay before an answer, s."""
         return self.table.get("return_delay") * 2e-6
 
     def answers(self, now: float) -> bool:
@@ -103,11 +103,11 @@ class ServoFirmware:
         """Return the error byte of a status packet with error `number`."""
         return number | (ALERT if self.table.get("hardware_error") else 0)
 
-    def heard(self, now: float) -> None:
-        """Note an instruction packet on the bus for this servo at `now` (s).
+    def note_instruction(self, now: float) -> None:
+        """Record an instruction packet for this servo at `now` (s).
 
-        The watchdog is looked at in `tick` only, after what has come is read: if the emulator itself was kept waiting
-        for the processor, that was no silence of the host.
+        Only `tick` checks the watchdog, after received bytes are read: if the emulator itself had to wait for the
+        processor, the host was not silent.
         """
         self._heard = now
 
@@ -118,7 +118,7 @@ class ServoFirmware:
         return (ACCESS, b"") if data is None else (OK, data)
 
     def write(self, address: int, data: bytes, now: float) -> int:
-        """Carry out a write instruction and return its error number."""
+        """Execute a write instruction and return its error number."""
         locked = self.table.get("hardware_error") & self.table.get("shutdown")
         if locked and address == 64 and data[:1] == b"\1":
             return RESULT_FAIL
@@ -129,13 +129,13 @@ class ServoFirmware:
         return error
 
     def register_write(self, address: int, data: bytes) -> int:
-        """Keep a write for the next action instruction."""
+        """Store a write for the next action instruction."""
         self._registered = (address, data)
         self.table.set("registered", 1)
         return OK
 
     def action(self, now: float) -> int:
-        """Carry out the registered write."""
+        """Execute the registered write."""
         if self._registered is None:
             return RESULT_FAIL
         address, data = self._registered
@@ -144,20 +144,20 @@ class ServoFirmware:
         return self.write(address, data, now)
 
     def reboot(self, now: float) -> None:
-        """Restart: torque off, RAM to defaults, latched errors gone, silent for a moment."""
+        """Restart: torque off, RAM to defaults, latched errors cleared, no answers for `RESTART_TIME`."""
         self.table.restart()
         self._start(now)
         self._silent_until = now + RESTART_TIME
 
     def factory_reset(self, now: float, keep: int) -> None:
-        """Put EEPROM to its defaults too; `keep` 1 spares the id, 2 the id and the speed."""
+        """Reset EEPROM to its defaults too; `keep` 1 keeps the id, 2 the id and the speed."""
         servo = self.servo if keep in (1, 2) else 1
         baud = self.table.get("baud") if keep == 2 else 1
         self.table = ControlTable(servo, baud)
         self.reboot(now)
 
     def raise_error(self, bits: int) -> None:
-        """Latch hardware error `bits`; torque goes off where the shutdown register says so."""
+        """Latch hardware error `bits`; torque goes off if the shutdown register selects it."""
         before = self.table.get("hardware_error")
         self.table.set("hardware_error", before | bits)
         if bits & self.table.get("shutdown"):
@@ -165,7 +165,7 @@ class ServoFirmware:
             self._forward()
 
     def tick(self, now: float) -> None:
-        """Let time-driven behaviour happen: watchdog and profile."""
+        """Advance watchdog and profile."""
         self._watch(now)
         if self._moving:
             self._follow(now)
@@ -176,7 +176,7 @@ class ServoFirmware:
         return max(min(wait, self._watchdog_due() - now + 1e-4), 0.0)
 
     def measure(self, now: float) -> float:
-        """Take the plant's state into the registers, latch what it causes, and return the angle, rad."""
+        """Copy the plant's state into the registers, latch resulting errors, and return the angle, rad."""
         angle, velocity, current, voltage, temperature = self._plant.read_servo(self._index)
         voltage = min(voltage, self.supply_limit)
         table = self.table
@@ -212,7 +212,7 @@ class ServoFirmware:
         return (ticks - ZERO_TICKS - self._offset()) * TICK
 
     def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
-        """Return what registers 122 and 123 say."""
+        """Return registers 122 and 123."""
         table = self.table
         moving = self._moving or abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
         if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
@@ -235,11 +235,11 @@ class ServoFirmware:
     def _written(self, values: dict[str, int], was_on: bool, now: float) -> None:
         if "goal_position" in values:
             if not self._moving:
-                self._profile.jump(self._profile.position, now)  # time has passed since it came to rest
+                self._profile.jump(self._profile.position, now)  # time has passed since it stopped
             self._goal = self._angle(values["goal_position"])
             self._moving = True
         if values.get("torque_enable") and not was_on:
-            # A profile begins where the shaft is, not where the last one ended.
+            # A profile begins at the shaft's angle, not at the end of the last one.
             self._profile.jump(self.measure(now), now)
             self._goal = self._angle(self.table.get("goal_position"))
             self._moving = True
@@ -267,13 +267,13 @@ class ServoFirmware:
             self.trip_watchdog(now)
 
     def _watchdog_due(self) -> float:
-        """Return when silence trips the watchdog, s; inf = never. It watches only while torque is on (e-manual, 98)."""
+        """Return when silence trips the watchdog, s; inf = never. Active only while torque is on (e-manual, 98)."""
         period = self.table.get("bus_watchdog")
         armed = 0 < period < WATCHDOG_TRIPPED and self.table.get("torque_enable")
         return self._heard + period * WATCHDOG_UNIT if armed else math.inf
 
     def trip_watchdog(self, now: float) -> None:
-        """Stop where it is and lock its goals, as after too long a silence; nothing where the watchdog is off."""
+        """Stop and lock the goals, as after too long a silence; do nothing if the watchdog is off."""
         if not 0 < self.table.get("bus_watchdog") < WATCHDOG_TRIPPED:
             return
         self.table.set("bus_watchdog", WATCHDOG_TRIPPED)
@@ -283,7 +283,7 @@ class ServoFirmware:
         self._forward()
 
     def _forward(self) -> None:
-        """Command the plant where anything has changed."""
+        """Command the plant if anything has changed."""
         table = self.table
         mode = table.get("operating_mode")
         on = bool(table.get("torque_enable")) and mode in _POSITION_MODES

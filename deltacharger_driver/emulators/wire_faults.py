@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong on a wire, for emulators: packets dropped, damaged, cut short, surrounded by noise."""
+"""Injected wire faults for emulators: packets dropped, damaged, cut short, surrounded by noise."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ KINDS = ("drop", "corrupt", "truncate", "garbage", "duplicate")
 
 
 class DelayLine:
-    """A wire on which packets may spend time; they never overtake each other.
+    """A wire with delay; packets never overtake each other.
 
     Attributes:
-        due: when the next packet arrives, s; inf = none is under way.
+        due: when the next packet arrives, s; inf = none.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class DelayLine:
         self._packets: collections.deque[tuple[float, bytes]] = collections.deque()
 
     def pass_on(self, packets: list[bytes], delay: float, now: float) -> bytes:
-        """Send packets that shall arrive `delay` s later, or else behind the one before; return what has arrived."""
+        """Send packets to arrive `delay` s later, or after the one before if that is later; return arrived bytes."""
         if not delay and not self._packets:
             return b"".join(packets)
         for packet in packets:
@@ -48,12 +48,12 @@ class WireFaults:
     """Damages packets on their way from an emulated device to the host.
 
     Attributes:
-        probability: how likely each kind is for every packet, all 0 at first. drop: it vanishes; corrupt: a bit flips;
-            truncate: its end is missing, delimiter included; garbage: 1 to 64 random bytes precede it; duplicate: it
-            comes twice.
-        silent: nothing leaves the device, which works on.
-        deaf: nothing reaches the device, which works on.
-        delay: s that every packet comes late.
+        probability: of each kind for every packet, initially 0. drop: it vanishes; corrupt: a bit flips; truncate:
+            its end is missing, delimiter included; garbage: 1 to 64 random bytes precede it; duplicate: it is sent
+            twice.
+        silent: nothing leaves the device, which keeps running.
+        deaf: nothing reaches the device, which keeps running.
+        delay: s, of every packet.
 
     Args:
         seed: of the damage.
@@ -68,17 +68,17 @@ class WireFaults:
         self._injections: list[_Injection] = []
 
     def inject(self, kind: str, count: int = 1, type: int | None = None) -> None:
-        """Let the next `count` packets (of one type, or any) suffer `kind` for certain.
+        """Apply `kind` to the next `count` packets of one type, or of any.
 
         Raises:
-            ValueError: no such kind.
+            ValueError: unknown kind.
         """
         if kind not in KINDS:
-            raise ValueError(f"no wire fault '{kind}'; there are {', '.join(KINDS)}")
+            raise ValueError(f"unknown wire fault '{kind}'; known: {', '.join(KINDS)}")
         self._injections.append(_Injection(kind, count, type))
 
     def apply(self, packet: bytes, type: int) -> bytes:
-        """Return what arrives of a packet (with its delimiters) of a type."""
+        """Return a packet (with its delimiters) of a type after the faults."""
         if self.silent:
             return b""
         for kind in self._draw(type):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servos of the arm as one device: a snapshot per cycle, goals with current bounds, torque, reboot."""
+"""The arm's servos as one device: a snapshot per cycle, goals with current bounds, torque, reboot."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ from deltacharger_driver.servos.snapshot import (
 )
 
 UNKNOWN_AFTER = 3
-"""Cycles without a good reply after which a servo's last values are no longer worth anything."""
+"""Cycles without a good reply after which a servo's last values are discarded."""
 MISSING_TIME = 0.2
-"""s without a good reply, and `UNKNOWN_AFTER` cycles, after which it counts as missing: a pause of this computer alone
-is none of the servo's doing."""
-_RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
+"""s without a good reply (in addition to `UNKNOWN_AFTER` cycles) after which a servo counts as missing, so that a pause
+of this computer alone is not a fault of the servo."""
+_RETRY_EVERY = 25  # cycles between two requests to a missing servo: waiting for it must not slow the others
 _WRITE_LAYOUT = struct.Struct("<hi")
 UNKNOWN = (math.nan,) * 5
-"""Angle, velocity, current, voltage and temperature of a servo that is not heard."""
+"""Angle, velocity, current, voltage and temperature of a servo without a good reply."""
 
 
 class ServoBus:
-    """The servos on one port. Whichever thread opens it owns it until it is closed.
+    """The servos on one port. The thread that opens it owns it until it is closed.
 
     Args:
         settings: wiring and mounting.
 
     Attributes:
-        counters: what went wrong on the wire so far.
+        counters: communication errors so far.
     """
 
     def __init__(self, settings: BusSettings) -> None:
@@ -73,14 +73,14 @@ class ServoBus:
         return self._link.is_open
 
     def open(self, scan: bool = True) -> None:
-        """Open the port, identify every servo and set each up; torque is off afterwards.
+        """Open the port, identify every servo and configure it; torque is off afterwards.
 
         Args:
-            scan: look for missing servos at other speeds, so that the error names where they are.
+            scan: look for missing servos at other speeds, so that the error names the speed.
 
         Raises:
-            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
-            HandshakeError: servos are missing, wrong or do not take their set-up; names every fault of each.
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened.
+            HandshakeError: servos are missing, wrong or reject their configuration; lists every fault.
         """
         self._forget()
         self._link.open()
@@ -91,14 +91,14 @@ class ServoBus:
             raise
 
     def close(self) -> None:
-        """Release the port. Does not touch the servos: switch torque off first. Never raises; safe to call twice."""
+        """Release the port. Sends nothing to the servos: switch torque off first. Never raises; safe to call twice."""
         self._link.close()
 
     def configure(self, index: int) -> None:
-        """Set up servo `index` again, torque off, after it was restarted.
+        """Configure servo `index` again, torque off, after a restart.
 
         Raises:
-            HandshakeError: it does not take its set-up.
+            HandshakeError: it rejects its configuration.
             PortGone: the port vanished.
         """
         configure(self._link, self.settings.ids[index], self.settings)
@@ -107,10 +107,10 @@ class ServoBus:
         self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
 
     def read(self) -> BusSnapshot:
-        """Return the state of all servos; a servo that gave no good reply is NaN and not valid.
+        """Return the state of all servos; NaN and not valid for a servo without a good reply.
 
-        One sync read while all answer. Once one has failed, each is asked by itself, for in a sync read those behind
-        a missing servo stay silent; a servo missing for longer is asked now and then.
+        One sync read while all servos answer. After a failure each servo is read individually, because in a sync read
+        the servos behind a missing one stay silent. A servo missing for longer is read only every 25th cycle.
 
         Raises:
             PortGone: the port vanished.
@@ -118,15 +118,15 @@ class ServoBus:
         return self._read(b"")
 
     def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> BusSnapshot:
-        """Send the goals as `write_goals` does and return the state as `read` does, in one piece.
+        """Send goals like `write_goals` and return the state like `read`, in one transmission.
 
         Raises:
-            RangeError, PortGone: as both.
+            RangeError, PortGone: as for both.
         """
         return self._read(self._goal_packet(angles, currents))
 
     def _read(self, ahead: bytes) -> BusSnapshot:
-        """Read all servos; packets `ahead`, which nobody answers, go out with the first question."""
+        """Read all servos; the packets `ahead`, which get no reply, are sent with the first request."""
         ids = self.settings.ids
         if not any(self._missed):
             replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH, ahead)
@@ -144,16 +144,16 @@ class ServoBus:
     def write_goals(self, angles: Sequence[float], currents: Sequence[float]) -> None:
         """Send goal angle (rad) and current bound (A, 0 to `current_max`) of each servo; they change together.
 
-        Servos do not confirm this. It moves nothing while torque is off.
+        Servos do not confirm it. While torque is off, nothing moves.
 
         Raises:
-            RangeError: a bound above `current_max`, or a value that the registers cannot hold; nothing is sent.
+            RangeError: a bound above `current_max`, or a value outside a register's range; nothing is sent.
             PortGone: the port vanished.
         """
         self._link.send(self._goal_packet(angles, currents))
 
     def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
-        """Return the packet that writes goal and bound of every servo; an arm that holds sends the same again."""
+        """Return the packet that writes goal and bound of every servo; cached while they do not change."""
         goals = tuple(angles), tuple(currents)
         if goals == self._goals:
             return self._goal_bytes
@@ -166,7 +166,7 @@ class ServoBus:
         return self._goal_bytes
 
     def enable_torque(self, currents: Sequence[float]) -> BusSnapshot:
-        """Switch all servos on, holding where they are: goal := present position first.
+        """Switch the torque of all servos on at their present position: goal := present position first.
 
         Args:
             currents: current bound of each servo, A.
@@ -175,8 +175,8 @@ class ServoBus:
             the snapshot whose angles became the goals.
 
         Raises:
-            NoAnswer: a servo is missing or has just been restarted; none is switched on.
-            ServoFault: a servo has a latched hardware error or refuses; all are switched off again.
+            NoAnswer: a servo is missing or has just restarted; none is switched on.
+            ServoFault: a servo has a latched hardware error or rejects it; all are switched off again.
             PortGone: the port vanished.
         """
         snapshot = self.read()
@@ -201,8 +201,8 @@ class ServoBus:
         return snapshot
 
     def disable_torque(self) -> None:
-        """Switch all servos off: one packet to all, then each by itself until it confirms; one that did not answer
-        lately is asked once.
+        """Switch all servos off: one packet to all, then one to each until it confirms; a servo that missed its last
+        reply is tried once.
 
         Raises:
             PortGone: the port vanished; the servos stop by their watchdog.
@@ -216,25 +216,25 @@ class ServoBus:
                 self._torque[index] = False
 
     def reboot(self, index: int) -> None:
-        """Restart servo `index`: torque off, latched errors cleared. It is away for a moment and must be set up again.
+        """Restart servo `index`: torque off, latched errors cleared. Afterwards it must be configured again.
 
         Raises:
-            NoAnswer, CorruptReply, ServoFault, PortGone: it did not take the instruction.
+            NoAnswer, CorruptReply, ServoFault, PortGone: it did not accept the instruction.
         """
         self._link.reboot(self.settings.ids[index])
         self._torque[index] = False
 
     def restart_watchdogs(self) -> None:
-        """Clear and arm the watchdog of every servo that answers, so that it takes goals again.
+        """Clear and arm the watchdog of every servo that answers, so that it accepts goals again.
 
         Raises:
-            NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not take it.
+            NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not accept it.
         """
         for servo in (servo for servo, missed in zip(self.settings.ids, self._missed, strict=True) if not missed):
             restart_watchdog(self._link, servo, self.settings.watchdog)
 
     def _forget(self) -> None:
-        """Start without knowledge of any servo."""
+        """Reset the known state of all servos."""
         self._missed = [0] * self._count
         self._seen = [time.monotonic()] * self._count
         self._rebooted = [False] * self._count
@@ -247,14 +247,14 @@ class ServoBus:
         return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
 
     def _bound(self, current: float) -> int:
-        """Return a current bound in counts; compared there, so that arithmetic may miss the largest by a rounding."""
+        """Return a current bound in counts; the check is in counts, so that rounding never refuses the largest."""
         counts = current_to_counts(current) if current >= 0.0 else -1
         if not 0 <= counts <= self._largest_counts:
             raise RangeError("current bound", current, 0.0, self.settings.current_max, " A")
         return counts
 
     def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
-        """Write the goal of one servo with confirmation, so that switching on cannot jump."""
+        """Write and verify the goal of one servo, so that it does not jump when switched on."""
         settings = self.settings
         ticks = angle_to_ticks(angles[index], settings.zero_ticks[index], settings.direction[index])
         servo = settings.ids[index]
@@ -284,7 +284,7 @@ class ServoBus:
         )
 
     def _learn(self, index: int, now: float, reply: tuple[int, bytes] | None) -> tuple[float, ...]:
-        """Take one servo's reply and return angle, velocity, current, voltage, temperature; NaN unless it is good."""
+        """Store one servo's reply; return angle, velocity, current, voltage, temperature, NaN unless it is good."""
         data = b"" if reply is None else reply[1]
         self._missed[index] += 1
         self._tripped[index] = False

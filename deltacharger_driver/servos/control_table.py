@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The memory of an emulated MX-64: registers with access rules, limits and indirect addressing."""
+"""Memory of an emulated MX-64: registers with access rules, limits and indirect addressing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ OK, RESULT_FAIL, INSTRUCTION, CHECKSUM, RANGE, LENGTH, LIMIT, ACCESS = range(8)
 """Error numbers of a status packet."""
 
 GOALS = frozenset({"goal_pwm", "goal_current", "goal_velocity", "goal_position"})
-"""What a tripped bus watchdog locks."""
+"""Registers locked by a tripped bus watchdog."""
 
 _LIMITS = {
     "goal_pwm": "pwm_limit",
@@ -28,11 +28,11 @@ _OWNER: dict[int, str] = {
 _POINTERS = {indirect_address(slot) + offset: (slot, offset) for slot in range(INDIRECT_COUNT) for offset in range(2)}
 _DATA = {indirect_data(slot): slot for slot in range(INDIRECT_COUNT)}
 _FIRST_TARGET = 64
-"""Indirect addresses reach RAM only."""
+"""Indirect addresses may point only to RAM."""
 
 
 class ControlTable:
-    """Registers of one servo as bytes, with the rules by which the bus may write them.
+    """Registers of one servo as bytes, with the rules for writes from the bus.
 
     Args:
         servo: its id.
@@ -50,7 +50,7 @@ class ControlTable:
         self.restart()
 
     def restart(self) -> None:
-        """Put everything outside EEPROM to its default, as at a start."""
+        """Reset all registers outside EEPROM to their defaults, as at power-on."""
         for name, register in REGISTERS.items():
             if not register.eeprom:
                 self.set(name, register.default)
@@ -69,12 +69,12 @@ class ControlTable:
         return int.from_bytes(self._memory[start : start + register.size], "little", signed=register.signed)
 
     def set(self, name: str, value: int) -> None:
-        """Set a register from inside the servo, past the rules for the bus."""
+        """Set a register from inside the servo, without the rules for the bus."""
         register = REGISTERS[name]
         self._memory[register.address : register.address + register.size] = register.to_bytes(value)
 
     def set_present(self, current: int, velocity: int, position: int, voltage: int, temperature: int) -> None:
-        """Set what the servo measures, in register units, in one go."""
+        """Set all measured values, in register units."""
         struct.pack_into("<hii", self._memory, 126, current, velocity, position)
         struct.pack_into("<HB", self._memory, 144, voltage, temperature)
 
@@ -98,7 +98,7 @@ class ControlTable:
         """Write `data` from `address` on, all or nothing, as an instruction from the bus.
 
         Returns:
-            error number of the status packet, and the registers written with their values.
+            Error number of the status packet, and the written registers with their values.
         """
         if address + len(data) > SIZE:
             return ACCESS, {}
@@ -124,7 +124,7 @@ class ControlTable:
         return address if slot is None else self._targets[slot]
 
     def _check(self, plain: dict[int, int]) -> tuple[int, dict[str, int]]:
-        """Return (error, values) of the registers that these bytes make up."""
+        """Return (error, values) of the registers that these bytes form."""
         values: dict[str, int] = {}
         for at in plain:
             name = _OWNER.get(at)

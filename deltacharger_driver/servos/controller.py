@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the arm's servos do from cycle to cycle: follow trajectories, stop for faults, come back after them. No ROS.
+"""Controls the arm's servos cycle by cycle: trajectories, stops on faults, recovery. No ROS.
 
-One thread calls `open`, `cycle` and `close`; `submit` and `request` may be called from any thread and take effect at
-the next cycle. Torque goes on by a request only, and every fault ends with torque off. Whatever ends the torque asks
-for the contactor to be opened first: electrodes that carry current must not come apart.
+One thread calls `open`, `cycle` and `close`; any thread may call `submit` and `request`, which take effect in the next
+cycle. Torque is switched on only by request, and every fault ends with torque off. Every switch-off first requests that
+the contactor opens: electrodes that carry current must not separate.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot
 from deltacharger_driver.servos.trajectory import HOLD, Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
-OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
-_TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
+OPENING_TIME = 0.3  # s; after a request, longest time with torque on until the contactor is reported open
+_TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s are a fault
 
 
 class ServoController:
@@ -35,15 +35,15 @@ class ServoController:
 
     Args:
         settings: wiring and mounting.
-        current_bound: bound of each servo's current where a trajectory sets none, A.
-        torque_constant: N·m/A, turns a trajectory's torque bound into a current.
-        notify: called with (severity "info" | "warning" | "error", sentence) at every event worth a log line.
-        contactor: opened before torque goes off.
+        current_bound: of each servo if a trajectory sets none, A.
+        torque_constant: N·m/A, converts a trajectory's torque bound into a current.
+        notify: called with (severity "info" | "warning" | "error", message) for every event to log.
+        contactor: opened before torque is switched off.
 
     Attributes:
-        stop_reason: why the servos were stopped last; it and the next may be read from any thread.
-        unasked_stop: why torque went off without being asked for, until it is on again; '' where it did not.
-        watchdog_trips: how often the servos stopped because they heard nothing.
+        stop_reason: reason of the last stop; it and the next may be read from any thread.
+        unrequested_stop: reason why torque went off without a request; '' once it is on again.
+        watchdog_trips: number of stops by the servos' bus watchdog.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class ServoController:
         self._requests = ServoRequests()
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
-        self.stop_reason = self.unasked_stop = ""
+        self.stop_reason = self.unrequested_stop = ""
         self._reconnection = Reconnection(self.bus, notify)
         self._restarts = ServoRestarts(self.bus, notify)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
@@ -74,39 +74,38 @@ class ServoController:
 
     @property
     def phase(self) -> ServoPhase:
-        """What the servos are doing; may be read from any thread."""
+        """Phase of the servos; may be read from any thread."""
         return self._phase
 
     @property
     def reconnections(self) -> int:
-        """How often a port that vanished was opened again."""
+        """Number of times that a vanished port was reopened."""
         return self._reconnection.count
 
     @property
-    def is_asked(self) -> bool:
-        """Whether the next cycle will serve a request."""
-        return self._requests.are_there
+    def has_request(self) -> bool:
+        """Whether a request waits for the next cycle."""
+        return self._requests.has_queued
 
     @property
     def is_releasing(self) -> bool:
-        """Whether the torque is about to go off because somebody asked for it."""
-        return self._requests.are_held
+        """Whether torque is about to be switched off by request."""
+        return self._requests.has_held
 
     def open(self) -> None:
-        """Open the port and set the servos up, torque off.
+        """Open the port and configure the servos, torque off.
 
         Raises:
-            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
-            HandshakeError: names everything that is wrong with the servos.
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened.
+            HandshakeError: lists every fault of the servos.
         """
         self.bus.open(scan=True)
         self._phase = ServoPhase.OFF
 
     def close(self) -> None:
-        """Switch torque off where it is on, and release the port. Never raises; safe to call twice.
+        """Switch torque off if it is on, and release the port. Never raises; safe to call twice.
 
-        Waits at most `OPENING_TIME` for the contactor; `stop` and cycles until the torque is off come before it where
-        there is time.
+        Waits at most `OPENING_TIME` for the contactor. If possible, first call `stop` and cycle until torque is off.
         """
         if self.bus.is_open and self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
             wait_until_open(self._contactor, OPENING_TIME)
@@ -117,12 +116,12 @@ class ServoController:
         self._refuse_all("the driver is closing")
 
     def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
-        """Let `trajectory` replace whatever runs, at the next cycle.
+        """Replace the running trajectory in the next cycle.
 
         Args:
-            trajectory: its first segment begins at the goal of that moment; what of it has passed is left out, and
-                where all has, its last point holds.
-            start: from when its times count, s, monotonic; not before it takes effect if later.
+            trajectory: its first segment begins at the goal of that moment. Points in the past are skipped; if all
+                are, the last point holds.
+            start: time zero of the trajectory, s, monotonic; at the latest the cycle in which it takes effect.
 
         Raises:
             TrajectoryRefused: torque is off, or the servos are being stopped.
@@ -134,33 +133,33 @@ class ServoController:
             self._submitted = trajectory, start
 
     def freeze(self) -> None:
-        """Stay at the present goal; in the servos' thread only."""
+        """Stay at the present goal; call it only from the servos' thread."""
         if self._submitted is not None or self._goals.are_moving:
             self._submitted = HOLD, math.inf
 
     def request(self, action: str) -> ServoRequest:
-        """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
+        """Request "torque_on", "torque_off" or "reboot"; the servos' thread executes and finishes it."""
         return self._requests.put(action)
 
     def stop(self, reason: str, severity: str = "error") -> None:
-        """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
+        """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
         if self._phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
-            self.unasked_stop = reason
+            self.unrequested_stop = reason
             self._notify(severity, f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
-        """Hold the present position, ask for the contactor to be opened, and let torque go off after `seconds`."""
+        """Hold the present position, request an open contactor, and switch torque off after `seconds`."""
         with self._lock:
             self._phase = ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
         self._stop_at = time.monotonic() + seconds
         self._goals.hold(self._memory.angles)
-        self._contactor.ask_open()
+        self._contactor.request_open()
 
     def cycle(self) -> ServoReport:
-        """Carry out one bus cycle and return the state after it. Never raises `DriverError`."""
+        """Run one bus cycle and return the state after it. Never raises `DriverError`."""
         try:
             if self._phase is ServoPhase.DISCONNECTED:
                 self._reopen()
@@ -172,7 +171,7 @@ class ServoController:
         return self._memory.report(time.monotonic(), self._phase, self._faults())
 
     def _exchange(self) -> None:
-        """Send goals, read the state, and act on what it says."""
+        """Send goals, read the state and react to it."""
         if self._phase is ServoPhase.OFF:
             snapshot = self.bus.read()
         else:
@@ -183,7 +182,7 @@ class ServoController:
         self._check_watchdogs(snapshot)
         if self._phase is ServoPhase.ON:
             self._stop_on_faults(snapshot)
-        elif self._phase is ServoPhase.STOPPING and self._may_let_go():
+        elif self._phase is ServoPhase.STOPPING and self._may_switch_off():
             self._switch_off()
         elif self._phase is ServoPhase.OFF:
             self._keep_off(snapshot)
@@ -191,36 +190,36 @@ class ServoController:
             self._restore(snapshot)
 
     def _stop_on_faults(self, snapshot: BusSnapshot) -> None:
-        """Stop where something stands in the way of moving, and tell the servos in this cycle already."""
+        """Stop on any fault; the servos get the stop goal within this cycle."""
         faults = self._faults()
         lost = snapshot.with_torque(self._ids, False)
         if lost:
-            faults.append(f"servo {lost[0]} has switched its torque off by itself")
+            faults.append(f"servo {lost[0]} switched its torque off on its own")
         if faults:
             self.stop("; ".join(faults))
             self.bus.write_goals(self._goals.angles, self._goals.bounds)
 
     def _restore(self, snapshot: BusSnapshot) -> None:
-        """Set up again what has restarted; that may be why torque went."""
+        """Configure restarted servos again; a restart may be why torque went off."""
         for servo in self._restarts.restore(snapshot):
-            if self.unasked_stop:
-                self.unasked_stop += f"; servo {servo} has restarted by itself"
+            if self.unrequested_stop:
+                self.unrequested_stop += f"; servo {servo} has restarted on its own"
         if self._restarts.is_rebooting:
             self._restarts.look(snapshot, self._faults())
 
     def _keep_off(self, snapshot: BusSnapshot) -> None:
-        """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
+        """Switch off a servo that missed the switch-off, as soon as it answers again."""
         on = snapshot.with_torque(self._ids, True)
         if on:
-            self._notify("warning", f"servos {on} have torque that nobody ordered; switching it off")
+            self._notify("warning", f"servos {on} have torque without a request; switching it off")
             self.bus.disable_torque()
 
-    def _may_let_go(self) -> bool:
-        """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
+    def _may_switch_off(self) -> bool:
+        """Return whether torque may go off: the stop time has passed, or it was requested and the contactor is open."""
         return time.monotonic() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
 
     def _advance(self) -> None:
-        """Take what was submitted, and the goal and the bounds of this instant."""
+        """Take a submitted trajectory; update goal and bounds for now."""
         now = time.monotonic()
         with self._lock:
             submitted, self._submitted = self._submitted, None
@@ -233,7 +232,7 @@ class ServoController:
         if not tripped:
             return
         if self._phase is ServoPhase.ON:
-            self._go_on_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
+            self._resume_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
         try:
             self.bus.restart_watchdogs()
         except PortGone:
@@ -241,17 +240,17 @@ class ServoController:
         except DriverError as error:
             self.stop(f"a tripped watchdog cannot be cleared: {error}")
 
-    def _go_on_after_silence(self, what: str) -> None:
+    def _resume_after_silence(self, event: str) -> None:
         self.watchdog_trips += 1
         self._trips.append(now := time.monotonic())
         if now - self._trips[0] < _TRIPS_WITHIN:
-            self.stop(f"{what} again and again; this computer is overloaded")
+            self.stop(f"{event} repeatedly; this computer is overloaded")
         else:
             self._goals.resume_at(self._memory.angles, now)
-            self._notify("warning", f"{what}; going on from where they stopped")
+            self._notify("warning", f"{event}; resuming from where they stopped")
 
     def _faults(self) -> list[str]:
-        """Return what stands in the way of moving, by the last snapshot."""
+        """Return the faults that forbid moving, from the last snapshot."""
         if self._phase is ServoPhase.DISCONNECTED:
             return [self._reconnection.fault]
         return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
@@ -264,7 +263,7 @@ class ServoController:
                 elif request.action == "torque_on":
                     self._switch_on(request)
                 elif request.action == "torque_off":
-                    self._let_go(request)
+                    self._switch_off_when_open(request)
                 else:
                     self._reboot(request)
             except DriverError as error:
@@ -286,21 +285,21 @@ class ServoController:
         snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
         self._goals.begin_at(snapshot.angle)
-        self.unasked_stop = ""
+        self.unrequested_stop = ""
         with self._lock:
             self._submitted = None
             self._phase = ServoPhase.ON
         request.finish(True, "torque is on, holding the present position")
         self._notify("info", "torque on")
 
-    def _let_go(self, request: ServoRequest) -> None:
+    def _switch_off_when_open(self, request: ServoRequest) -> None:
         """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
         self._requests.hold(request)
         if self._phase is ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
         elif self._phase is ServoPhase.STOPPING:
             self._stop_at = min(self._stop_at, time.monotonic() + OPENING_TIME)
-            self._contactor.ask_open()
+            self._contactor.request_open()
         else:
             self._switch_off()
 
@@ -334,8 +333,8 @@ class ServoController:
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
         if self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
-            self.unasked_stop = str(error)
-            self._contactor.ask_open()
+            self.unrequested_stop = str(error)
+            self._contactor.request_open()
         with self._lock:
             self._phase = ServoPhase.DISCONNECTED
             self._submitted = None

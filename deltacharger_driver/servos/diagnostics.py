@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servos' state as entries of /diagnostics, in plain words. No ROS."""
+"""The servos' state as entries of /diagnostics. No ROS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class DiagnosticEntry(NamedTuple):
         level: OK, WARN or ERROR.
         message: one sentence.
         values: further values.
-        part: its name.
+        part: name of the device or bus.
     """
 
     level: bytes
@@ -40,9 +40,9 @@ class RefusedTrajectories(NamedTuple):
     Attributes:
         now: since the last diagnostic.
         total: since the start.
-        forbidden: those of the total that the state of the contactor forbade.
-        last: why the last was.
-        by: who sent those that were forbidden since the last diagnostic.
+        forbidden: of the total, those forbidden by the state of the contactor.
+        last: reason of the last refusal.
+        by: senders of those forbidden since the last diagnostic.
     """
 
     now: int
@@ -60,15 +60,15 @@ def bus_entry(
     rate: float,
     late: int,
 ) -> DiagnosticEntry:
-    """Return the state of the bus as a whole.
+    """Return the state of the bus.
 
     Args:
         report: of the last cycle.
         controller: for its counters.
-        contactor: what is known of it.
+        contactor: its known state.
         refusals: of trajectories.
         rate: cycles per second since the last diagnostic, Hz.
-        late: cycles that began late, since the start.
+        late: number of late cycles since the start.
     """
     settings = controller.bus.settings
     values: dict[str, object] = {
@@ -91,8 +91,8 @@ def bus_entry(
         level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
     elif refusals.now:
         level, message = WARN, f"{refusals.last}{f'; sent by {refusals.by}' if refusals.by else ''}"
-    elif report.phase is ServoPhase.OFF and controller.unasked_stop:
-        level, message = WARN, f"torque off: {controller.unasked_stop}"
+    elif report.phase is ServoPhase.OFF and controller.unrequested_stop:
+        level, message = WARN, f"torque off: {controller.unrequested_stop}"
     else:
         level, message = OK, report.phase.value
     return DiagnosticEntry(level, message, values, "servo bus")

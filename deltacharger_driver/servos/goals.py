@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the servos shall be from cycle to cycle, and how hard they may push: a trajectory and its end. No ROS."""
+"""Goals and current bounds of the servos in each cycle, from a trajectory. No ROS."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class ServoGoals:
 
     Args:
         count: of servos.
-        current_bound: of each servo where a trajectory sets none, A.
-        torque_constant: N·m/A, turns a trajectory's torque bound into a current.
+        current_bound: of each servo if a trajectory sets none, A.
+        torque_constant: N·m/A, converts a trajectory's torque bound into a current.
 
     Attributes:
         angles: rad; NaN before the first `begin_at`.
@@ -27,11 +27,11 @@ class ServoGoals:
         self.angles: tuple[float, ...] = (math.nan,) * count
         self.bounds = self.default
         self._torque_constant = torque_constant
-        self._running: tuple[Trajectory, tuple[float, ...], float] | None = None  # what, from where, since when
+        self._running: tuple[Trajectory, tuple[float, ...], float] | None = None  # trajectory, start angles, start time
 
     @property
     def are_moving(self) -> bool:
-        """Whether a trajectory is under way."""
+        """Whether a trajectory is running."""
         return self._running is not None
 
     def begin_at(self, angles: tuple[float, ...]) -> None:
@@ -39,7 +39,7 @@ class ServoGoals:
         self.angles, self.bounds, self._running = angles, self.default, None
 
     def hold(self, angles: Sequence[float]) -> None:
-        """Hold `angles` (rad), pressing no harder than before; a servo whose angle is NaN keeps its goal."""
+        """Hold `angles` (rad) without raising the bounds; a servo whose angle is NaN keeps its goal."""
         self._running = None
         self.angles = tuple(
             goal if math.isnan(angle) else angle for angle, goal in zip(angles, self.angles, strict=True)
@@ -47,18 +47,18 @@ class ServoGoals:
         self.bounds = tuple(map(min, self.bounds, self.default))
 
     def follow(self, trajectory: Trajectory, start: float, now: float) -> None:
-        """Let `trajectory` replace what runs: from the present goal to its first point, or where it is already by then.
+        """Replace the running trajectory: move from the present goal to the first point that is not in the past.
 
-        Its last point holds.
+        The last point holds.
 
         Args:
-            trajectory: without points it means: hold the present goal.
-            start: from when its times count, s; a later instant than `now` counts as `now`.
+            trajectory: without points: hold the present goal.
+            start: time zero of the trajectory, s; if later than `now`, `now` is used.
             now: s.
         """
-        self.advance(now)  # pieces of a line that come in every cycle must not each begin where the last cycle was
+        self.advance(now)  # if a piece of a line arrives in every cycle, it must not start from the last cycle's goal
         self._running = None
-        # Bounds of the past never outlive their trajectory upwards: a release must not leave 2.8 A behind.
+        # A raised bound must not outlive its trajectory: a release must not leave 2.8 A behind.
         if trajectory.is_hold:
             self.bounds = tuple(map(min, self.bounds, self.default))
         else:
@@ -69,7 +69,7 @@ class ServoGoals:
             self.bounds = self.default
 
     def advance(self, now: float) -> None:
-        """Take goal and bounds of the instant `now` (s) from what runs."""
+        """Update goal and bounds for `now` (s) from the running trajectory."""
         if self._running is None:
             return
         trajectory, start, since = self._running
@@ -82,7 +82,7 @@ class ServoGoals:
             self._running = None
 
     def resume_at(self, angles: Sequence[float], now: float) -> None:
-        """Let the rest of what runs start at `angles` (rad) now, so that nothing jumps to catch up."""
+        """Start the rest of the trajectory at `angles` (rad) now, so that no servo jumps to catch up."""
         running = self._running
         self.hold(angles)
         if running is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of servos by name over one serial port: bounded retries, every failure an error with a name."""
+"""Reads and writes servo registers by name over one serial port, with bounded retries and specific errors."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from deltacharger_driver.servos.port import PATIENCE, ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, instruction_packet
 
 ATTEMPTS = 3
-"""How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
+"""Attempts before a read or write fails; register accesses may be repeated without harm."""
 
 
 class ServoLink:
-    """An open port with servos on it. The thread that opens it owns it; any other is refused.
+    """An open port with servos on it. Only the thread that opened it may use it.
 
     Args:
         port: path of the serial port.
         baud_rate: bit/s.
-        reply_margin: s, for what is asked in a hurry, see `parameters.REPLY_MARGIN`.
+        reply_margin: s, for accesses with `hurry`, see `parameters.REPLY_MARGIN`.
 
     Attributes:
-        counters: what went wrong on the wire so far.
+        counters: communication errors so far.
     """
 
     def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
@@ -48,10 +48,10 @@ class ServoLink:
         return bool(self._handler.is_open)
 
     def open(self) -> None:
-        """Open the port; the calling thread owns it from now on.
+        """Open the port; the calling thread owns it.
 
         Raises:
-            PortMissing, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+            PortMissing, PortBusy, PortDenied, PortError: it cannot be opened.
         """
         self._owner = threading.current_thread()
         self._handler.baudrate = self.baud_rate
@@ -59,12 +59,12 @@ class ServoLink:
             raise DriverError(f"{self.port}: {self.baud_rate} bit/s is not a speed of this servo; see mx64.SPEEDS")
 
     def close(self) -> None:
-        """Release the port. Never raises, and works from any thread so that nothing keeps a port open."""
+        """Release the port. Never raises; works from any thread."""
         self._handler.closePort()
         self._owner = None
 
     def set_speed(self, baud_rate: int) -> None:
-        """Speak and listen at another speed; the servos are not changed.
+        """Change the speed of the port, not of the servos.
 
         Raises:
             PortGone: the port vanished.
@@ -77,11 +77,11 @@ class ServoLink:
 
         Args:
             servo: its id.
-            attempts: how often to try.
+            attempts: number of attempts.
 
         Raises:
-            NoAnswer: nobody has this id at this speed.
-            CorruptReply: somebody answers, but not intelligibly.
+            NoAnswer: no servo with this id answers at this speed.
+            CorruptReply: replies arrive, but none is intact.
             PortGone: the port vanished.
         """
         return int(self._ask(servo, "ping", attempts, lambda: (*self._protocol.ping(self._handler, servo)[:2], 0)))
@@ -102,11 +102,11 @@ class ServoLink:
         Args:
             servo: its id.
             name: key of `mx64.REGISTERS`.
-            hurry: try once, and wait no longer than in the cycle.
+            hurry: one attempt with the cycle's timeout.
 
         Raises:
-            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` tries.
-            ServoFault: the servo refuses.
+            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` attempts.
+            ServoFault: the servo rejects it.
             PortGone: the port vanished.
         """
         register = REGISTERS[name]
@@ -129,12 +129,12 @@ class ServoLink:
             servo: its id.
             name: key of `mx64.REGISTERS`.
             value: in register units.
-            hurry: try once, and wait no longer than in the cycle.
+            hurry: one attempt with the cycle's timeout.
 
         Raises:
             RangeError: the register cannot hold `value`.
-            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` tries.
-            ServoFault: the servo refuses.
+            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` attempts.
+            ServoFault: the servo rejects it.
             PortGone: the port vanished.
         """
         register = REGISTERS[name]
@@ -150,7 +150,7 @@ class ServoLink:
         self._ask(servo, action, 1 if hurry else ATTEMPTS, send, hurry)
 
     def write_unanswered(self, servo: int, name: str, value: int) -> None:
-        """Write a register without waiting for a reply; for a servo told not to give any.
+        """Write a register without waiting for a reply; for a servo set to send none.
 
         Raises:
             PortGone: the port vanished.
@@ -167,16 +167,16 @@ class ServoLink:
         return self._protocol.sync_read(self._handler, servos, address, length, ahead)
 
     def send(self, packets: bytes) -> None:
-        """Send packets that nobody answers (`protocol.sync_write_packet`).
+        """Send packets that get no reply (`protocol.sync_write_packet`).
 
         Raises:
-            PortGone: the port vanished or takes nothing.
+            PortGone: the port vanished or accepts no bytes.
         """
         self._check_owner()
         self._protocol.send(self._handler, packets)
 
     def reboot(self, servo: int) -> None:
-        """Restart a servo: its torque goes off, latched errors are cleared, what is not in EEPROM is lost.
+        """Restart a servo: torque off, latched errors cleared, values outside EEPROM lost.
 
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
@@ -186,7 +186,7 @@ class ServoLink:
     def _ask(
         self, servo: int, action: str, attempts: int, question: Callable[[], tuple[Any, int, int]], hurry: bool = False
     ) -> Any:
-        """Return the data of `question`, which gives (data, result, error byte), asked again for want of a good reply.
+        """Return the data of `question`, which returns (data, result, error byte); retry until the reply is good.
 
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `read`.
@@ -203,7 +203,7 @@ class ServoLink:
         raise self._failure(servo, action, result, attempts)
 
     def _begin(self, hurry: bool) -> None:
-        """Check who asks, and set how long the reply is waited for."""
+        """Check the calling thread and set the reply timeout."""
         self._check_owner()
         self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
 

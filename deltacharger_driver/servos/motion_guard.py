@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may move the arm, by what is known of the contactor: pure logic, the clock is passed in.
+"""Decides who may move the arm, from the state of the contactor: pure logic, the clock is passed in.
 
-Electrodes that carry current must not come apart. While the contactor is closed nobody moves the arm: docking stands
-still then, and opens it before it goes anywhere. While it may close at any moment, and while nobody tells its state,
-only the sender moves the arm who led it when the contactor was last known to be open. Holding is always allowed.
+Electrodes that carry current must not separate. While the contactor is closed, no one moves the arm; docking stands
+still and opens it before it moves. While the contactor may close at any moment, or its state is unknown, only the
+sender that moved the arm when the contactor was last known to be open may move it. Holding is always allowed.
 """
 
 from __future__ import annotations
@@ -13,37 +13,37 @@ import hmac
 import math
 from typing import NamedTuple
 
-FRESH = 0.2  # s, four periods of charger_power; older, the state is unknown
-AHEAD = 0.1  # s that a stamp may lie in the future and still tell of an open contactor
-_PUBLISHERS = 8  # of charger_power that are told apart; a charger has one
+FRESH = 0.2  # s, four periods of charger_power; if older, the state is unknown
+AHEAD = 0.1  # s; a stamp further in the future cannot show an open contactor
+_PUBLISHERS = 8  # of charger_power that are tracked; a charger has one
 
 
 class ContactorState(enum.Enum):
-    """What is known of the contactor; the value is what a refusal says."""
+    """Known state of the contactor; the value is the text of a refusal."""
 
     ABSENT = "there is none"
     OPEN = "open"
     ARMED = "the contactor may close at any moment: only the node that moved the arm before the probe may move it"
-    CLOSED = "the contactor is closed: nobody moves the arm until it is open"
+    CLOSED = "the contactor is closed: the arm must not move until it is open"
     UNKNOWN = (
-        "the contactor may be closed, because charger_power is silent or wrongly stamped: only the node that last "
-        "moved the arm while it was open may move it; look at tactile_node"
+        "the contactor may be closed, because charger_power is silent or its stamps are wrong: only the node that last "
+        "moved the arm while it was open may move it; check tactile_node"
     )
 
 
 class Sender(NamedTuple):
-    """Who sent a trajectory.
+    """Sender of a trajectory.
 
     Attributes:
-        secret: header.frame_id, which docking_node draws at random when it starts.
-        publisher: the middleware's id of the publisher; empty where rclpy does not tell it.
+        secret: header.frame_id, which docking_node draws at random at its start.
+        publisher: the middleware's id of the publisher; empty if rclpy does not provide it.
     """
 
     secret: str = ""
     publisher: bytes = b""
 
     def is_same(self, other: Sender) -> bool:
-        """Return whether both are known to be one; nobody is the same as one of whom nothing is known."""
+        """Return whether both are certainly the same sender; False if nothing is known of one."""
         same = hmac.compare_digest(self.secret.encode(), other.secret.encode())
         return same and self.publisher == other.publisher and bool(self.secret or self.publisher)
 
@@ -55,34 +55,34 @@ class _Report(NamedTuple):
 
 
 class MotionGuard:
-    """Follows charger_power and who leads the arm. Used by one thread.
+    """Tracks charger_power and the sender that moves the arm. Used by one thread.
 
-    Each publisher of charger_power counts by its last report, and the worst one decides: who says that the contactor
-    is open cannot talk over the one that says it is closed.
+    The last report of each publisher of charger_power counts, and the worst one decides: a publisher that reports
+    "open" cannot override another that reports "closed".
     """
 
     def __init__(self) -> None:
         self._reports: dict[bytes, _Report] = {}
-        self._was_heard = False
+        self._was_received = False
         self._leader = Sender()
 
     @property
-    def was_heard(self) -> bool:
-        """Whether charger_power ever came."""
-        return self._was_heard
+    def was_received(self) -> bool:
+        """Whether charger_power was ever received."""
+        return self._was_received
 
     def observe(self, publisher: bytes, closed: bool, armed: bool, age: float, now: float) -> None:
-        """Take note of a charger_power.
+        """Record a charger_power message.
 
         Args:
-            publisher: who sent it; empty = not known.
+            publisher: id of the sender; empty = unknown.
             closed: whether the contactor is closed.
-            armed: whether there is a probe that allows it to close.
-            age: s since the measurement by its stamp; negative in the future, NaN where the stamp is none.
+            armed: whether a probe allows it to close.
+            age: s since the measurement by its stamp; negative in the future, NaN for an invalid stamp.
             now: s.
         """
-        self._was_heard = True
-        if age > FRESH or not (closed or age >= -AHEAD):  # an impossible stamp may stop the arm, never free it
+        self._was_received = True
+        if age > FRESH or not (closed or age >= -AHEAD):  # a wrong stamp may stop the arm but never free it
             return
         self._reports.pop(publisher, None)
         if len(self._reports) >= _PUBLISHERS:
@@ -90,14 +90,14 @@ class MotionGuard:
         self._reports[publisher] = _Report(closed, armed, now - (age if age > 0.0 else 0.0))
 
     def state(self, now: float, is_announced: bool) -> ContactorState:
-        """Return what is known at `now` (s).
+        """Return the state at `now` (s).
 
         Args:
             now: s.
-            is_announced: whether somebody publishes charger_power or serves set_contactor; looked at only where
-                charger_power never came.
+            is_announced: whether anyone publishes charger_power or serves set_contactor; used only until charger_power
+                is first received.
         """
-        if not self._was_heard:
+        if not self._was_received:
             return ContactorState.UNKNOWN if is_announced else ContactorState.ABSENT
         fresh = [report for report in self._reports.values() if now - report.measured <= FRESH]
         if not fresh:
@@ -112,12 +112,12 @@ class MotionGuard:
             return True
         return state is not ContactorState.CLOSED and sender.is_same(self._leader)
 
-    def led(self, sender: Sender, state: ContactorState) -> None:
-        """Take note that `sender` moved the arm."""
+    def record_move(self, sender: Sender, state: ContactorState) -> None:
+        """Record that `sender` moved the arm."""
         if state is ContactorState.OPEN:
             self._leader = sender
 
 
 def stamp_age(sec: int, nanosec: int, now: int) -> float:
-    """Return how long ago (s) a stamp was at `now` (ns); NaN for one before 1970, whatever a sender wrote."""
+    """Return the age of a stamp, s, at `now` (ns); NaN for a stamp before 1970."""
     return (now - sec * 1_000_000_000 - nanosec) * 1e-9 if sec >= 0 else math.nan

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The MX-64 servo with Protocol 2.0 firmware (model 311): its registers as data, its units as pure functions.
 
-Addresses, sizes, defaults and units are those of the vendor's e-manual for MX-64(2.0).
+Addresses, sizes, defaults and units are from the vendor's e-manual for MX-64(2.0).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from deltacharger_core.machine import EXTENDED_TICKS, GAIN_MAX, TICKS_PER_TURN
 from deltacharger_driver.errors import RangeError
 
 MODEL = 311
-"""Model number of an MX-64 whose firmware speaks Protocol 2.0."""
+"""Model number of an MX-64 with Protocol 2.0 firmware."""
 MODEL_PROTOCOL_1 = 310
-"""Model number of the same servo with Protocol 1.0 firmware: other registers, no sync read, no current in mode 5."""
+"""Model number of an MX-64 with Protocol 1.0 firmware: other registers, no sync read, no current in mode 5."""
 
 TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
 CURRENT_UNIT = 3.36e-3  # A
@@ -28,21 +28,21 @@ WATCHDOG_TRIPPED = 255  # −1 in one byte
 MODE_CURRENT, MODE_VELOCITY, MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION, MODE_PWM = 0, 1, 3, 4, 5, 16
 
 SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
-"""Value of the baud register → bit/s; 7 (4.5 M) is not a speed that Linux names."""
+"""Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "encoder", 4: "electrical shock", 5: "overload"}
-"""Bit of register hardware_error → what it means; only a reboot clears them. Register shutdown has the same bits."""
+"""Bit of register hardware_error → its meaning; only a reboot clears it. Register shutdown has the same bits."""
 
 STATUS_ERRORS = {
     1: "could not process the instruction",
-    2: "does not know the instruction",
+    2: "unknown instruction",
     3: "received a bad checksum",
     4: "value out of range, or goals locked by the bus watchdog",
     5: "wrong number of bytes",
     6: "value beyond its limit register",
     7: "register does not exist, is read-only or is locked while torque is on",
 }
-"""Error number of a status packet → what it means."""
+"""Error number of a status packet → its meaning."""
 ALERT = 0x80
 """Bit of the same byte: a hardware error is latched."""
 
@@ -72,7 +72,7 @@ class Register:
     high: int = 0
 
     def to_bytes(self, value: int) -> bytes:
-        """Return `value` as it stands on the wire.
+        """Return `value` as bytes for the wire.
 
         Raises:
             RangeError: the register cannot hold it.
@@ -162,7 +162,7 @@ INDIRECT_COUNT = 56
 
 
 def indirect_address(slot: int) -> int:
-    """Return where the two-byte address of indirect register `slot` (0–55) is kept.
+    """Return the address that holds the two-byte target of indirect register `slot` (0–55).
 
     Raises:
         RangeError: there is no such slot.
@@ -173,7 +173,7 @@ def indirect_address(slot: int) -> int:
 
 
 def indirect_data(slot: int) -> int:
-    """Return where the byte that indirect register `slot` (0–55) points to is read and written.
+    """Return the address at which the target byte of indirect register `slot` (0–55) is read and written.
 
     Raises:
         RangeError: there is no such slot.
@@ -192,7 +192,7 @@ def angle_to_ticks(angle: float, zero_ticks: int, direction: int) -> int:
         direction: +1 or −1.
 
     Raises:
-        RangeError: the goal register cannot hold it, or it is not finite.
+        RangeError: outside the goal register's range, or not finite.
     """
     limit = EXTENDED_TICKS * TICK
     if not -limit <= angle <= limit:
@@ -209,7 +209,7 @@ def current_to_counts(current: float) -> int:
     """Return a current, A, in counts of 3.36 mA, rounded toward zero so that a bound is never exceeded.
 
     Raises:
-        RangeError: beyond what the registers accept, or not finite.
+        RangeError: outside the registers' range, or not finite.
     """
     if not -LARGEST_CURRENT <= current <= LARGEST_CURRENT:
         raise RangeError("current", current, -LARGEST_CURRENT, LARGEST_CURRENT, " A")
@@ -217,14 +217,14 @@ def current_to_counts(current: float) -> int:
 
 
 def describe_hardware_error(bits: int) -> str:
-    """Return the names of the latched hardware errors in `bits`, empty where none is."""
+    """Return the names of the latched hardware errors in `bits`, '' if there are none."""
     names = [name for bit, name in HARDWARE_ERRORS.items() if bits >> bit & 1]
     unknown = bits & ~sum(1 << bit for bit in HARDWARE_ERRORS)
     return ", ".join(names + ([f"unknown bits {unknown:#04x}"] if unknown else []))
 
 
 def describe_status_error(code: int) -> str:
-    """Return what the error byte of a status packet says, empty where it says nothing."""
+    """Return the meaning of a status packet's error byte; '' for 0."""
     number = code & ~ALERT
     text = STATUS_ERRORS.get(number, f"unknown error {number}") if number else ""
     if code & ALERT:

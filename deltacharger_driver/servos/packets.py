@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of Protocol 2.0 (and just enough of 1.0) as a servo sees them: instructions in, status packets out. Pure."""
+"""Packets of Protocol 2.0, and a part of 1.0, on the servo's side: instructions in, status packets out. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT = 1, 2, 3, 4, 5, 6, 
 SYNC_READ, SYNC_WRITE, BULK_READ, BULK_WRITE = 0x82, 0x83, 0x92, 0x93
 
 _LONGEST = 1024  # bytes of a packet; a longer length is noise
-_SILENCE = 0.02  # s without a byte after which half a packet is given up
+_SILENCE = 0.02  # s without a byte after which an incomplete packet is discarded
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Instruction:
     """One instruction packet.
 
     Attributes:
-        servo: id it is addressed to, or BROADCAST.
+        servo: id of the addressed servo, or BROADCAST.
         code: instruction.
         parameters: unstuffed.
-        intact: its checksum is right.
+        intact: whether its checksum is right.
         size: bytes on the wire.
         protocol: 1 or 2.
     """
@@ -50,7 +50,7 @@ def status_1(servo: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 def _interrupted(body: bytearray) -> bool:
-    """Return whether a header that is not stuffed stands before the checksum: a servo starts over there."""
+    """Return whether an unstuffed header precedes the checksum: a servo restarts its parser there."""
     if PLAIN not in body:
         return False
     at = body.replace(STUFFED, b"\0\0\0\0").find(PLAIN)
@@ -58,10 +58,10 @@ def _interrupted(body: bytearray) -> bool:
 
 
 class InstructionParser:
-    """Find instruction packets in a stream of bytes; anything else is skipped, as a servo does.
+    """Finds instruction packets in a stream of bytes; skips anything else, as a servo does.
 
     Attributes:
-        protocol_1: also recognise Protocol 1.0.
+        protocol_1: whether to recognise Protocol 1.0 too.
     """
 
     def __init__(self, protocol_1: bool = False) -> None:

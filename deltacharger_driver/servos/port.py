@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The port handler of the vendor's dynamixel-sdk with its traps closed: it sleeps, and it can be unplugged.
+"""The port handler of the vendor's dynamixel-sdk with its traps removed: it sleeps, and it survives an unplugged cable.
 
-The class is the SDK's own with single methods replaced; docs/servos.md lists each trap and its test.
+It is the SDK's class with single methods replaced; docs/servos.md lists each trap and its test.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.serial_open import HANG_UPS, open_serial
 
 PATIENCE = 0.1
-"""s, as `parameters.REPLY_MARGIN`, outside the cycle, where nothing waits for the answer but the set-up."""
-USB_LATENCY = 1e-3  # s, one USB frame; where the adapter's driver names no latency timer
+"""s, like `parameters.REPLY_MARGIN`, outside the cycle, when only the set-up waits for the reply."""
+USB_LATENCY = 1e-3  # s, one USB frame; used if the adapter's driver has no latency timer
 _DRAIN_LONGEST = 0.02  # s
 _SUSPECT_BYTES = 4096
-"""How many of the first bytes are searched for the board's packets. It sends its power unasked, 20 times a second, so
-that a ping's wait hears it; its checksum of 32 bits mistakes no servo for it."""
+"""Number of first bytes that are searched for the board's packets. It sends POWER 20 times a second, so the wait of a
+ping receives one; with its 32-bit checksum no servo is mistaken for a board."""
 
 
 def latency_timer(port: str) -> float:
@@ -45,7 +45,7 @@ def latency_timer(port: str) -> float:
 class ServoPort(PortHandler):  # type: ignore[misc]
     """The SDK's port handler: waits in `poll`, keeps time by the monotonic clock, and reports a pulled cable.
 
-    Every method that receives raises `WrongDevice` where the first bytes after the opening are the board's.
+    Every method that receives raises `WrongDevice` if the first bytes after opening are the board's.
 
     Args:
         port: path, e.g. /dev/ttyUSB0.
@@ -53,7 +53,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         reply_margin: s, see `parameters.REPLY_MARGIN`.
 
     Attributes:
-        margin: the same, for the packets to come.
+        margin: reply margin of the next packets, s.
     """
 
     def __init__(self, port: str, baud_rate: int = BAUD_RATE, reply_margin: float = REPLY_MARGIN) -> None:
@@ -69,10 +69,10 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._board: PacketDecoder | None = None
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the port for this process alone, or change the speed of the open port.
+        """Open the port exclusively, or change the speed of the open port.
 
         Raises:
-            PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+            PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened.
             PortGone: it was open and vanished.
         """
         if self.ser is not None and self.is_open:
@@ -103,7 +103,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.is_open = self.is_using = False
 
     def clearPort(self) -> None:  # noqa: N802
-        """Discard what has been received.
+        """Discard received bytes.
 
         Raises:
             PortGone: the port vanished.
@@ -116,11 +116,11 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     @property
     def reply_timeout(self) -> float:
-        """How long a short reply is waited for, s."""
+        """Timeout of a short reply, s."""
         return 2.0 * self.latency + self.margin
 
     def drain(self) -> None:
-        """Discard what is still on its way, until the line is quiet: a late reply must not answer the next question.
+        """Discard bytes until the line is quiet: a late reply must not answer the next request.
 
         Raises:
             PortGone: the port vanished.
@@ -132,7 +132,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._buffer.clear()
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Return up to `length` bytes; sleep for the first of them, at most until the packet's timeout.
+        """Return up to `length` bytes; wait for the first one, at most until the packet's timeout.
 
         Raises:
             PortGone: the port vanished.
@@ -144,7 +144,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
-        """Send `packet` and return how many bytes the kernel took.
+        """Send `packet` and return the number of bytes that the kernel accepted.
 
         Raises:
             PortGone: the port vanished.
@@ -157,7 +157,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             raise self._gone(error) from error
 
     def received(self) -> bytes | bytearray:
-        """Return what has come and was not taken; where that is nothing, wait for it as `readPort` does.
+        """Return the received bytes not yet taken; if there are none, wait like `readPort`.
 
         Raises:
             PortGone: the port vanished.
@@ -167,19 +167,19 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return self._buffer
 
     def discard(self, length: int) -> None:
-        """Take the first `length` bytes of what has come."""
+        """Remove the first `length` received bytes."""
         del self._buffer[:length]
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Allow `packet_length` bytes their wire time, the adapter its latency both ways, and the margin."""
+        """Set the timeout: wire time of `packet_length` bytes, the adapter's latency both ways, and the margin."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.reply_timeout * 1e3)
 
     def getCurrentTime(self) -> float:  # noqa: N802
-        """Return the monotonic time in milliseconds, as the SDK counts."""
+        """Return the monotonic time in milliseconds, the SDK's unit."""
         return time.monotonic() * 1e3
 
     def _wait(self, timeout: float) -> bool:
-        """Wait at most `timeout` s and take what has come into the buffer; return whether anything has."""
+        """Wait at most `timeout` s for bytes and buffer them; return whether any arrived."""
         try:
             if not self._poller.poll(max(timeout, 0.0) * 1e3):
                 return False

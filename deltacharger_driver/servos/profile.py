@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion profile inside the servo: a trapezoid of velocity from where the reference is to the goal."""
+"""The motion profile inside the servo: a velocity trapezoid from the reference to the goal."""
 
 from __future__ import annotations
 
 import math
 
 _STEP = 1e-3  # s, the servo's own control period
-_STANDSTILL = 1e-9  # s; a shorter time is none
+_STANDSTILL = 1e-9  # s; a shorter time counts as zero
 _ARRIVED = 1e-4  # rad, a fifteenth of an encoder count
 
 
@@ -39,7 +39,7 @@ class Profile:
         self._time = -math.inf
 
     def jump(self, position: float, now: float) -> None:
-        """Put the reference to `position`, at rest."""
+        """Set the reference to `position`, at rest."""
         self.position, self.velocity, self._time = position, 0.0, now
 
     def advance(self, goal: float, velocity: float, acceleration: float, now: float) -> bool:
@@ -47,7 +47,7 @@ class Profile:
 
         Args:
             goal: rad.
-            velocity: largest, rad/s; 0 = no limit, and then the reference jumps.
+            velocity: largest, rad/s; 0 = no limit: the reference jumps.
             acceleration: largest, rad/s²; 0 = no limit.
             now: s.
         """

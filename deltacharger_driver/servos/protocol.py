@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Protocol 2.0 of the vendor's dynamixel-sdk with its traps closed: it stuffs what it sends and checks what comes.
+"""Protocol 2.0 of the vendor's dynamixel-sdk with its traps removed: it stuffs what it sends and checks every reply.
 
-The class is the SDK's own with single methods replaced; docs/servos.md lists each trap and its test.
+It is the SDK's class with single methods replaced; docs/servos.md lists each trap and its test.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from deltacharger_driver.servos.port import ServoPort
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 HEADER = b"\xff\xff\xfd\0"
 STATUS = 0x55  # the instruction byte of a servo's answer
-PLAIN = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it begins none
+PLAIN = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it starts none
 _SHORTEST = 11  # bytes of a status packet without parameters
 
 
 @dataclass
 class ServoLinkCounters:
-    """What went wrong on the wire since the port was opened.
+    """Communication errors since the port was opened.
 
     Attributes:
-        timeouts: replies that did not come.
+        timeouts: replies that did not arrive.
         corrupt: replies with a bad checksum or cut short.
-        late: valid replies to another question, discarded.
-        implausible: intact replies with a value that no servo reports, discarded.
-        retries: questions asked again because the first reply was not good.
+        late: valid replies to another request, discarded.
+        implausible: intact replies with an impossible value, discarded.
+        retries: requests repeated because the first reply was not good.
     """
 
     timeouts: int = 0
@@ -81,7 +81,7 @@ def packet(servo: int, body: bytes) -> bytes:
 
 
 def instruction_packet(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Return an instruction as it stands on the wire."""
+    """Return an instruction as bytes for the wire."""
     return packet(servo, bytes((instruction,)) + parameters)
 
 
@@ -93,15 +93,15 @@ def sync_write_packet(address: int, length: int, rows: Sequence[tuple[int, bytes
 
 @functools.lru_cache(maxsize=16)
 def sync_read_packet(address: int, length: int, servos: tuple[int, ...]) -> bytes:
-    """Return the instruction that asks several servos for the same registers."""
+    """Return the instruction that reads the same registers of several servos."""
     return instruction_packet(BROADCAST_ID, INST_SYNC_READ, struct.pack("<HH", address, length) + bytes(servos))
 
 
 class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
-    """The SDK's Protocol 2.0: stuffs what it sends, and takes a reply only where servo and length are those asked for.
+    """The SDK's Protocol 2.0: stuffs what it sends, and accepts only replies of the right servo and length.
 
     Attributes:
-        counters: what went wrong so far.
+        counters: communication errors so far.
     """
 
     def __init__(self) -> None:
@@ -123,22 +123,22 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         return packet
 
     def send(self, port: ServoPort, packets: bytes) -> None:
-        """Send whole packets in one piece. What came before is discarded, after a failure once the line is silent.
+        """Send whole packets in one write. First discard older bytes; after a failure, wait until the line is quiet.
 
         Raises:
-            PortGone: the port vanished or takes nothing.
+            PortGone: the port vanished or accepts no bytes.
         """
         if self._suspect:
             self._suspect = False
             port.drain()
         port.clearPort()
         if port.writePort(packets) != len(packets):
-            raise PortGone(str(port.port_name), "it takes no more bytes")
+            raise PortGone(str(port.port_name), "it accepts no more bytes")
 
     def rxPacket(  # noqa: N802
         self, port: ServoPort, fast_option: bool = False
     ) -> tuple[Sequence[int], int]:
-        """Receive one packet of whichever servo, and count what goes wrong."""
+        """Receive one packet from any servo, and count errors."""
         intact = self._take_intact(port)
         if intact:
             return intact, COMM_SUCCESS
@@ -152,9 +152,9 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
 
     @staticmethod
     def _take_intact(port: ServoPort) -> bytes:
-        """Return the packet that has come, where nothing else stands before it and nothing in it is stuffed; else b''.
+        """Return the received packet if nothing precedes it and it has no stuffing; else b''.
 
-        What is not as it always is remains for the SDK, which looks at every byte by itself and costs ten times that.
+        All other cases are left to the SDK, which handles each byte separately and costs ten times as much.
         """
         data = port.received()
         end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
@@ -167,9 +167,9 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         return packet
 
     def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[Sequence[int] | None, int, int]:  # noqa: N802
-        """Send an instruction, stuffed as the SDK's own is not, and return (reply, result, error byte).
+        """Send an instruction, stuffed unlike the SDK's own, and return (reply, result, error byte).
 
-        Another servo's reply, or one of another length, is discarded: it is a late answer to an older question.
+        A reply of another servo or length is discarded: it is a late answer to an older request.
         """
         servo, instruction = txpacket[_ID], txpacket[_INSTRUCTION]
         expected = 0
@@ -189,22 +189,22 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
     def sync_read(
         self, port: ServoPort, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
     ) -> dict[int, tuple[int, bytes]]:
-        """Ask several servos for the same registers at once.
+        """Read the same registers of several servos at once.
 
-        The SDK's GroupSyncRead gives up at the first missing reply, hides the error byte and returns 0 for what it
-        does not have; here a servo that gave no good reply is simply absent.
+        The SDK's GroupSyncRead gives up at the first missing reply, hides the error byte and returns 0 for missing
+        values. Here a servo without a good reply is absent from the result.
 
         Args:
             port: an open port.
-            servos: ids, in the order in which they shall answer. By the protocol each waits for the one before, so
-                those behind a missing servo stay silent.
+            servos: ids, in the order of their replies. By the protocol each waits for the one before, so those behind
+                a missing servo stay silent.
             address: of the first register.
             length: bytes.
-            ahead: packets that nobody answers, sent in one piece with the question: a second piece would cost more
-                than the packets themselves.
+            ahead: packets without reply, sent in one write with the request: a second write would cost more than the
+                packets themselves.
 
         Returns:
-            error byte and data of each servo that answered.
+            Error byte and data of each servo that answered.
 
         Raises:
             PortGone: the port vanished.
@@ -223,7 +223,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         return replies
 
     def _answers(self, reply: Sequence[int], servo: int, expected: int) -> bool:
-        """Return whether `reply` is the answer of `servo` with `expected` bytes, or its refusal, which has none."""
+        """Return whether `reply` is the answer of `servo` with `expected` bytes, or its rejection without data."""
         length = len(reply) - 11
         refused = length == 0 and reply[_ERROR] & 0x7F
         if reply[_ID] == servo and (length == expected or refused):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A servo port that vanished is opened again, sooner at first, and why it is not there is told once."""
+"""Reopens a vanished servo port with increasing pauses, and logs each reason once."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _FIRST, _LONGEST = 0.25, 0.5  # s between two attempts
 
 
 class Reconnection:
-    """Opens a bus again.
+    """Reopens a bus.
 
     Args:
         bus: to open.
-        notify: called with (severity, sentence) where the reason changes.
+        notify: called with (severity, message) when the reason changes.
 
     Attributes:
         fault: why it is not connected.
-        count: how often it was opened again.
+        count: number of successful reopenings.
     """
 
     def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
@@ -33,13 +33,13 @@ class Reconnection:
         self.count = 0
 
     def lost(self, error: Exception) -> None:
-        """Begin anew: the port has just vanished."""
+        """Restart the attempts: the port has just vanished."""
         self.fault = str(error)
         self._pause = _FIRST
         self._next = time.monotonic() + self._pause
 
     def attempt(self) -> bool:
-        """Open the bus where it is time to; return whether it is open now."""
+        """Open the bus if the next attempt is due; return whether it is open now."""
         if time.monotonic() < self._next:
             return False
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known about the servos after a cycle: measurements held for a moment, heat of the windings, faults."""
+"""State of the servos after a cycle: measurements (held for two cycles), heat of the windings, faults."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deltacharger_driver.servos.thermal import ThermalModel
 
 
 class ServoPhase(enum.Enum):
-    """What the servos are doing."""
+    """Phase of the servos."""
 
     DISCONNECTED = "disconnected"
     OFF = "torque off"
@@ -26,15 +26,14 @@ class ServoReport(NamedTuple):
     """The servos after one cycle, in the order of the ids.
 
     Attributes:
-        time: when the last replies had arrived, s, monotonic.
-        phase: what they are doing.
-        valid: a good reply came in this cycle.
-        angle, velocity, current, voltage, temperature: rad, rad/s, A, V, °C; the last known through two missed cycles,
-            then NaN.
-        hardware_error: latched error bits, the last known.
+        time: arrival of the last replies, s, monotonic.
+        phase: of the servos.
+        valid: whether this cycle got a good reply.
+        angle, velocity, current, voltage, temperature: rad, rad/s, A, V, °C; kept through two missed cycles, then NaN.
+        hardware_error: latched error bits; the last known.
         torque_enabled: the last known.
-        thermal_reserve: s until the winding's limit at the present current; inf for never, NaN where not known.
-        faults: what stands in the way of moving, one sentence each.
+        thermal_reserve: s until the winding's limit at the present current; inf = never, NaN = unknown.
+        faults: that forbid moving, one sentence each.
     """
 
     time: float
@@ -64,11 +63,11 @@ class ServoMemory:
 
     @property
     def angles(self) -> tuple[float, ...]:
-        """Last known angle of each servo, rad; NaN where it is too old."""
+        """Last known angle of each servo, rad; NaN if too old."""
         return tuple(row[0] for row in self._rows)
 
     def learn(self, snapshot: BusSnapshot) -> None:
-        """Take what a cycle brought; a servo keeps its last values through two missed cycles."""
+        """Store a cycle's snapshot; a servo keeps its last values through two missed cycles."""
         elapsed = 0.0 if math.isnan(self._time) else snapshot.time - self._time
         first = math.isnan(self._time)
         self._time = snapshot.time
@@ -86,7 +85,7 @@ class ServoMemory:
             self._thermal[index].update(row[2], elapsed)
 
     def forget(self) -> None:
-        """Nothing is measured any more; errors, torque and heat stay the last known."""
+        """Discard all measurements; errors, torque and heat keep their last values."""
         self._rows = [UNKNOWN] * len(self._rows)
         self._valid = (False,) * len(self._rows)
 
@@ -110,11 +109,11 @@ class ServoMemory:
 
 
 def find_faults(ids: tuple[int, ...], snapshot: BusSnapshot) -> list[str]:
-    """Return what stands in the way of moving the servos `ids`, one sentence each."""
+    """Return the faults that forbid moving the servos `ids`, one sentence each."""
     found = []
     for index, servo in enumerate(ids):
         if snapshot.rebooted[index]:
-            found.append(f"servo {servo} has restarted by itself")
+            found.append(f"servo {servo} has restarted on its own")
         elif snapshot.missing[index]:
             found.append(f"servo {servo} does not answer; check its supply and its cable")
         if snapshot.hardware_error[index]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the servos' thread is asked for, and whom it asks to open the contactor. No ROS."""
+"""Requests to the servos' thread, and its interface to the contactor. No ROS."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import threading
 import time
 from typing import Protocol
 
-_LOOK = 0.005  # s between two looks at the contactor
+_POLL_PERIOD = 0.005  # s between two checks of the contactor
 
 
 class ServoRequest:
-    """Something asked of the servos' thread, and its outcome."""
+    """A request to the servos' thread, with its result."""
 
     def __init__(self, action: str) -> None:
         self.action = action
@@ -21,17 +21,17 @@ class ServoRequest:
         self._done = threading.Event()
 
     def finish(self, success: bool, message: str) -> None:
-        """Say how it went."""
+        """Set the result."""
         self.success, self.message = success, message
         self._done.set()
 
     def wait(self, timeout: float) -> bool:
-        """Wait at most `timeout` s for the outcome and return whether it is there."""
+        """Wait at most `timeout` s for the result; return whether it is there."""
         return self._done.wait(timeout)
 
 
 class ServoRequests:
-    """What waits for the servos' thread: requests not yet served, and those held back until the torque is off.
+    """Requests waiting for the servos' thread, and those held until torque is off.
 
     `put` may be called from any thread, the others from the servos' thread.
     """
@@ -41,60 +41,60 @@ class ServoRequests:
         self._held: list[ServoRequest] = []
 
     def put(self, action: str) -> ServoRequest:
-        """Ask for something."""
+        """Queue a request."""
         request = ServoRequest(action)
         self._queue.put(request)
         return request
 
     def next(self) -> ServoRequest | None:
-        """Return what was asked for next, or None."""
+        """Return the next queued request, or None."""
         return None if self._queue.empty() else self._queue.get_nowait()
 
     def hold(self, request: ServoRequest) -> None:
-        """Keep a request that will be finished by `finish_held`."""
+        """Hold a request until `finish_held`."""
         self._held.append(request)
 
     @property
-    def are_there(self) -> bool:
-        """Whether one is not served yet."""
+    def has_queued(self) -> bool:
+        """Whether a request is queued."""
         return not self._queue.empty()
 
     @property
-    def are_held(self) -> bool:
-        """Whether one is held."""
+    def has_held(self) -> bool:
+        """Whether a request is held."""
         return bool(self._held)
 
     def finish_held(self, success: bool, message: str) -> None:
-        """Say how those held went."""
+        """Finish all held requests."""
         for request in self._held:
             request.finish(success, message)
         self._held.clear()
 
     def refuse_all(self, reason: str) -> None:
-        """Finish every one without success."""
+        """Finish every request without success."""
         self.finish_held(False, reason)
         while request := self.next():
             request.finish(False, reason)
 
 
 class Contactor(Protocol):
-    """The contactor as the servos' thread sees it: it must be open before the arm lets go of the electrodes.
+    """The contactor for the servos' thread: it must be open before torque goes off.
 
     Neither method may wait or raise: they are called between two bus cycles.
     """
 
-    def ask_open(self) -> None:
-        """Ask for an opening."""
+    def request_open(self) -> None:
+        """Request an opening."""
 
     def is_open(self) -> bool:
-        """Return whether it was seen open after the last `ask_open`, or nobody serves one."""
+        """Return whether it was reported open after the last `request_open`, or does not exist."""
 
 
 class NoContactor:
     """For an arm without a power stage."""
 
-    def ask_open(self) -> None:
-        """Nothing to ask."""
+    def request_open(self) -> None:
+        """Do nothing."""
 
     def is_open(self) -> bool:
         """Return True: nothing is closed."""
@@ -102,8 +102,8 @@ class NoContactor:
 
 
 def wait_until_open(contactor: Contactor, seconds: float) -> None:
-    """Ask for an opening and wait for it, at most `seconds`; where no cycle looks."""
-    contactor.ask_open()
+    """Request an opening and wait for it, at most `seconds`; for use outside the cycle."""
+    contactor.request_open()
     end = time.monotonic() + seconds
     while not contactor.is_open() and time.monotonic() < end:
-        time.sleep(_LOOK)
+        time.sleep(_POLL_PERIOD)

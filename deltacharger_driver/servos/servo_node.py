@@ -2,23 +2,23 @@
 """servo_node: the arm's three servos on ROS.
 
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
-Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest that counts is followed).
-Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
+Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest accepted trajectory is followed).
+Serves: set_torque, reboot_servos. Calls: set_contactor, if it exists.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_bound, current_max, joint_min, joint_max,
 reply_margin; servos_file or torque_constant, position_p_gain, position_i_gain, position_d_gain.
 
-Safe at start: torque is off, and only set_torque switches it on, holding the present position. A missing servo, a
-latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
-request, torque goes off once the contactor is seen open, after 0.3 s at the latest. A port that vanishes is opened
-again by itself and torque stays off. Where the port cannot be opened at start, or other servos answer than expected,
-the node ends and says why. With the port `board` the servos hang on the board with the pads: tactile_node passes their
-bytes through, and is waited for at start.
+Safe at start: torque is off; only set_torque switches it on, holding the present position. A missing servo, a latched
+hardware error or a lost port stops all servos: goal := present position, contactor open, torque off after 0.5 s. On
+request, torque goes off once the contactor is reported open, after 0.3 s at the latest. A vanished port is reopened and
+torque stays off. If the port cannot be opened at start, or unexpected servos answer, the node ends with an error. With
+the port `board` the servos are connected to the board with the pads: tactile_node passes their bytes through, and
+servo_node waits for it at start.
 
-A trajectory's times count from its stamp (from its arrival without one), and its last point holds. A line may be sent
-piece by piece under one stamp, each piece replacing the one before.
+A trajectory's times count from its stamp (without one, from its arrival), and its last point holds. A line may be sent
+in pieces under one stamp, each replacing the one before.
 
-Nobody moves the arm while charger_power says that the contactor is closed; while its state is unknown, only who led the
-arm before (motion_guard). Who is refused is named in the diagnostics, and the charge goes on.
+While charger_power reports a closed contactor, the arm does not move. While the contactor's state is unknown, only the
+sender that moved it before may do so (motion_guard). The diagnostics name a refused sender; charging continues.
 """
 
 from __future__ import annotations
@@ -57,21 +57,21 @@ from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
-_LISTEN_EVERY = 10  # cycles between two looks for a trajectory while it can only be refused
-_LATE = 0.5  # of a period; a cycle that begins later than that is late
-_BOARD_TIMEOUT = 10.0  # s at start in which tactile_node may find the board behind which the servos are
-_LOOK = 0.05  # s between two looks for their port
+_REFUSAL_PERIOD = 0.2  # s between two diagnostics while trajectories are refused
+_LISTEN_EVERY = 10  # cycles between two checks for trajectories while torque is off
+_LATE = 0.5  # of a period; a cycle that begins later than this is late
+_BOARD_TIMEOUT = 10.0  # s at start to wait for the servo port of tactile_node
+_POLL_PERIOD = 0.05  # s between two checks for this port
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 
 
 class ServoNode(Node):
     """See the module's docstring.
 
-    One thread of its own owns the bus, takes trajectories and publishes; the services wait for it.
+    A separate thread owns the bus, takes trajectories and publishes; the services wait for it.
 
     Raises:
-        StartupError: a parameter is wrong, the port cannot be opened, or the servos are not those expected.
+        StartupError: a parameter is wrong, the port cannot be opened, or the servos are not the expected ones.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -84,7 +84,7 @@ class ServoNode(Node):
         self._states = StatePublishers(self, LATEST, self._torque_constant, base, frames.joint_prefix)
         self._diagnostics = Diagnostics(self)
         self._contactor_state = ContactorState.UNKNOWN
-        self._refused = 0  # trajectories that the diagnostics have told
+        self._refused = 0  # refused trajectories that the diagnostics have reported
         self._cycles = RateMeter(time.monotonic)
         self._stop = threading.Event()
         self._ready = threading.Event()
@@ -99,7 +99,7 @@ class ServoNode(Node):
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         settings = self._controller.bus.settings
         self._lines.info(f"servos {settings.ids} at {settings.port}, {settings.baud_rate} baud")
-        # Only now, so that nobody is heard before the servos are known.
+        # Only now: no trajectory may be accepted before the servos are known.
         self._inbox = TrajectoryInbox(self, self._limits)
         self._listening.set()
         group = ReentrantCallbackGroup()
@@ -142,18 +142,18 @@ class ServoNode(Node):
         return str(runtime.servos(domain(), self.get_namespace())) if self._is_behind_board else port
 
     def _wait_for_board(self) -> None:
-        """Wait for the port behind which tactile_node has the servos.
+        """Wait for the servo port of tactile_node.
 
         Raises:
-            NoServosBehindBoard: it does not come.
+            NoServosBehindBoard: it does not appear.
         """
         port, end = Path(self._controller.bus.settings.port), time.monotonic() + _BOARD_TIMEOUT
         while not port.exists():
-            if time.monotonic() > end or self._stop.wait(_LOOK):
+            if time.monotonic() > end or self._stop.wait(_POLL_PERIOD):
                 raise NoServosBehindBoard(str(port))
 
     def _run(self) -> None:
-        """Own the bus: cycle until told to stop, then make the arm safe."""
+        """Own the bus: cycle until `close` is called, then make the arm safe."""
         controller = self._controller
         try:
             if self._is_behind_board:
@@ -168,14 +168,14 @@ class ServoNode(Node):
         try:
             self._cycle_until_safe()
         except BaseException as error:
-            controller.close()  # first of all: an error of ours must leave the arm without torque
+            controller.close()  # first: after an error of this thread the arm must have no torque
             self._lines.error(f"servo bus thread ended: {error!r}; torque is off")
             raise
         finally:
             controller.close()
 
     def _cycle_until_safe(self) -> None:
-        """Cycle at the rate; after `close` was called, until torque is off."""
+        """Cycle at the rate until `close` was called and torque is off."""
         controller = self._controller
         due = diagnosed = time.monotonic()
         while True:
@@ -185,8 +185,8 @@ class ServoNode(Node):
                     return
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            if controller.phase is ServoPhase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
-                self._take_trajectory()  # what came before torque goes on is refused, not kept for then
+            if controller.phase is ServoPhase.ON or controller.has_request or self._cycles.total % _LISTEN_EVERY == 0:
+                self._take_trajectory()  # a trajectory from before torque went on is refused, not kept
             report = controller.cycle()
             if self.context.ok():
                 self._states.publish(report)
@@ -195,7 +195,7 @@ class ServoNode(Node):
             if now - diagnosed >= (_REFUSAL_PERIOD if refused else _DIAGNOSTICS_PERIOD):
                 diagnosed = now
                 self._publish_diagnostics(report)
-            due = max(due + self._period, now)  # late: go on from here rather than hurry through what was missed
+            due = max(due + self._period, now)  # when late, skip missed cycles instead of catching up
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:
@@ -209,30 +209,30 @@ class ServoNode(Node):
         self._diagnostics.publish(*(self._diagnostics.status(*entry, port) for entry in entries))
 
     def _refusals(self) -> RefusedTrajectories:
-        """Return what was refused since the last call."""
+        """Return the trajectories refused since the last call."""
         if not self._listening.is_set():
             return RefusedTrajectories(0, 0, 0, "", "")
         inbox = self._inbox
         new, self._refused = inbox.refused - self._refused, inbox.refused
         by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers and self.context.ok() else ""
-        if b"" in inbox.strangers:  # Jazzy's rclpy does not tell who it was
+        if b"" in inbox.strangers:  # Jazzy's rclpy does not provide the sender
             by = f"one of {by}"
         inbox.strangers.clear()
         return RefusedTrajectories(new, inbox.refused, inbox.forbidden, inbox.last_refusal, by)
 
     def _take_trajectory(self) -> None:
-        """Hand the trajectory that has come, if any, to the controller, or refuse it; hold while current may flow."""
+        """Pass a received trajectory to the controller or refuse it; hold while the contactor is closed."""
         if not self._listening.is_set():
             return
         controller, inbox = self._controller, self._inbox
-        state = ContactorState.OPEN  # without torque all is refused, whoever sends it
+        state = ContactorState.OPEN  # without torque every trajectory is refused
         if controller.phase is ServoPhase.ON:
             self._contactor_state = state = self._contactor.state()
         before = inbox.refused
         inbox.serve(controller, self._contactor.guard, state)
         if state is ContactorState.CLOSED:
             controller.freeze()
-        if inbox.refused > before and not self._stop.is_set():  # whose sender closes, too
+        if inbox.refused > before and not self._stop.is_set():  # at shutdown the sender closes too
             self._lines.warning(inbox.last_refusal, pause=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -242,20 +242,20 @@ class ServoNode(Node):
         return self._ask("reboot", response)
 
     def _ask(self, action: str, response: Any) -> Any:
-        """Have the bus thread carry `action` out, and fill in how it went."""
+        """Have the bus thread execute `action`, and fill in the result."""
         if self._stop.is_set():
             response.success, response.message = False, "the driver is closing"
             return response
-        asked = self._controller.request(action)
-        if asked.wait(_SERVICE_TIMEOUT):
-            response.success, response.message = asked.success, asked.message
+        queued = self._controller.request(action)
+        if queued.wait(_SERVICE_TIMEOUT):
+            response.success, response.message = queued.success, queued.message
         else:
             response.success, response.message = False, "the servos' thread did not answer in time"
         return response
 
-    def _log(self, severity: str, sentence: str) -> None:
-        says = {"error": self._lines.error, "warning": self._lines.warning}
-        says.get(severity, self._lines.info)(sentence)
+    def _log(self, severity: str, message: str) -> None:
+        loggers = {"error": self._lines.error, "warning": self._lines.warning}
+        loggers.get(severity, self._lines.info)(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

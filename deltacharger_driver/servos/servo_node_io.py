@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What servo_node says to ROS and hears from it, without the executor's cost: for its bus thread."""
+"""ROS input and output of servo_node's bus thread, without the executor's cost."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 from deltacharger_ros.qos import SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
-"""charger_power and joint_trajectory: read in every cycle, so that no flood of a stranger hides who leads or tells."""
+"""charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""
 
 _STATE_FIELDS = (
     "position",
@@ -38,21 +38,21 @@ _STATE_FIELDS = (
     "valid",
     "thermal_reserve",
 )
-_LISTENERS_EVERY = 10  # cycles between two looks whether anybody listens to joint_states
-_HOLDER = "servo_node"  # anyone may open; the name only says who did
-_LARGEST_POWER = 1024  # bytes of a charger_power; ours has 80
+_LISTENERS_EVERY = 10  # cycles between two checks for subscribers of joint_states
+_HOLDER = "servo_node"  # anyone may open; the name only shows who did
+_LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
 
 
 class ContactorClient:
-    """The contactor for `ServoController` and the guard of motion, over set_contactor and charger_power.
+    """The contactor for `ServoController`, and the motion guard, over set_contactor and charger_power.
 
     Used by one thread.
 
     Args:
-        node: the client; its executor takes the answers, and nobody waits for them.
+        node: the client; its executor takes the answers without a waiting thread.
 
     Attributes:
-        guard: says who may move the arm.
+        guard: decides who may move the arm.
     """
 
     def __init__(self, node: Node) -> None:
@@ -61,32 +61,32 @@ class ContactorClient:
         self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
         self._pending: Future[Any] | None = None
-        self._asked = 0  # ns, the node's clock; 0 where nobody was there to be asked
+        self._requested_at = 0  # ns, the node's clock; 0 if there was no server
         self._open = True
 
-    def ask_open(self) -> None:
-        """Ask for an opening where somebody serves one; returns at once."""
+    def request_open(self) -> None:
+        """Request an opening if there is a server; returns at once."""
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
             if self._pending is not None:
-                self._client.remove_pending_request(self._pending)  # its server died: it would wait for ever
+                self._client.remove_pending_request(self._pending)  # its server died: it would wait forever
                 self._pending = None
             self._open = not self._client.service_is_ready()
             if not self._open:
-                self._asked = self._node.get_clock().now().nanoseconds
+                self._requested_at = self._node.get_clock().now().nanoseconds
                 self._pending = self._client.call_async(SetContactor.Request(close=False, holder=_HOLDER))
 
     def is_open(self) -> bool:
-        """Return whether it was measured open and without current after the last `ask_open`, or nobody serves one."""
+        """Return whether it was measured open and without current after the last `request_open`, or has no server."""
         if not self._open:
             with contextlib.suppress(RuntimeError):
-                self._hear()
+                self._read_power()
         return self._open
 
     def state(self) -> ContactorState:
-        """Return what is known of it now."""
+        """Return its known state."""
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
-            self._hear()
-        announced = not self.guard.was_heard and self._is_announced()
+            self._read_power()
+        announced = not self.guard.was_received and self._is_announced()
         return self.guard.state(time.monotonic(), announced)
 
     def _is_announced(self) -> bool:
@@ -94,20 +94,20 @@ class ContactorClient:
             return bool(self._client.service_is_ready() or self._node.count_publishers(self._power.name))
         return True
 
-    def _hear(self) -> None:
+    def _read_power(self) -> None:
         received = self._power.take()
         if not received:
             return
         now, clock = time.monotonic(), self._node.get_clock().now().nanoseconds
         opened = flows = False
-        # The newest of each publisher; all where rclpy does not tell it.
+        # The newest of each publisher; all messages if rclpy does not provide the publisher.
         for each in {one.publisher or one.data: one for one in received}.values():
             power = each.read() if len(each.data) <= _LARGEST_POWER else None
             if power is None:
                 continue
             stamp = power.header.stamp
             age = stamp_age(stamp.sec, stamp.nanosec, clock)
-            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked and age >= -AHEAD
+            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._requested_at and age >= -AHEAD
             opened |= later and not power.contactor_closed
             flows |= abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
             armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
@@ -116,19 +116,19 @@ class ContactorClient:
         self._open |= opened and not flows and self.guard.state(now, False) is not ContactorState.CLOSED
 
     def _nameless(self, closed: bool) -> bytes:
-        """Return an id where rclpy tells none: of several publishers, who says open is kept from who says closed."""
+        """Return an id if rclpy provides none: with several publishers, reports of open and closed are kept apart."""
         return b"closed" if closed and self._node.count_publishers(self._power.name) > 1 else b""
 
 
 class StatePublishers:
-    """servo_state and joint_states from reports.
+    """Publishes servo_state and joint_states from reports.
 
     Args:
         node: the publisher.
         qos: of servo_state.
         torque_constant: N·m/A, for the efforts of joint_states.
         frame_id: full name of charger_base.
-        joint_prefix: put before the names of joint_states.
+        joint_prefix: prefix of the names in joint_states.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class StatePublishers:
         self._joints = FlatPublisher(self._joint_topic, joint, ("position", "velocity", "effort"), stamps)
 
     def publish(self, report: ServoReport) -> None:
-        """Publish the state after a cycle; joint_states only where all angles are known and somebody listens."""
+        """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers."""
         position, velocity = array("d", report.angle), array("d", report.velocity)
         self._states.publish(
             report.time,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From servos on a wire to servos ready for the cycle: who is there, and every register that matters read back."""
+"""Prepares servos for the cycle: identifies them, and writes and verifies every register that matters."""
 
 from __future__ import annotations
 
@@ -39,32 +39,32 @@ from deltacharger_driver.servos.snapshot import (
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 _SCANNED_SPEEDS = (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000, 9600)
 _PREPARED = {"return_delay": 0, "operating_mode": MODE_CURRENT_POSITION}
-"""EEPROM: written only where it differs, for it wears."""
+"""EEPROM registers; written only if different, because EEPROM wears."""
 _DEMANDED = {
-    "drive_mode": (0, 0, "the sign belongs in the parameter 'direction'"),
-    "homing_offset": (0, 0, "the zero belongs in the parameter 'zero_ticks'"),
-    "secondary_id": (255, 255, "it would obey packets for another servo too"),
-    "temperature_limit": (60, 80, "80 °C is what the servo is built for, and below 60 °C ordinary work would stop it"),
+    "drive_mode": (0, 0, "set the sign with the parameter 'direction'"),
+    "homing_offset": (0, 0, "set the zero with the parameter 'zero_ticks'"),
+    "secondary_id": (255, 255, "otherwise it obeys packets for another servo too"),
+    "temperature_limit": (60, 80, "80 °C is the servo's rating; below 60 °C normal work would stop it"),
     "min_voltage": (95, 110, "in units of 0.1 V; at 12 V it must neither trip nor miss a failing supply"),
     "max_voltage": (130, 160, "in units of 0.1 V; at 12 V it must not trip, and beyond 16 V the servo is at risk"),
-    "pwm_limit": (885, 885, "a lower one caps speed and force below what is asked of it"),
+    "pwm_limit": (885, 885, "a lower limit reduces speed and force"),
 }
-"""EEPROM registers that are never written, for somebody set them on purpose: least and greatest value, and why."""
+"""EEPROM registers that are checked but never written, because they were set on purpose: lowest, highest, reason."""
 _SHUTDOWN_BITS = (2, 5)
-"""What must switch a servo off by itself: overheating and overload."""
+"""Errors on which a servo must switch itself off: overheating and overload."""
 
 
 def set_up(link: ServoLink, settings: BusSettings, scan: bool = True) -> None:
-    """Identify every servo and set up those that are as expected; their torque is off afterwards.
+    """Identify every servo and configure the expected ones; their torque is off afterwards.
 
     Args:
         link: an open link.
-        settings: whom to look for, and what will be asked of them.
-        scan: look for those that do not answer at the other speeds, and for old firmware, to name where they are; about
-            a second per servo.
+        settings: ids and configuration of the servos.
+        scan: look for servos that do not answer at other speeds and with old firmware, to name their speed; about a
+            second per servo.
 
     Raises:
-        HandshakeError: with everything that is wrong with any servo, one sentence each.
+        HandshakeError: every fault of every servo, one sentence each.
         PortGone: the port vanished.
     """
     found = identify(link, settings.ids, scan)
@@ -76,12 +76,12 @@ def set_up(link: ServoLink, settings: BusSettings, scan: bool = True) -> None:
 
 
 def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> dict[int, str]:
-    """Return why each servo is not an MX-64 with Protocol 2.0 that answers at the link's speed; "" where it is.
+    """Return why each servo is not an MX-64 with Protocol 2.0 that answers at the link's speed; "" if it is.
 
     Args:
         link: an open link.
         servos: ids.
-        scan: look for those that do not answer, see `set_up`.
+        scan: look for servos that do not answer, see `set_up`.
 
     Raises:
         PortGone: the port vanished.
@@ -96,13 +96,13 @@ def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> dict[
 
 
 def _identify_one(link: ServoLink, servo: int) -> str | None:
-    """Return what is wrong with a servo at the link's speed: "" for nothing, None where nobody answers."""
+    """Return the fault of a servo at the link's speed: "" for none, None without an answer."""
     try:
         model = link.ping(servo, attempts=2)
     except NoAnswer:
         return None
     except CorruptReply:
-        return f"servo {servo} answers unintelligibly; two servos with this id, noise, or a bad plug"
+        return f"servo {servo} sends garbled replies; look for two servos with this id, noise or a bad plug"
     if model == MODEL:
         return ""
     if model == MODEL_PROTOCOL_1:
@@ -111,10 +111,10 @@ def _identify_one(link: ServoLink, servo: int) -> str | None:
 
 
 def _locate(link: ServoLink, servo: int) -> str:
-    """Say where a servo that does not answer at the link's speed is."""
+    """Return at which speed a servo answers that does not answer at the link's speed."""
     try:
         if link.ping_protocol_1(servo):
-            return f"servo {servo} speaks Protocol 1.0; {_UPDATE_ADVICE}"
+            return f"servo {servo} uses Protocol 1.0; {_UPDATE_ADVICE}"
         for speed in _SCANNED_SPEEDS:
             if speed == link.baud_rate:
                 continue
@@ -124,7 +124,7 @@ def _locate(link: ServoLink, servo: int) -> str:
                 link.ping(servo)
             except (NoAnswer, CorruptReply):
                 if link.ping_protocol_1(servo):
-                    return f"{found}, and speaks Protocol 1.0; {_UPDATE_ADVICE}"
+                    return f"{found}, and uses Protocol 1.0; {_UPDATE_ADVICE}"
                 continue
             return f"{found}; set its speed with 'deltacharger doctor --set-baud' or correct 'baud_rate'"
     finally:
@@ -133,10 +133,10 @@ def _locate(link: ServoLink, servo: int) -> str:
 
 
 def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
-    """Switch a servo's torque off and set it up for the cycle, verifying each register by reading it back.
+    """Switch a servo's torque off and configure it for the cycle, verifying each register by reading it back.
 
     Written: status return level, torque enable, return delay, operating mode, gains of the position loop, indirect
-    addresses, profile, bus watchdog. Checked and never written: drive mode, homing offset, secondary id, shutdown, and
+    addresses, profile, bus watchdog. Checked but never written: drive mode, homing offset, secondary id, shutdown, and
     the limits of temperature, voltage, PWM and current. Neither: id, baud rate.
 
     Args:
@@ -145,7 +145,7 @@ def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
         settings: for the watchdog, the gains and the largest current.
 
     Raises:
-        HandshakeError: with everything that did not come out as it should.
+        HandshakeError: every setting that failed.
         PortGone: the port vanished.
     """
     faults = _configure(link, servo, settings)
@@ -154,15 +154,15 @@ def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
 
 
 def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str]:
-    """Return what is wrong with the registers that must be right and are never written by the driver.
+    """Return the faults of the registers that the driver checks but never writes.
 
     Args:
         link: an open link.
         servo: its id.
-        current_max: A, the largest current bound that will be asked of it.
+        current_max: A, the largest current bound of any goal.
 
     Returns:
-        "servo 1: what is wrong; advice" for each; empty where all is well.
+        "servo 1: fault; advice" for each fault.
 
     Raises:
         NoAnswer, CorruptReply, ServoFault, PortGone: they cannot be read.
@@ -190,10 +190,10 @@ def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str
 
 
 def _configure(link: ServoLink, servo: int, settings: BusSettings) -> list[str]:
-    """Do what `configure` does and return everything that did not come out as it should."""
+    """Configure a servo and return every fault."""
     faults: list[str] = []
     try:
-        _let_it_answer(link, servo, faults)
+        _enable_replies(link, servo, faults)
         _attempt(lambda: link.write(servo, "bus_watchdog", 0), faults)
         _set(link, servo, "torque_enable", 0, faults)
         faults += check_registers(link, servo, settings.current_max)
@@ -206,8 +206,8 @@ def _configure(link: ServoLink, servo: int, settings: BusSettings) -> list[str]:
     return faults
 
 
-def _let_it_answer(link: ServoLink, servo: int, faults: list[str]) -> None:
-    """Have the servo confirm every write; told to keep quiet, it answers nothing but pings."""
+def _enable_replies(link: ServoLink, servo: int, faults: list[str]) -> None:
+    """Make the servo confirm every write; at another status return level it may answer only pings."""
     try:
         level = link.read(servo, "status_return_level")
     except NoAnswer:
@@ -218,7 +218,7 @@ def _let_it_answer(link: ServoLink, servo: int, faults: list[str]) -> None:
 
 
 def _prepare(link: ServoLink, servo: int, settings: BusSettings, faults: list[str]) -> None:
-    """Write what the cycle needs, the watchdog last, and try the block that it reads."""
+    """Write the registers that the cycle needs, the watchdog last, after reading the cycle's block once."""
     for name, value in _PREPARED.items():
         if link.read(servo, name) != value:
             _set(link, servo, name, value, faults)
@@ -253,7 +253,7 @@ def _set(link: ServoLink, servo: int, name: str, value: int, faults: list[str]) 
 
 
 def _attempt(action: Callable[[], None], faults: list[str]) -> bool:
-    """Return whether the servo carried `action` out; where it refuses, the others are still worth trying."""
+    """Return whether the servo executed `action`; after a rejection the other registers are still tried."""
     try:
         action()
     except ServoFault as fault:
@@ -269,7 +269,7 @@ def _verify(link: ServoLink, servo: int, name: str, value: int, faults: list[str
 
 
 def _map_blocks(link: ServoLink, servo: int, faults: list[str]) -> None:
-    """Point the first indirect registers to the read block and the write block."""
+    """Map the first indirect registers to the read block and the write block."""
     targets = [
         REGISTERS[name].address + offset for name in READ_BLOCK + WRITE_BLOCK for offset in range(REGISTERS[name].size)
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the servos are wired, which registers one cycle exchanges, and what is known of the servos after it."""
+"""Settings of the servo bus, the registers exchanged in a cycle, and the snapshot after it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from deltacharger_driver.servos.mx64 import (
 )
 
 WATCHDOG = 6
-"""Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""
+"""Bus watchdog, units of 20 ms: a servo that receives nothing for 120 ms stops on its own."""
 
 CONSTANT_BLOCK = {"status_return_level": 2, "registered": 0}
-"""Registers whose value is known, read last. The checksum follows the data low byte first, so a burst across the last
-data byte and the checksum may escape it; what it changes is then one of these."""
+"""Registers of known value, read last. The checksum follows the data low byte first, so it may miss a burst error
+across the last data byte and the checksum; such an error then changes one of these."""
 READ_BLOCK = (
     "torque_enable",
     "hardware_error",
@@ -37,11 +37,11 @@ READ_BLOCK = (
     "bus_watchdog",
     *CONSTANT_BLOCK,
 )
-"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
+"""Registers read in a cycle, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
 GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
 """Registers of the position loop, written at every set-up."""
 WRITE_BLOCK = ("goal_current", "goal_position")
-"""What one cycle writes, behind the read block, so that bound and goal always change together."""
+"""Registers written in a cycle, behind the read block, so that bound and goal change together."""
 
 READ_LENGTH = sum(REGISTERS[name].size for name in READ_BLOCK)
 WRITE_LENGTH = sum(REGISTERS[name].size for name in WRITE_BLOCK)
@@ -51,28 +51,28 @@ WRITE_ADDRESS = indirect_data(READ_LENGTH)
 HOTTEST = 125
 """°C; beyond it the servo's electronics would not answer."""
 CURRENT_SPAN = 2047
-"""Counts of 3.36 mA that the servo's sensor can tell, either way."""
+"""Range of the servo's current sensor, in counts of 3.36 mA, of either sign."""
 LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
-"""Units of 0.1 V: a servo does not run below, and the battery behind its regulator does not reach above."""
+"""Units of 0.1 V: below, a servo does not run; the battery before its regulator never exceeds the upper value."""
 LONGEST_WATCHDOG = 127
 _READ_LAYOUT = struct.Struct("<BBhiiHBBBB")
 
 
 @dataclass(frozen=True)
 class BusSettings:
-    """How the arm's servos are wired and mounted.
+    """Wiring and mounting of the arm's servos.
 
     Attributes:
         port: path of the serial port.
         baud_rate: bit/s.
         ids: of the servos of limbs 0, 1, 2.
         zero_ticks: encoder count at angle 0, per servo.
-        direction: +1 or −1 per servo: whether the count rises with the angle.
+        direction: per servo, +1 if the count rises with the angle, −1 if it falls.
         watchdog: units of 20 ms, 1–6.
         reply_margin: s, see `parameters.REPLY_MARGIN`.
-        current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
-            whole goal, so it is refused at the set-up.
-        gains: of the position loop, P, I and D, as the registers hold them. All are RAM and lost with a restart.
+        current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
+            goal, so the set-up refuses it.
+        gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
     """
 
     port: str
@@ -105,7 +105,7 @@ class BusSettings:
 
 
 class Reading(NamedTuple):
-    """One servo's read block, in register units, every value possible."""
+    """One servo's read block, in register units; every value is plausible."""
 
     torque_enabled: bool
     hardware_error: int
@@ -118,8 +118,8 @@ class Reading(NamedTuple):
 
 
 def has_restarted(data: bytes) -> bool:
-    """Return whether a read block comes from a servo that has lost its set-up: its indirect registers point to
-    themselves then and read 0 throughout, also where the status return level, 2 in any servo that answers, should be.
+    """Return whether a read block is from a servo that lost its configuration. Its indirect registers then point to
+    themselves and read 0, even the status return level, which is 2 in any servo that answers.
     """
     return not any(data)
 
@@ -128,7 +128,7 @@ def decode_block(data: bytes) -> Reading:
     """Read the `READ_LENGTH` bytes of a read block.
 
     Raises:
-        RangeError: names the first value that no servo reports; nothing in the block can be trusted then.
+        RangeError: names the first impossible value; the whole block must be discarded.
         struct.error: another length.
     """
     torque, error, current, velocity, ticks, voltage, temperature, watchdog, *constants = _READ_LAYOUT.unpack(data)
@@ -151,11 +151,11 @@ def decode_block(data: bytes) -> Reading:
 
 
 class BusSnapshot(NamedTuple):
-    """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
+    """The servos in one cycle, in the order of the ids. Missing values are NaN, never 0.
 
     Attributes:
-        time: when the replies had arrived, s, monotonic.
-        valid: a good reply came in this cycle.
+        time: arrival of the replies, s, monotonic.
+        valid: whether this cycle got a good reply.
         angle: rad.
         velocity: rad/s.
         current: A, positive is torque toward +angle.
@@ -163,10 +163,10 @@ class BusSnapshot(NamedTuple):
         temperature: °C.
         hardware_error: latched error bits; the last known.
         torque_enabled: the last known.
-        watchdog_tripped: it heard nothing for too long, has stopped and takes no goals.
-        rebooted: the servo answers but has lost its set-up; call `ServoBus.configure`.
+        watchdog_tripped: it received nothing for too long, has stopped and ignores goals.
+        rebooted: it answers but has lost its configuration; call `ServoBus.configure`.
         missed: cycles since the last good reply.
-        missing: it gave none for so long that something must be wrong with it.
+        missing: without a good reply for so long that it counts as a fault.
     """
 
     time: float
@@ -185,10 +185,10 @@ class BusSnapshot(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        """Whether every servo gave a good reply."""
+        """Whether every servo sent a good reply."""
         return all(self.valid)
 
     def with_torque(self, ids: Sequence[int], on: bool) -> list[int]:
-        """Return which of the servos `ids` answered that their torque is on, or off."""
+        """Return the servos of `ids` that reported their torque on, or off."""
         known = zip(ids, self.valid, self.torque_enabled, strict=True)
         return [servo for servo, valid, torque in known if valid and torque == on]

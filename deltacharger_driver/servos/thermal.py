@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a servo's winding bears its current: an I²t model with cooling, beside the temperature that it reports.
+"""Time until a servo's winding reaches its limit: an I²t model with cooling, in addition to its temperature.
 
-The heat h (A²s) above rest follows dh/dt = i² − h/τ and its limit is H. The two constants stand on three statements:
+The heat h (A²s) above rest follows dh/dt = i² − h/τ; its limit is H. Two constants rest on three statements:
+- Several amperes overheat the servo in minutes: at 3 A the limit must be reached in 60–180 s; 120 s is assumed.
+- The real charger held 0.5 A for four hours: at 0.5 A the limit must never be reached, so τ · 0.5² < H.
+- About 0.8 A can be held for about 40 min.
 
-- Several amperes overheat the servo in minutes: at 3 A the limit shall be reached in 60–180 s; 120 s is taken.
-- 0.5 A was held for four hours on the real charger: at 0.5 A the limit shall never be reached, so τ · 0.5² < H.
-- Holding about 0.8 A is possible for about 40 min.
-
-With τ = 4000 s, H = 3² · τ · (1 − e^(−120/τ)) = 1064 A²s. Then √(H/τ) = 0.516 A is borne for ever, just above what was
-shown and not more; 0.8 A lasts 36 min. Undo this calibration only with measurements of a real winding.
+With τ = 4000 s, H = 3² · τ · (1 − e^(−120/τ)) = 1064 A²s. Then √(H/τ) = 0.516 A is allowed for ever, just above what
+was demonstrated; 0.8 A lasts 36 min. Change this calibration only after measurements of a real winding.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ import math
 TIME_CONSTANT = 4000.0
 """τ, s."""
 HEAT_LIMIT = 9.0 * TIME_CONSTANT * -math.expm1(-120.0 / TIME_CONSTANT)
-"""H, A²s: what 3 A bring in 120 s."""
+"""H, A²s: the heat after 120 s at 3 A."""
 REST_TEMPERATURE = 25.0  # °C, where the heat is 0
-LIMIT_TEMPERATURE = 80.0  # °C, the servo's own temperature limit, where the heat is taken to be H
+LIMIT_TEMPERATURE = 80.0  # °C, the servo's own temperature limit, where the heat is assumed to be H
 
 
 def reserve(heat: float, current: float) -> float:
-    """Return how long `current` may flow until the limit, s; 0 at the limit, inf when it is never reached.
+    """Return the time for which `current` may flow until the limit, s; 0 at the limit, inf if never reached.
 
-    h(t) = i²τ + (h − i²τ) e^(−t/τ) = H, solved for t. A current or heat that is not known (NaN) gives NaN.
+    h(t) = i²τ + (h − i²τ) e^(−t/τ) = H, solved for t. An unknown current or heat (NaN) gives NaN.
 
     Args:
         heat: present heat above rest, A²s.
@@ -45,10 +44,10 @@ def reserve(heat: float, current: float) -> float:
 class ThermalModel:
     """The heat of one servo.
 
-    A current that is not known is taken to be the last one known, so that silence never cools.
+    An unknown current counts as the last known one, so that missing data never cool the model.
 
     Args:
-        smoothing: time constant of the current that `reserve` sees, s; 0 for none. The heat takes it unsmoothed.
+        smoothing: time constant of the current in `reserve`, s; 0 = none. The heat uses the unsmoothed current.
     """
 
     def __init__(self, smoothing: float = 0.5) -> None:
@@ -58,14 +57,14 @@ class ThermalModel:
         self._mean_square = math.nan
 
     def start_at(self, temperature: float) -> None:
-        """Take the heat from the temperature in °C that the servo reports, so that a new start does not forget it."""
+        """Set the heat from the servo's temperature, °C, so that a restart does not lose it."""
         if math.isnan(temperature):
             return
         share = (temperature - REST_TEMPERATURE) / (LIMIT_TEMPERATURE - REST_TEMPERATURE)
         self.heat = min(max(share, 0.0), 1.0) * HEAT_LIMIT
 
     def update(self, current: float, elapsed: float) -> None:
-        """Let `current` (A, NaN = not known) flow for `elapsed` s.
+        """Apply `current` (A, NaN = unknown) for `elapsed` s.
 
         Exact for a current that is constant over the step.
         """
@@ -81,7 +80,7 @@ class ThermalModel:
             self._mean_square += (self._square - self._mean_square) * -math.expm1(-elapsed / self._smoothing)
 
     def reserve(self) -> float:
-        """Return how long the present current may go on until the limit, s; inf when it never gets there.
+        """Return the time for which the present current may flow until the limit, s; inf if never reached.
 
         NaN before the first current is known.
         """

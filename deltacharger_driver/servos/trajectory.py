@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint trajectories: what is accepted, and the goal at any instant. No ROS in here."""
+"""Joint trajectories: checks, and the goal at any instant. No ROS."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from deltacharger_driver.errors import TrajectoryRefused
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
 MOST_POINTS = 1000
-"""Of a trajectory: 20 s of a line as the planner spaces it. What is longer goes piece by piece."""
-_QUOTED = 60  # characters of what a sender wrote that a message repeats
+"""Most points of a trajectory: 20 s of a line at the planner's spacing. Longer lines are sent in pieces."""
+_QUOTED = 60  # characters of a sender's text that a message quotes
 
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What a trajectory may ask for.
+    """Limits of a trajectory.
 
     Attributes:
         names: joint names, in the order of the servos.
@@ -34,12 +34,12 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class ServoWaypoint:
-    """One point of a trajectory as it was received, in the order of the names that came with it.
+    """One point of a received trajectory, in the order of its joint names.
 
     Attributes:
         time: from the start, s.
         angles: rad.
-        torques: bound of each servo from the start of the segment that leads here, N·m; empty = as before.
+        torques: bound of each servo from the start of the segment to this point, N·m; empty = unchanged.
     """
 
     time: float
@@ -49,12 +49,12 @@ class ServoWaypoint:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Checked points in the order of the servos, times rising; without points it means: hold.
+    """Checked points in the order of the servos, times rising; without points: hold.
 
     Attributes:
         times: from the start, s.
         angles: rad, per point and servo.
-        torques: bound, N·m, per point and servo; None = as before.
+        torques: bound, N·m, per point and servo; None = unchanged.
     """
 
     times: tuple[float, ...]
@@ -63,7 +63,7 @@ class Trajectory:
 
     @property
     def is_hold(self) -> bool:
-        """Whether it says: stay at the present goal."""
+        """Whether it means: stay at the present goal."""
         return not self.times
 
     @property
@@ -88,9 +88,9 @@ class Trajectory:
         return previous
 
     def torque_at(self, elapsed: float) -> tuple[float, ...] | None:
-        """Return the torque bound of each servo (N·m) at `elapsed` s; None where no point has set one yet.
+        """Return the torque bound of each servo (N·m) at `elapsed` s; None if no point has set one yet.
 
-        A point's bound holds from the instant of the point before it, when the motion toward it begins.
+        A point's bound holds from the time of the previous point, when the motion toward it begins.
         """
         bound: tuple[float, ...] | None = None
         since = 0.0
@@ -103,7 +103,7 @@ class Trajectory:
         return bound
 
     def remaining(self, elapsed: float) -> Trajectory:
-        """Return what is left of it after `elapsed` s, as a trajectory that starts then; nothing left means hold."""
+        """Return the rest after `elapsed` s as a trajectory that starts then; hold if nothing is left."""
         left = [index for index, time in enumerate(self.times) if time > elapsed]
         if not left:
             return HOLD
@@ -120,16 +120,16 @@ HOLD = Trajectory((), (), ())
 
 
 def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLimits) -> Trajectory:
-    """Return the trajectory of `points`, or refuse it as a whole.
+    """Return the trajectory of `points`, or refuse it entirely.
 
     Args:
         names: joint of each column, in any order.
-        points: in the order of time; none = hold, and then no names are needed.
-        limits: what may be asked for.
+        points: in the order of time; none = hold, which needs no names.
+        limits: of angles and torque bounds.
 
     Raises:
-        TrajectoryRefused: there are too many points, a joint is unknown, doubled or missing, a number is missing or not
-            finite, an angle or a torque bound is outside its limits, or the times do not rise.
+        TrajectoryRefused: too many points; a joint unknown, repeated or missing; a number missing or not finite; an
+            angle or torque bound outside its limits; or times that do not rise.
     """
     if len(points) > MOST_POINTS:
         raise TrajectoryRefused(f"it has {len(points)} points; send at most {MOST_POINTS} at once")
@@ -152,15 +152,15 @@ def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLi
 
 
 def check_age(age: float) -> None:
-    """Refuse a trajectory stamped `age` s ago; a negative age is a stamp in the future, NaN no stamp.
+    """Refuse a trajectory stamped `age` s ago; negative = in the future, NaN = invalid stamp.
 
     Raises:
-        TrajectoryRefused: older, or further in the future, than `STALE_AFTER`, or NaN.
+        TrajectoryRefused: NaN, or more than `STALE_AFTER` in the past or future.
     """
     if age > STALE_AFTER:
         raise TrajectoryRefused(f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s")
     if math.isnan(age):
-        raise TrajectoryRefused("its stamp lies before 1970; stamp it by the ROS clock, or not at all")
+        raise TrajectoryRefused("its stamp is before 1970; use the ROS clock, or no stamp")
     if age < -STALE_AFTER:
         raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; compare the clocks of both computers")
 
@@ -171,9 +171,9 @@ def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
     if unknown:
         raise TrajectoryRefused(f"unknown joint {unknown[:_QUOTED]!a}; known: {', '.join(limits.names)}")
     if sorted(names) != sorted(limits.names):
-        told = ", ".join(names)[:_QUOTED]
+        given = ", ".join(names)[:_QUOTED]
         raise TrajectoryRefused(
-            f"it names {len(names)} joints ({told}); name each of the {len(limits.names)} exactly once"
+            f"it names {len(names)} joints ({given}); name each of the {len(limits.names)} exactly once"
         )
     return [list(names).index(name) for name in limits.names]
 

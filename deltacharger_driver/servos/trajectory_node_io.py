@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the trajectories that have come the servos follow: the newest that is allowed and without fault.
+"""Selects which received trajectory the servos follow: the newest that is allowed and valid.
 
-Anybody may publish on joint_trajectory. However much comes, and whatever, one cycle looks at a bounded part of it, the
-newest first: a stranger's message is refused and counted, and the one behind it is looked at.
+Any node may publish on joint_trajectory. In each cycle a bounded part of the received data is read, the newest first. A
+refused message is counted, and the one before it is tried.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from deltacharger_ros.messages import seconds
 LONGEST_SECRET = 64  # characters of header.frame_id
 _LARGEST = 128 * 1024  # bytes of a trajectory, and of all that one cycle reads; 1000 points have 112 000, read in 36 ms
 _LARGEST_HOLD = 512  # bytes of a trajectory without points
-_STRANGERS = 8  # publishers that are kept to be named
+_STRANGERS = 8  # publishers that are kept for the diagnostics
 
 _Line = tuple[Sender, int, int]
 
@@ -35,14 +35,14 @@ class TrajectoryInbox:
     """Takes trajectories for a `ServoController`. Used by its thread.
 
     Args:
-        node: subscribes.
-        limits: what may be asked for.
+        node: the subscriber.
+        limits: of angles and torque bounds.
 
     Attributes:
         refused: trajectories refused since the start.
-        forbidden: those of them that were refused because of the contactor.
-        last_refusal: why.
-        strangers: publishers of the forbidden ones by their ids; whoever names them clears it.
+        forbidden: of these, those refused because of the contactor.
+        last_refusal: reason of the last refusal.
+        strangers: publisher ids of the forbidden ones; the reader clears it.
     """
 
     def __init__(self, node: Node, limits: JointLimits) -> None:
@@ -52,7 +52,7 @@ class TrajectoryInbox:
         self._node = node
         self._limits = limits
         self._topic = BoundedTopic(node, JointTrajectory, "joint_trajectory", KEPT)
-        self._followed: _Line | None = None  # the line that is being followed
+        self._followed: _Line | None = None  # the line being followed
 
     @property
     def topic(self) -> str:
@@ -60,12 +60,12 @@ class TrajectoryInbox:
         return self._topic.name
 
     def serve(self, controller: ServoController, guard: MotionGuard, state: ContactorState) -> None:
-        """Hand the newest good trajectory that has come, if any, to the controller, and refuse the newer ones.
+        """Pass the newest valid trajectory to the controller and refuse the newer ones.
 
         Args:
-            controller: gets it.
-            guard: says who may move the arm.
-            state: of the contactor, now.
+            controller: receives the trajectory.
+            guard: decides who may move the arm.
+            state: present state of the contactor.
         """
         budget = _LARGEST + KEPT.depth * _LARGEST_HOLD
         for received in reversed(self._topic.take()):
@@ -82,12 +82,12 @@ class TrajectoryInbox:
                 self._refuse(f"it has {size} bytes, more than {_LARGEST}; send fewer points and short names")
                 continue
             budget -= size
-            if budget < 0:  # so many newer ones were no better
+            if budget < 0:  # too much data already refused
                 return
             try:
                 message = received.read()
                 if message is None:
-                    raise TrajectoryRefused("its bytes are no JointTrajectory")
+                    raise TrajectoryRefused("its bytes are not a JointTrajectory")
                 if message.points and not allowed:
                     self._forbid(received, state)
                     continue
@@ -96,25 +96,25 @@ class TrajectoryInbox:
                 self._refuse(error.reason)
                 continue
             if message.points:
-                guard.led(sender, state)
+                guard.record_move(sender, state)
             return
 
     def _follow(self, controller: ServoController, message: Any, sender: Sender) -> None:
-        """Submit a trajectory, or raise TrajectoryRefused."""
+        """Submit a trajectory or raise TrajectoryRefused."""
         if controller.phase is not ServoPhase.ON:
             self._followed = None
         trajectory = check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
         stamp = message.header.stamp
         old = self._age(stamp)
         line = (sender, stamp.sec, stamp.nanosec)
-        # A further piece of a line under way is as old as its end; the line itself may last longer than a stamp.
+        # A later piece of a running line is as old as its end: the line itself may last longer than a stamp is valid.
         check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
         start = time.monotonic() - old if stamp.sec or stamp.nanosec else math.inf
         controller.submit(trajectory, start)
         self._followed = line if not trajectory.is_hold else self._followed
 
     def _age(self, stamp: Any) -> float:
-        """Return how long ago (s) a stamp was on the node's clock; 0 for one that is not set, NaN for none."""
+        """Return the age of a stamp on the node's clock, s; 0 if not set, NaN if invalid."""
         if not (stamp.sec or stamp.nanosec):
             return 0.0
         return stamp_age(stamp.sec, stamp.nanosec, self._node.get_clock().now().nanoseconds)
@@ -131,7 +131,7 @@ class TrajectoryInbox:
 
 
 def _sender(received: Received) -> Sender | None:
-    """Return who sent it; None where it does not say so in bounds."""
+    """Return the sender; None if its frame_id is unreadable or too long."""
     secret = received.frame_id(LONGEST_SECRET)
     return None if secret is None else Sender(secret, received.publisher)
 

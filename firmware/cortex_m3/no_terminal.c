@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* In place of terminal.c where there is no operating system: as code of the board's processor, on an emulator. */
+/* Replaces terminal.c without an operating system: on the emulated processor of the board. */
 #include "terminal.h"
 
 int terminal_serve(uint64_t seed, const char *servos, const char *link)

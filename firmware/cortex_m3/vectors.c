@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What an emulated Cortex-M3 starts with. A fault finds no handler and ends the emulator with a message. */
+/* Start vectors of an emulated Cortex-M3. A fault has no handler and ends the emulator with a message. */
 #include <stdint.h>
 
 #define END_OF_MEMORY 0x22000000u

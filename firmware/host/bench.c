@@ -74,7 +74,7 @@ static size_t read_input(void *context, uint8_t *bytes, size_t size)
     return count;
 }
 
-/* Bytes that the transmitter takes now. */
+/* Number of bytes that the transmitter accepts now. */
 static size_t wire_room(struct bench *bench)
 {
     if (bench->baud == 0)

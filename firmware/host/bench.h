@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* A bench instead of the hardware: two pads under settable forces and a battery that charges a target through a
- * resistor, on a clock that somebody sets. */
+/* A bench instead of the hardware: two pads with settable forces and a battery that charges a target through a
+ * resistor, on a settable clock. */
 #ifndef BENCH_H
 #define BENCH_H
 
@@ -18,25 +18,25 @@ struct bench {
     uint64_t random;
     float battery, target;  /* V; a negative target is reversed */
     float resistance;       /* ohm of the loop, inf = not touching */
-    uint8_t detected;       /* fault that the stage's own detectors report, 0 none */
-    bool welded, stuck;     /* contacts that will not open; that will not close */
+    uint8_t detected;       /* fault reported by the stage's own detectors, 0 = none */
+    bool welded, stuck;     /* contacts that do not open; that do not close */
     bool dropped;           /* the coil has lost its supply */
-    bool forced_current, forced_target, forced_output; /* these measure `forced` instead */
+    bool forced_current, forced_target, forced_output; /* these readings are replaced by `forced` */
     float forced[3];        /* A, V, V */
-    uint32_t scan_time;     /* us that read_taxels takes */
-    uint32_t probe_time;    /* us that a probe takes; UINT32_MAX = never ends */
+    uint32_t scan_time;     /* us, duration of read_taxels */
+    uint32_t probe_time;    /* us, duration of a probe; UINT32_MAX = never ends */
     bool probing;
     uint64_t probe_due;
     dc_power_outputs outputs;
-    uint64_t precharged, pulled_in, released; /* us, when output and contacts will be there */
-    uint32_t release_time;  /* us that the contacts take to open */
+    uint64_t precharged, pulled_in, released; /* us, when output and contacts reach their state */
+    uint32_t release_time;  /* us, opening time of the contacts */
     bool closed;
-    float broken;           /* A, the largest current that an opening has interrupted */
-    uint32_t baud;          /* bits/s of the wire, 0 = takes everything; 1 = takes nothing */
-    uint64_t wire_free;     /* us, until when the wire is busy */
+    float broken;           /* A, the largest current interrupted by an opening */
+    uint32_t baud;          /* bit/s of the wire, 0 = accepts everything; 1 = accepts nothing */
+    uint64_t wire_free;     /* us, the wire is busy until then */
     size_t input_used, input_read, output_used;
     uint32_t servo_speed;   /* bit/s of the servos' bus */
-    uint32_t bus_takes;     /* bytes that the bus takes at once */
+    uint32_t bus_takes;     /* bytes that the bus accepts at once */
     size_t from_servos_used, to_servos_used;
     uint8_t from_servos[BENCH_BUS], to_servos[BENCH_BUS];
     uint8_t input[BENCH_INPUT];
@@ -45,16 +45,16 @@ struct bench {
 
 void bench_init(struct bench *bench, uint64_t now, uint64_t seed);
 
-/* The hooks of `bench`, those of a servos' bus among them where it has one. */
+/* The hooks of `bench`, including those of a servos' bus if it has one. */
 dc_hardware bench_hardware(struct bench *bench, bool servos);
 
-/* A at present. */
+/* Present current, A. */
 float bench_current(const struct bench *bench);
 
-/* Whether both sides of the contactor are joined. */
+/* Return whether both sides of the contactor are connected. */
 bool bench_closed(struct bench *bench);
 
-/* The next number of a sequence that its seed determines. */
+/* Return the next random number. */
 uint32_t bench_random(struct bench *bench);
 
 #endif

@@ -40,7 +40,7 @@ static size_t put_packet(uint8_t *to, const dc_packet *packet)
 
 static void new_decoder(uint16_t capacity)
 {
-    free(decoder.buffer); /* exactly as long as promised, so that a sanitizer sees one byte more */
+    free(decoder.buffer); /* exactly the given size, so that a sanitizer detects an access beyond it */
     dc_decoder_init(&decoder, malloc(capacity), capacity);
 }
 
@@ -128,7 +128,7 @@ static size_t serve(int operation, size_t size)
     case 'u':
         return unstuff(size);
     default:
-        fprintf(stderr, "no operation %d\n", operation);
+        fprintf(stderr, "unknown operation %d\n", operation);
         exit(2);
     }
 }

@@ -26,7 +26,7 @@ void console_init(struct console *console, uint64_t now, uint64_t seed, bool ste
     console_boot(console);
 }
 
-/* Poll until nothing is left to do at this instant. */
+/* Poll until nothing is due at this instant. */
 static void settle(struct console *console)
 {
     const uint64_t instant = console->bench.now;
@@ -36,7 +36,7 @@ static void settle(struct console *console)
         if (idle || console->bench.now != instant)
             return;
     }
-    fprintf(stderr, "the board always has something to do\n");
+    fprintf(stderr, "the board never becomes idle\n");
     exit(1);
 }
 
@@ -58,7 +58,7 @@ static int digit(char c)
     return found ? (int)(found - DIGITS) : -1;
 }
 
-/* Return how many bytes the hexadecimal `text` gives, SIZE_MAX where it is none or longer than `room`. */
+/* Return the number of bytes of the hexadecimal `text`; SIZE_MAX if it is invalid or longer than `room`. */
 static size_t from_hex(const char *text, uint8_t *bytes, size_t room)
 {
     size_t size = 0;
@@ -142,7 +142,7 @@ static void put_hex(FILE *answer, const uint8_t *bytes, size_t size)
     }
 }
 
-/* `bus HEX`: these come from the servos; answered by what was sent to them since. */
+/* `bus HEX`: bytes from the servos; the answer is the bytes sent to them since. */
 static bool tell_bus(struct bench *bench, const char *text, FILE *answer)
 {
     const size_t room = BENCH_BUS - bench->from_servos_used;
@@ -157,7 +157,7 @@ static bool tell_bus(struct bench *bench, const char *text, FILE *answer)
     return true;
 }
 
-/* Settings that are a number somewhere. */
+/* Settings that are plain numbers. */
 static bool set_number(struct console *console, const char *name, double value)
 {
     struct bench *bench = &console->bench;
@@ -245,7 +245,7 @@ static void tell_state(struct console *console, FILE *answer)
     putc('\n', answer);
 }
 
-/* What the board has sent since the last answer, and when it wants to be polled again. */
+/* Print the bytes sent since the last answer, and when the next poll is due. */
 static void tell_sent(struct console *console, FILE *answer)
 {
     struct bench *bench = &console->bench;
@@ -255,14 +255,14 @@ static void tell_sent(struct console *console, FILE *answer)
     fprintf(answer, " idle %" PRIu32 "\n", dc_board_idle_us(&console->board));
 }
 
-/* Commands that let time pass; false where `name` is none of them. */
+/* Commands that advance time; false if `name` is none of them. */
 static bool step(struct console *console, const char *name, const char *text, bool *good)
 {
     const uint64_t instant = strtoull(text, NULL, 10);
     *good = true;
     if (strcmp(name, "advance") == 0) {
         advance(console, instant);
-    } else if (strcmp(name, "jump") == 0) { /* nobody polls meanwhile */
+    } else if (strcmp(name, "jump") == 0) { /* without polls */
         console->bench.now = instant;
         settle(console);
     } else if (strcmp(name, "wire") == 0) {
@@ -309,6 +309,6 @@ void console_command(struct console *console, char *line, FILE *answer)
             fputs("ok\n", answer);
     }
     if (!good)
-        fprintf(answer, "error: not understood: %.40s %.40s\n", line, text);
+        fprintf(answer, "error: unknown command: %.40s %.40s\n", line, text);
     fflush(answer);
 }

@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Smoke of the decoder and of the whole board under damaged and senseless bytes; run it with sanitizers.
+/* Fuzz test of the decoder and of the complete board with damaged and random bytes; run it with sanitizers.
  *
  *     fuzz [PACKETS] [SEED]
  *
- * Decoder: every accepted packet must be one that was sent. Board: whatever the host does, the contactor is commanded
- * only while a heartbeat is fresh, never together with the probe, never with a fault latched, and never above the limit
- * of current; the servos get no byte more than the host sent them. */
+ * Decoder: every accepted packet must have been sent. Board: whatever the host does, the contactor is commanded only
+ * while a heartbeat is fresh, never together with the probe, never with a latched fault, and never above the current
+ * limit; the servos get no byte that the host did not send. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +15,7 @@
 
 #define AT_ONCE 16u /* packets that are damaged together */
 #define LONGEST_PLAIN 520u
-#define ROUND_US 600000000u /* simulated time before a board is booted anew */
+#define ROUND_US 600000000u /* simulated time before a board is booted again */
 
 static uint64_t random_state;
 
@@ -33,7 +33,7 @@ static void fail(const char *what)
     exit(1);
 }
 
-/* Flip, cut, insert, repeat or zero bytes; returns the new size. */
+/* Flip, cut, insert, repeat or zero bytes; return the new size. */
 static size_t damage(uint8_t *bytes, size_t size, size_t room)
 {
     const size_t at = any((uint32_t)size);
@@ -88,7 +88,7 @@ static bool same(const dc_packet *a, const dc_packet *b)
            memcmp(a->payload, b->payload, a->size) == 0;
 }
 
-/* Give the decoder a byte and count what it accepts, which must be among `count` packets that were sent. */
+/* Pass a byte to the decoder and count accepted packets, which must be among the `count` sent ones. */
 static unsigned long put(dc_decoder *decoder, uint8_t byte, const dc_packet *sent, size_t count)
 {
     dc_packet got;
@@ -97,7 +97,7 @@ static unsigned long put(dc_decoder *decoder, uint8_t byte, const dc_packet *sen
     for (size_t i = 0; i < count; i++)
         if (same(&got, &sent[i]))
             return 1;
-    fail("accepted a packet that nobody sent");
+    fail("accepted a packet that was not sent");
     return 0;
 }
 
@@ -135,17 +135,17 @@ static void check_board(const struct console *console, uint64_t heartbeat)
     if (console->board.output.used > DC_OUTPUT_SIZE)
         fail("output overflows");
     if (console->board.servos.in_size > DC_LONGEST_SERVO || console->board.servos.out_size > DC_SERVO_ROOM)
-        fail("more bytes of the servos than there is room for");
+        fail("more servo bytes than there is room for");
 }
 
-/* Something comes from the servos, or nothing; what went to them is taken off the bus. */
+/* Receive random bytes from the servos, or none; remove the bytes sent to them. */
 static void vary_bus(struct console *console, const dc_packet *packet)
 {
     struct bench *bench = &console->bench;
     static uint64_t promised; /* bytes of SERVO that may still reach the servos */
     promised += packet->type == DC_SERVO ? packet->size : 0u;
     if (bench->to_servos_used > promised)
-        fail("the servos got what nobody sent them");
+        fail("the servos got bytes that were not sent to them");
     promised -= bench->to_servos_used;
     bench->to_servos_used = 0;
     bench->bus_takes = any(3) ? BENCH_BUS : any(40);
@@ -153,7 +153,7 @@ static void vary_bus(struct console *console, const dc_packet *packet)
         bench->from_servos[bench->from_servos_used++] = (uint8_t)any(256);
 }
 
-/* A packet that a host could send, now and then senseless. */
+/* A packet that a host could send, sometimes with random content. */
 static dc_packet draw_command(uint8_t *payload)
 {
     static const uint8_t TYPES[] = {3, 4, 5, 6, 7, 8, 8, 8, 9, 11, 11, 12, 12, 12, 12, 12, 13, 13, 14};
@@ -191,7 +191,7 @@ static void vary_bench(struct bench *bench)
     bench->dead[any(DC_TAXELS)] = any(2) != 0;
 }
 
-/* One packet of a host's day. */
+/* One random step of a host. */
 static void fuzz_board(struct console *console, uint64_t *heartbeat)
 {
     static uint8_t payload[LONGEST_PLAIN];

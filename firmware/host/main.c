@@ -9,9 +9,9 @@
 static const char USAGE[] =
     "usage: board_host [--seed N] --step [US]\n"
     "       board_host [--seed N] [--servos PORT] --pty [LINK]\n"
-    "  --step    time passes by commands on standard input only; starts at US (0)\n"
+    "  --step    time advances only by commands on standard input, from US (default 0)\n"
     "  --pty     serve in real time on a pseudo-terminal; LINK is a symbolic link to it\n"
-    "  --servos  the servos behind this serial port hang on the board\n";
+    "  --servos  connect the servos on this serial port to the board\n";
 
 static struct console console;
 static char line[200000]; /* `wire` with 64 KiB */

@@ -17,13 +17,13 @@
 struct terminal {
     struct console console;
     int host;  /* our end */
-    int board; /* the end that the host opens; held open, so that nothing hangs up between two hosts */
+    int board; /* the host's end; kept open, so that the terminal does not hang up between two hosts */
     int servos; /* the port of the servos' bus, -1 = none */
     size_t line_used;
     char line[4096];
 };
 
-static struct terminal terminal; /* 4 MB are too many for a stack */
+static struct terminal terminal; /* 4 MB are too much for the stack */
 
 static uint64_t monotonic_us(void)
 {
@@ -45,7 +45,7 @@ static size_t read_terminal(void *context, uint8_t *bytes, size_t size)
     return count > 0 ? (size_t)count : 0;
 }
 
-/* A wire has no memory: what the host never read is thrown away, as a full receive buffer would. */
+/* Discard bytes that the host did not read, as a full receive buffer does. */
 static size_t write_terminal(void *context, const uint8_t *bytes, size_t size)
 {
     (void)context;
@@ -113,7 +113,7 @@ static const char *open_terminal(void)
     return path;
 }
 
-/* Carry out the lines that have come; false at the end of them. */
+/* Execute the received lines; false at end of input. */
 static bool obey_input(void)
 {
     const size_t room = sizeof terminal.line - 1 - terminal.line_used;
@@ -126,7 +126,7 @@ static bool obey_input(void)
         char *end = strchr(terminal.line, '\n');
         if (end == NULL) {
             if (terminal.line_used == sizeof terminal.line - 1)
-                terminal.line_used = 0; /* no command is that long */
+                terminal.line_used = 0; /* no command is so long */
             return true;
         }
         *end = '\0';
@@ -170,7 +170,7 @@ int terminal_serve(uint64_t seed, const char *servos, const char *link)
     fflush(stdout);
     struct pollfd ends[3] = {
         {.fd = terminal.host, .events = POLLIN}, {.fd = STDIN_FILENO, .events = POLLIN},
-        {.fd = terminal.servos, .events = POLLIN}, /* -1 is passed over */
+        {.fd = terminal.servos, .events = POLLIN}, /* -1 is ignored by poll */
     };
     for (;;) {
         dc_board_poll(&console->board);
@@ -180,7 +180,7 @@ int terminal_serve(uint64_t seed, const char *servos, const char *link)
         if (ends[1].revents != 0 && !obey_input())
             break;
         if ((ends[2].revents & (POLLHUP | POLLERR | POLLNVAL)) != 0)
-            ends[2].fd = -1; /* the servos are gone for good, and silent */
+            ends[2].fd = -1; /* the servo port has vanished: the servos stay silent */
     }
     if (link != NULL)
         unlink(link);

@@ -5,8 +5,8 @@
 
 #include "console.h"
 
-/* Serve until standard input ends or says `quit`; print `ready PATH` first. `servos`: the port of the servos' bus that
- * hangs on the board, or NULL; `link`: a symbolic link to make, or NULL. Return the exit status. */
+/* Serve until end of input or `quit`; print `ready PATH` first. `servos`: serial port of the servos' bus to connect to
+ * the board, or NULL; `link`: a symbolic link to create, or NULL. Return the exit status. */
 int terminal_serve(uint64_t seed, const char *servos, const char *link);
 
 #endif

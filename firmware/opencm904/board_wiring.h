@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Where everything is connected and what its readings mean: THE PART TO FILL IN for a real board.
+/* Pins and scales of all connections: FILL IN THIS FILE for a real board.
  *
- * As delivered nothing is wired. The board then speaks the whole link, but every taxel is dead, every voltage and
- * current unknown (NaN), a probe measures nothing and a close is refused. What is filled in works. */
+ * As delivered nothing is wired. The board then speaks the complete link, but every taxel is dead, voltages and
+ * currents are unknown (NaN), a probe measures nothing and a close is refused. Each part that is filled in works. */
 #ifndef BOARD_WIRING_H
 #define BOARD_WIRING_H
 
@@ -16,14 +16,14 @@ const uint8_t UNWIRED = 255;
 #define LINK_OVER_USB 0
 const uint32_t LINK_BAUD = 1000000; /* exact with the core's 36 and 72 MHz peripheral clocks */
 
-/* The servos' bus, where it hangs on this board's connector: 1 = one cable serves servos and pads, 0 = the servos have an
- * adapter of their own. Serial1 is the UART of the connector, channel 0 the driver's direction. Supply the servos by
+/* The servos' bus on this board's connector: 1 = one cable serves servos and pads, 0 = the servos have their own
+ * adapter. Serial1 is the UART of the connector, channel 0 the driver's direction. Supply the servos with
  * 12 V. */
 #define SERVOS_ON_BOARD 0
 #define SERVO_UART Serial1
 #define SERVO_CHANNEL 0
 
-/* Two pads of 10 x 10. Four address pins select the row that is driven and four the column that is sensed, on both pads
+/* Two pads of 10 x 10. Four address pins select the driven row and four the sensed column, on both pads
  * at once (two 16-channel analog multiplexers each); each pad has one analog output. Lowest bit first; row 0 is at +y,
  * column 0 at +x of the end effector. */
 const uint8_t PIN_ROW[4] = {UNWIRED, UNWIRED, UNWIRED, UNWIRED};
@@ -33,7 +33,7 @@ const uint8_t PIN_PAD_RIGHT = UNWIRED; /* the pad at -x */
 const uint32_t TAXEL_SETTLE_US = 3;    /* from the address to a steady output */
 const float TAXEL_ZERO = 0.0f;         /* counts of 4096 without force */
 const float TAXEL_SCALE = NAN;         /* N per count */
-const uint16_t TAXEL_LOWEST = 0;       /* counts; a taxel outside of these two is dead: a broken line lies at a rail */
+const uint16_t TAXEL_LOWEST = 0;       /* counts; a taxel outside these two is dead: a broken line reads a rail */
 const uint16_t TAXEL_HIGHEST = 4095;
 
 /* Analog readings of the power stage: value = (counts - zero) * scale. A reversed target needs a zero in the range. */
@@ -47,8 +47,8 @@ const AnalogInput TARGET = {UNWIRED, 0.0f, NAN};  /* at the electrodes */
 const AnalogInput OUTPUT_SIDE = {UNWIRED, 0.0f, NAN}; /* between the stage and the contactor */
 const AnalogInput CURRENT = {UNWIRED, 0.0f, NAN}; /* positive into the target */
 
-/* Digital signals of the power stage, all active high. Each output needs a pull-down of its own: while the processor is
- * in reset, starts or is being flashed its pins float, and that must mean off. */
+/* Digital signals of the power stage, all active high. Each output needs its own pull-down: while the processor is in
+ * reset, starts or is being flashed, its pins float, and that must mean off. */
 const uint8_t PIN_CONTACTOR = UNWIRED;
 const uint8_t PIN_PRECHARGE = UNWIRED;
 const uint8_t PIN_FEEDBACK = UNWIRED;   /* auxiliary contact: high = closed */
@@ -60,8 +60,8 @@ const float LIMIT_FULL_SCALE = NAN;     /* A at 100 % */
 const uint8_t PIN_PROBE = UNWIRED;
 const AnalogInput PROBE_VOLTAGE = {UNWIRED, 0.0f, NAN};
 const AnalogInput PROBE_CURRENT = {UNWIRED, 0.0f, NAN};
-const uint32_t PROBE_SETTLE_US = 100000; /* from switching it on until it is measured; at most 200 000 */
-const float PROBE_OPEN_CURRENT = 1e-4f;  /* A, below it the circuit is open */
+const uint32_t PROBE_SETTLE_US = 100000; /* from switching on to measuring; at most 200 000 */
+const float PROBE_OPEN_CURRENT = 1e-4f;  /* A; below it the circuit is open */
 
 /* Limits of this installation; the electrodes carry 18 A. */
 const float CURRENT_LIMIT = 18.0f;
@@ -72,7 +72,7 @@ const float HIGHEST_TARGET = 30.0f;
  * millisecond of sending to the servos. Measure it on the board. */
 const uint32_t POLL_PERIOD_US = 12000;
 
-/* Counts of a 40 kHz / 32 clock that is good to about half: 24 to 48 ms without a poll reset the board. */
+/* Counts of a 40 kHz / 32 clock with a tolerance of about half: 24 to 48 ms without a poll reset the board. */
 const uint16_t WATCHDOG_COUNTS = 45;
 
 #endif

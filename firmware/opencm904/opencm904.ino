@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The board's end of the board link on a ROBOTIS OpenCM 9.04 (STM32F103CB).
  *
- * NOT RUN ON HARDWARE: linked with the core of the board package 1.5.1, nothing more. Fill in board_wiring.h, then
+ * NOT RUN ON HARDWARE: only linked with the core of the board package 1.5.1. Fill in board_wiring.h, then
  * follow "First start" of docs/firmware.md before anything carries current. */
 #include <dc_board.h>
 #include <dc_crc32.h>
@@ -27,8 +27,8 @@ static size_t link_read(void *, uint8_t *bytes, size_t size)
   return count;
 }
 
-/* Serial.write waits up to 100 ms for room, so it is never offered more than fits. A port that nobody has opened is a
- * wire that nobody listens to: what is sent is gone, instead of being found stale by the next host. */
+/* Serial.write waits up to 100 ms for room, so it is never given more than fits. Bytes for a port that no host has
+ * opened are discarded, so that the next host does not receive stale ones. */
 static size_t link_write(void *, const uint8_t *bytes, size_t size)
 {
   if (!Serial)
@@ -46,7 +46,7 @@ static size_t link_read(void *, uint8_t *bytes, size_t size)
   return count;
 }
 
-/* LINK_UART.write waits where its buffer is full, so it is never offered more than fits. */
+/* LINK_UART.write waits if its buffer is full, so it is never given more than fits. */
 static size_t link_write(void *, const uint8_t *bytes, size_t size)
 {
   const int room = LINK_UART.availableForWrite();
@@ -67,8 +67,8 @@ static const dc_hardware HARDWARE = {
 
 static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET, POLL_PERIOD_US};
 
-/* A number that differs from boot to boot: a counter that survives a reset, and the noise of the analog inputs for
- * where the supply was away. */
+/* A number that differs at each boot: a counter that survives a reset, and, for a lost supply, the noise of the analog
+ * inputs. */
 static uint32_t new_boot_id()
 {
   RCC->APB1ENR |= RCC_APB1ENR_PWREN | RCC_APB1ENR_BKPEN;
@@ -92,7 +92,7 @@ static void start_watchdog()
   IWDG->KR = 0xCCCC;
 }
 
-/* The core asks for its bootloader by setting the same watchdog to 10 ms and waiting for it: do not save it then. */
+/* To start its bootloader, the core sets this watchdog to 10 ms and waits for it: do not reload it then. */
 static void feed_watchdog()
 {
   if (IWDG->RLR == WATCHDOG_COUNTS)

@@ -62,13 +62,13 @@ void power_read(void *, dc_power_reading *reading)
 
 void power_drive(void *, const dc_power_outputs *outputs)
 {
-  /* Off first, on last: no order of the pins may pass through a state that nobody asked for. */
+  /* Off first, on last: the pins must never pass through a state that was not commanded. */
   if (!outputs->contactor)
     switch_pin(PIN_CONTACTOR, false);
   if (!outputs->precharge)
     switch_pin(PIN_PRECHARGE, false);
   if (wired(PIN_LIMIT)) {
-    const float share = outputs->current_limit / LIMIT_FULL_SCALE; /* NaN as long as the scale is unknown: 0 */
+    const float share = outputs->current_limit / LIMIT_FULL_SCALE; /* NaN, and then 0, while the scale is unknown */
     analogWrite(PIN_LIMIT, share > 0.0f ? (uint32_t)(255.0f * (share < 1.0f ? share : 1.0f)) : 0);
   }
   if (outputs->precharge)
@@ -86,14 +86,14 @@ void probe_start(void *)
 
 bool probe_poll(void *, float *resistance, float *target)
 {
-  /* Signed, since micros() can fall back by a millisecond: that is no end of a wait that has just begun. */
+  /* Signed, because micros() can step back by a millisecond, which must not end a wait that has just begun. */
   if (!probing || (int32_t)(micros() - probe_began) < (int32_t)PROBE_SETTLE_US)
     return false;
   const float current = value_of(PROBE_CURRENT);
   const float voltage = value_of(PROBE_VOLTAGE);
   switch_pin(PIN_PROBE, false);
   *target = value_of(TARGET);
-  *resistance = current < PROBE_OPEN_CURRENT ? INFINITY : voltage / current; /* NaN where one is unknown */
+  *resistance = current < PROBE_OPEN_CURRENT ? INFINITY : voltage / current; /* NaN if one is unknown */
   probing = false;
   return true;
 }

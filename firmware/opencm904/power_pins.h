@@ -5,7 +5,7 @@
 
 #include <dc_hardware.h>
 
-/* Make the outputs outputs, off before they drive anything. */
+/* Configure the output pins, off before they drive anything. */
 void power_begin();
 
 /* Hooks of dc_hardware. */

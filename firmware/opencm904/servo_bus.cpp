@@ -7,7 +7,7 @@
 
 #if SERVOS_ON_BOARD
 
-static const uint32_t LONGEST_SENDING_US = 500; /* the host can send 50 bytes meanwhile, and a poll reads 64 */
+static const uint32_t LONGEST_SENDING_US = 500; /* the host can send 50 bytes in this time, and a poll reads 64 */
 static const size_t UART_ROOM = 100;            /* bytes; the core's buffer holds 127 */
 static size_t longest = UART_ROOM;
 
@@ -24,7 +24,7 @@ bool servos_speed(void *, uint32_t speed)
     return false;
   const size_t bytes = speed / 10 * LONGEST_SENDING_US / 1000000;
   longest = bytes < 1 ? 1 : bytes < UART_ROOM ? bytes : UART_ROOM;
-  SERVO_UART.begin(speed); /* what came before is gone */
+  SERVO_UART.begin(speed); /* discards received bytes */
   return true;
 }
 
@@ -36,8 +36,8 @@ size_t servos_read(void *, uint8_t *bytes, size_t size)
   return count;
 }
 
-/* A servo answers some microseconds after the last bit, so the line is let go as soon as that is out: flush waits until
- * the transmitter itself is empty. A longer packet goes in pieces; on the line that is a pause. */
+/* A servo answers some microseconds after the last bit, so the line must be released at once: flush waits until the
+ * transmitter is empty. A longer packet is sent in pieces, with pauses between them. */
 size_t servos_write(void *, const uint8_t *bytes, size_t size)
 {
   const size_t count = size < longest ? size : longest;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The calls of the OpenCM 9.04's Arduino core that the sketch makes, declared so that it compiles without that core. Each
- * has the types that it has in ROBOTIS's board package 1.5.1. */
+/* Declares the calls of the OpenCM 9.04's Arduino core that the sketch uses, so that it compiles without that core.
+ * Types as in ROBOTIS's board package 1.5.1. */
 #ifndef ARDUINO_STUB_H
 #define ARDUINO_STUB_H
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* An Arduino core that does nothing, so that the sketch links and its size is known. */
+/* An Arduino core that does nothing, so that the sketch links and its size can be measured. */
 #include "Arduino.h"
 
 uint32_t micros(void) { return 0; }

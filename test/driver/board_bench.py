@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board on board time: every `now` is passed in. Its tests run on the firmware as well (test/firmware)."""
+"""A board in simulated time: every `now` is passed in. Its tests also run on the firmware (test/firmware)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEP = 0.005
 
 
 class Bench:
-    """A board, its plant and a host that only speaks when told; time passes by `run`."""
+    """A board, its plant and a host that sends only on command; `run` advances time."""
 
     def __init__(self, sample_format: SampleFormat = SampleFormat.U12, **plant: float) -> None:
         self.now = 100.0
@@ -24,10 +24,10 @@ class Bench:
         self.packets: list[Packet] = []
         self.sequence = 0
         self.beating = False
-        self.hear(self.board.poll(self.now))
-        self.now += 1e-7  # what is due is due, whatever the last bit of the floats
+        self.take(self.board.poll(self.now))
+        self.now += 1e-7  # so that rounding never delays a due event
 
-    def hear(self, data: bytes) -> list[Packet]:
+    def take(self, data: bytes) -> list[Packet]:
         new = self.decoder.feed(data)
         self.packets += new
         return new
@@ -38,7 +38,7 @@ class Bench:
         return self.receive(encode_packet(packet, version))
 
     def send_together(self, *commands: tuple[int, bytes]) -> list[Packet]:
-        """Send packets in one piece of bytes."""
+        """Send several packets at once."""
         wire = b""
         for type, payload in commands:
             self.sequence += 1
@@ -46,7 +46,7 @@ class Bench:
         return self.receive(wire)
 
     def receive(self, wire: bytes) -> list[Packet]:
-        return self.hear(self.board.receive(wire, self.now))
+        return self.take(self.board.receive(wire, self.now))
 
     def run(self, seconds: float) -> list[Packet]:
         start = len(self.packets)
@@ -54,7 +54,7 @@ class Bench:
             self.now += STEP
             if self.beating and number % 4 == 0:
                 self.send(PacketType.HEARTBEAT)
-            self.hear(self.board.poll(self.now))
+            self.take(self.board.poll(self.now))
         return self.packets[start:]
 
     def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> Ack:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos behind real pseudo-terminals, and what speaks to them."""
+"""Emulated servos behind real pseudo-terminals, and their hosts."""
 
 from __future__ import annotations
 

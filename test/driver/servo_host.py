@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A host that speaks to emulated servos in bytes, with a clock of its own."""
+"""A host that exchanges bytes with emulated servos, with its own clock."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deltacharger_driver.servos.protocol import HEADER, crc16
 
 
 class Host:
-    """Speaks to an emulator in packets, at instants of its own."""
+    """Exchanges packets with an emulator, with its own clock."""
 
     def __init__(self, **kwargs: Any) -> None:
         self.now = 100.0
@@ -24,7 +24,7 @@ class Host:
             self.bus.servo(servo).table.set("return_delay", 0)
 
     def advance(self, seconds: float) -> bytes:
-        """Let time pass as a pseudo-terminal does, and return what came."""
+        """Advance time as a pseudo-terminal does, and return received bytes."""
         end, received = self.now + seconds, b""
         while (wait := self.bus.next_event(self.now)) <= end - self.now:
             self.now += max(wait, 1e-6)

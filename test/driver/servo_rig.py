@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A servo controller over emulated servos on a real pseudo-terminal, cycled while something is waited for."""
+"""A servo controller over emulated servos on a real pseudo-terminal; waiting for a condition runs its cycles."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ DEFAULT = 0.83
 
 
 class Contactor:
-    """A contactor that opens `delay` s after it is asked to, and what was on the arm then."""
+    """A contactor that opens `delay` s after a request; it records the state of the arm then."""
 
     def __init__(self, arm: BenchArm) -> None:
         self.arm = arm
         self.delay = 0.0
-        self.asked: list[float] = []
+        self.requests: list[float] = []
         self.opened_at = 0.0
         self.torque_when_opened: list[bool] | None = None
 
-    def ask_open(self) -> None:
-        self.asked.append(time.monotonic())
-        self.opened_at = self.asked[0] + self.delay
+    def request_open(self) -> None:
+        self.requests.append(time.monotonic())
+        self.opened_at = self.requests[0] + self.delay
 
     def is_open(self) -> bool:
-        if not self.asked or time.monotonic() < self.opened_at:
+        if not self.requests or time.monotonic() < self.opened_at:
             return False
         if self.torque_when_opened is None:
             self.torque_when_opened = self.arm.torque_enabled()
@@ -51,7 +51,7 @@ class Contactor:
 
 
 class Rig:
-    """A controller that cycles at 100 Hz while it waits for something."""
+    """A controller that cycles at 100 Hz while it waits for a condition."""
 
     def __init__(self, path: Path) -> None:
         self.arm = BenchArm(START)
@@ -72,7 +72,7 @@ class Rig:
     def until(self, condition: Callable[[ServoReport], Any], seconds: float = DEADLINE) -> Any:
         deadline = time.monotonic() + seconds
         while not (result := condition(self.cycle())):
-            assert time.monotonic() < deadline, f"it did not come to pass; {self.report}"
+            assert time.monotonic() < deadline, f"the condition did not become true; {self.report}"
         return result
 
     def ask(self, action: str) -> ServoRequest:
@@ -81,7 +81,7 @@ class Rig:
         return request
 
     def wire_contactor(self) -> None:
-        """Let the controller have a contactor."""
+        """Give the controller a contactor."""
         self.controller._contactor = self.contactor
 
     def torque_on(self) -> None:

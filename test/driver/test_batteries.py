@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""battery and target_battery say what the power stage measures, and nothing that it does not."""
+"""battery and target_battery report exactly what the power stage measures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def sample(battery: float = 26.0, target: float = 24.0, current: float = 0.0, cl
         (sample(battery=NAN, current=10.0, closed=True), UNKNOWN, CHARGING),
     ],
 )
-def test_the_status_follows_from_the_current_that_is_measured(power: PowerSample | None, own: int, target: int) -> None:
+def test_the_status_follows_the_measured_current(power: PowerSample | None, own: int, target: int) -> None:
     assert own_battery(power).power_supply_status == own
     assert target_battery(power).power_supply_status == target
 
@@ -45,14 +45,14 @@ def test_the_status_follows_from_the_current_that_is_measured(power: PowerSample
 @pytest.mark.parametrize(
     ("volts", "present"), [(NAN, False), (0.0, False), (5.0, False), (10.0, True), (-24.0, True), (29.8, True)]
 )
-def test_a_battery_is_there_where_no_probe_could_make_its_voltage(volts: float, present: bool) -> None:
+def test_a_battery_is_present_above_the_voltage_of_a_probe(volts: float, present: bool) -> None:
     for battery in (own_battery(sample(battery=volts)), target_battery(sample(target=volts))):
         assert battery.present == present
         assert battery.voltage == pytest.approx(volts, nan_ok=True)
 
 
 @pytest.mark.parametrize("power", [None, sample(), sample(current=10.0, closed=True)])
-def test_what_nobody_measures_is_unknown(power: PowerSample | None) -> None:
+def test_unmeasured_values_are_unknown(power: PowerSample | None) -> None:
     for battery in (own_battery(power), target_battery(power)):
         for name in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
             assert math.isnan(getattr(battery, name)), name

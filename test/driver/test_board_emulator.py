@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated board against docs/board-link.md: packets, frames, boot; what else it does is in the files beside."""
+"""The emulated board against docs/board-link.md: packets, frames, boot. test_board_emulator_*.py have the rest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMANDS = [
 ]
 
 
-def test_it_introduces_itself_on_boot_and_when_asked() -> None:
+def test_hello_is_sent_at_boot_and_on_request() -> None:
     bench = Bench()
     first = bench.packets[0]
     assert (first.type, first.sequence, first.device_time_us) == (PacketType.HELLO, 0, 0)
@@ -36,7 +36,7 @@ def test_it_introduces_itself_on_boot_and_when_asked() -> None:
     assert answer[0].device_time_us == 500_000
 
 
-def test_power_comes_always_and_tactile_between_start_and_stop() -> None:
+def test_power_is_always_sent_and_tactile_between_start_and_stop() -> None:
     bench = Bench()
     silent = bench.run(1.0)
     assert len(silent) == 20
@@ -70,14 +70,14 @@ def test_rate() -> None:
 
 
 @pytest.mark.parametrize("type", [0, 1, 2, 10, 13, 255])
-def test_a_type_the_board_does_not_know_is_counted_and_answered(type: int) -> None:
+def test_an_unknown_type_is_counted_and_answered(type: int) -> None:
     bench = Bench()
     assert bench.error(type) == 2
     assert bench.board.unknown_types == 1
 
 
 @pytest.mark.parametrize(("flags", "format"), [(1, 0), (2, 0), (128, 0), (0, 1), (0, 2), (0, 200), (3, 3)])
-def test_a_packet_with_flags_or_a_format_is_a_bad_payload_and_does_nothing(flags: int, format: int) -> None:
+def test_a_packet_with_flags_or_a_format_is_refused_as_a_bad_payload(flags: int, format: int) -> None:
     bench = Bench()
     for type, payload in COMMANDS:
         (ack,) = acks(bench.send(type, payload, flags=flags, format=format))
@@ -86,10 +86,10 @@ def test_a_packet_with_flags_or_a_format_is_a_bad_payload_and_does_nothing(flags
     assert bench.send(PacketType.HEARTBEAT, flags=flags, format=format) == []
     assert {p.type for p in bench.run(0.5)} == {PacketType.POWER}
     (ack,) = acks(bench.send(PacketType.TACTILE, flags=flags, format=format))
-    assert ack.error == 2  # of a type the board does not know it judges nothing else
+    assert ack.error == 2  # of an unknown type nothing else is checked
 
 
-def test_packets_in_one_piece_are_answered_as_if_they_came_one_by_one() -> None:
+def test_packets_sent_together_are_answered_like_single_ones() -> None:
     together, apart = Bench(), Bench()
     source = random.Random(8)
     for _ in range(40):
@@ -101,7 +101,7 @@ def test_packets_in_one_piece_are_answered_as_if_they_came_one_by_one() -> None:
         assert story[0] == story[1]
 
 
-def test_a_boot_forgets_everything() -> None:
+def test_a_boot_resets_everything() -> None:
     bench = Bench().closed()
     bench.error(PacketType.CONTACTOR, b"\0")
     bench.send(PacketType.RATE, struct.pack("<f", 60.0))
@@ -128,23 +128,23 @@ def test_a_boot_forgets_everything() -> None:
     assert (frame.sequence, frame.flags) == (0, 0)
 
 
-def test_a_late_poll_sends_what_was_sampled_and_a_very_late_one_says_overrun() -> None:
+def test_a_late_poll_sends_all_samples_and_a_very_late_one_flags_overrun() -> None:
     bench = Bench()
     bench.send(PacketType.START)
     bench.run(0.1)
     bench.now += 0.1
-    late = tactile(bench.hear(bench.board.poll(bench.now)))
+    late = tactile(bench.take(bench.board.poll(bench.now)))
     assert len(late) == pytest.approx(12, abs=1)
     assert not any(p.flags & 2 for p in late)
     bench.now += 10.0
-    flood = tactile(bench.hear(bench.board.poll(bench.now)))
+    flood = tactile(bench.take(bench.board.poll(bench.now)))
     assert len(flood) == 16
     assert [bool(p.flags & 2) for p in flood] == [True] + [False] * 15
     assert flood[0].sequence - late[-1].sequence == pytest.approx(1200 - 15, abs=2)
 
 
 @pytest.mark.parametrize("kind", ["drop", "corrupt", "truncate", "garbage", "duplicate"])
-def test_wire_faults_hit_the_packets_they_are_told_to(kind: str) -> None:
+def test_wire_faults_affect_the_selected_packets(kind: str) -> None:
     bench = Bench()
     bench.board.faults.inject(kind, 2, PacketType.POWER)
     intact = sum(p.type == PacketType.POWER for p in bench.run(1.0))
@@ -152,7 +152,7 @@ def test_wire_faults_hit_the_packets_they_are_told_to(kind: str) -> None:
     assert intact == expected
 
 
-def test_a_silent_board_works_on_and_a_deaf_one_loses_its_heartbeat() -> None:
+def test_a_silent_board_keeps_working_and_a_deaf_one_loses_its_heartbeat() -> None:
     bench = Bench().closed()
     bench.board.faults.silent = True
     assert bench.run(0.5) == []

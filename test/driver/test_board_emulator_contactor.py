@@ -13,7 +13,7 @@ from deltacharger_driver.board.protocol import BoardFault, PacketType
 from .board_bench import Bench, acks
 
 
-def test_the_whole_close() -> None:
+def test_a_complete_close() -> None:
     bench = Bench()
     bench.run(0.1)
     assert not bench.power().contactor_closed
@@ -43,7 +43,7 @@ def test_one_probe_at_a_time_and_none_while_closed() -> None:
 
 
 def interlock(bench: Bench, case: str) -> int:
-    """Bring the board to where one condition of a close fails, and try."""
+    """Make one condition of a close fail, and try to close."""
     bench.beating = case != "no heartbeat"
     if case == "short":
         bench.plant.resistance = 0.9
@@ -88,7 +88,7 @@ def test_interlocks_of_a_close(case: str, error: int) -> None:
     bench.run(0.2)
     assert bench.power().contactor_closed == (error == 0)
     expected = BoardFault.OVER_CURRENT if case == "latched fault" else BoardFault.NONE
-    assert bench.power().fault == expected  # what a probe finds refuses the close and sets no fault
+    assert bench.power().fault == expected  # a bad probe forbids the close but sets no fault
 
 
 def test_closing_twice_is_not_now_and_opening_always_works() -> None:
@@ -100,7 +100,7 @@ def test_closing_twice_is_not_now_and_opening_always_works() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"\2", b"\1\0"])
-def test_contactor_payloads_that_mean_nothing(payload: bytes) -> None:
+def test_invalid_contactor_payloads_are_refused(payload: bytes) -> None:
     assert Bench().error(PacketType.CONTACTOR, payload) == 1
 
 
@@ -129,11 +129,11 @@ def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(
     assert bench.board.contactor_commanded == survives
 
 
-def test_a_heartbeat_that_comes_too_late_does_not_save_the_contactor() -> None:
+def test_a_late_heartbeat_does_not_keep_the_contactor_closed() -> None:
     bench = Bench().closed()
     bench.beating = False
     bench.send(PacketType.HEARTBEAT)
-    bench.now += 0.15  # nobody polled meanwhile
+    bench.now += 0.15  # without polls
     bench.send(PacketType.HEARTBEAT)
     assert not bench.board.contactor_commanded
     assert bench.board.fault == BoardFault.HEARTBEAT_LOST
@@ -145,7 +145,7 @@ def test_the_next_event_is_the_heartbeats_deadline() -> None:
     assert 0.0 < bench.board.next_event(bench.now) <= 0.1
 
 
-def test_no_heartbeat_while_open_is_no_fault() -> None:
+def test_a_missing_heartbeat_while_open_is_no_fault() -> None:
     bench = Bench()
     bench.send(PacketType.HEARTBEAT)
     bench.run(0.5)
@@ -174,7 +174,7 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
     bench.closed()
 
 
-def test_a_fault_that_is_still_there_after_an_opening_command_is_latched_again_at_once() -> None:
+def test_a_fault_that_persists_after_an_opening_command_is_latched_again_at_once() -> None:
     bench = Bench()
     bench.plant.detected = BoardFault.SHORT_CIRCUIT
     bench.run(0.11)
@@ -209,7 +209,7 @@ def test_an_opening_ends_a_running_probe() -> None:
     assert acks(bench.run(0.3)) == []
 
 
-def test_a_close_ends_a_running_probe_before_the_battery_meets_it() -> None:
+def test_a_close_ends_a_running_probe_before_the_battery_is_connected() -> None:
     bench = Bench()
     bench.beating = True
     assert bench.probe().error == 0
@@ -224,7 +224,7 @@ def test_a_close_ends_a_running_probe_before_the_battery_meets_it() -> None:
     assert bench.power().contactor_closed
 
 
-def test_a_refused_close_leaves_a_running_probe_alone() -> None:
+def test_a_refused_close_does_not_end_a_running_probe() -> None:
     bench = Bench()
     bench.beating = True
     bench.run(0.01)
@@ -234,7 +234,7 @@ def test_a_refused_close_leaves_a_running_probe_alone() -> None:
     assert [(a.type, a.error, a.sequence) for a in acks(bench.run(0.3))] == [(PacketType.PROBE, 0, probing)]
 
 
-def test_an_opening_and_a_probe_in_one_piece_leave_the_first_probe_its_answer() -> None:
+def test_an_opening_and_a_probe_sent_together_still_answer_the_first_probe() -> None:
     bench = Bench()
     bench.send(PacketType.PROBE)
     first = bench.sequence
@@ -248,7 +248,7 @@ def test_an_opening_and_a_probe_in_one_piece_leave_the_first_probe_its_answer() 
 
 
 @pytest.mark.parametrize(("flags", "format"), [(0, 0), (1, 0), (0, 1)])
-def test_a_heartbeat_with_flags_or_a_format_counts_for_nothing(flags: int, format: int) -> None:
+def test_a_heartbeat_with_flags_or_a_format_is_ignored(flags: int, format: int) -> None:
     bench = Bench()
     assert bench.probe().error == 0
     bench.send(PacketType.HEARTBEAT, flags=flags, format=format)

@@ -29,7 +29,7 @@ def test_every_sample_format(sample_format: SampleFormat) -> None:
     assert not np.isnan(left).any()
 
 
-def test_tare_subtracts_clips_and_says_so() -> None:
+def test_a_tare_subtracts_clips_and_is_flagged() -> None:
     bench = Bench(offset=0.5, noise=0.05)
     bench.send(PacketType.START)
     before = tactile(bench.run(0.1))[-1]
@@ -43,7 +43,7 @@ def test_tare_subtracts_clips_and_says_so() -> None:
     assert forces.mean() < 0.05
 
 
-def test_tare_is_refused_in_contact_also_where_contact_comes_meanwhile() -> None:
+def test_a_tare_is_refused_in_contact_even_if_contact_begins_during_it() -> None:
     bench = Bench()
     bench.plant.press(8.0)
     assert bench.error(PacketType.TARE) == 4
@@ -74,7 +74,7 @@ def frame(bench: Bench) -> npt.NDArray[np.float32]:
     return np.stack(decode_samples(packet.payload, packet.format))
 
 
-def test_a_taxel_that_is_dead_for_part_of_a_tare_is_tared_by_the_samples_it_gave() -> None:
+def test_a_taxel_dead_for_part_of_a_tare_is_tared_by_its_live_samples() -> None:
     bench = Bench(offset=0.5, noise=0.0)
     bench.send(PacketType.TARE)
     bench.run(0.01)
@@ -87,7 +87,7 @@ def test_a_taxel_that_is_dead_for_part_of_a_tare_is_tared_by_the_samples_it_gave
     assert frame(bench)[0, 3, 4] == pytest.approx(2.0, abs=0.003)
 
 
-def test_a_taxel_that_was_dead_all_through_a_tare_stays_unknown_until_the_next() -> None:
+def test_a_taxel_dead_during_a_tare_stays_unknown_until_the_next() -> None:
     bench = Bench(offset=0.5, noise=0.0)
     bench.board.set_dead(1, 7, 2)
     assert bench.error(PacketType.TARE, wait=0.05) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the emulated board can be told to do beside its duty: boot slowly, send late, and tell what happens when."""
+"""Test hooks of the emulated board: slow boots, late packets, and callbacks for samplings and heartbeats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP = 0.001
 
 
 class Host:
-    """Speaks to a board in packets, at instants of its own."""
+    """Exchanges packets with a board, with its own clock."""
 
     def __init__(self, build: Callable[[BenchPlant], BoardEmulator] = BoardEmulator) -> None:
         self.now = 100.0
@@ -34,7 +34,7 @@ class Host:
         return self._decoder.feed(self.board.receive(packet, self.now))
 
     def run(self, seconds: float, beating: bool = False) -> list[Packet]:
-        """Let time pass as a pseudo-terminal does, every ms, and return what came."""
+        """Advance time in steps of 1 ms, as a pseudo-terminal does, and return received packets."""
         packets = []
         for number in range(round(seconds / STEP)):
             self.now += STEP
@@ -48,7 +48,7 @@ def types(packets: list[Packet]) -> list[int]:
     return [packet.type for packet in packets]
 
 
-def test_while_it_boots_a_board_neither_hears_nor_speaks() -> None:
+def test_a_booting_board_neither_receives_nor_sends() -> None:
     host = Host(lambda plant: BoardEmulator(plant, boot_time=0.5))
     assert host.run(0.4) == []
     assert host.send(PacketType.START) == []
@@ -60,7 +60,7 @@ def test_while_it_boots_a_board_neither_hears_nor_speaks() -> None:
     assert PacketType.ACK in types(host.send(PacketType.START))
 
 
-def test_a_reboot_opens_the_contactor_before_it_begins_and_takes_its_time() -> None:
+def test_a_reboot_first_opens_the_contactor_and_lasts_its_boot_time() -> None:
     host = Host()
     host.run(0.05)
     host.send(PacketType.PROBE)
@@ -89,7 +89,7 @@ def test_a_late_wire_keeps_the_order_and_loses_nothing() -> None:
     first = host.run(1.0)
     sequences = [packet.sequence for packet in first if packet.type == PacketType.TACTILE]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert len(sequences) == pytest.approx(120 + 12, abs=2)  # those under way came too
+    assert len(sequences) == pytest.approx(120 + 12, abs=2)  # delayed ones arrived too
     assert [packet.device_time_us for packet in first] == sorted(packet.device_time_us for packet in first)
 
 
@@ -102,7 +102,7 @@ def test_a_late_answer_wakes_the_server_when_it_is_due() -> None:
     assert PacketType.PING in types(host.run(0.031))
 
 
-def test_recorders_are_told_of_every_sampling_and_every_heartbeat() -> None:
+def test_recorders_get_every_sampling_and_every_heartbeat() -> None:
     samples: list[tuple[int, float, float]] = []
     beats: list[float] = []
 
@@ -122,7 +122,7 @@ def test_recorders_are_told_of_every_sampling_and_every_heartbeat() -> None:
     assert all(math.isclose(later - earlier, 0.02) for earlier, later in itertools.pairwise(beats))
 
 
-def test_nobody_is_told_of_heartbeats_that_do_not_arrive() -> None:
+def test_lost_heartbeats_are_not_recorded() -> None:
     beats: list[float] = []
     host = Host(lambda plant: BoardEmulator(plant, on_heartbeat=beats.append))
     host.run(0.01)

@@ -106,14 +106,14 @@ def test_frames_are_sampled_now_and_never_lost(rig: Rig, link: BoardLink) -> Non
     assert instants[-1] <= time.monotonic()
 
 
-def test_power_arrives_without_being_asked(rig: Rig, link: BoardLink) -> None:
+def test_power_arrives_without_a_request(rig: Rig, link: BoardLink) -> None:
     wait_until(lambda: len(rig.powers) >= 3)
     power = rig.powers[-1].power
     assert (power.battery_voltage, power.contactor_closed, power.fault) == (26.0, False, 0)
     assert power.target_voltage == 24.0
 
 
-def test_a_tare_in_contact_says_what_to_do(rig: Rig, link: BoardLink) -> None:
+def test_a_tare_in_contact_is_refused_with_advice(rig: Rig, link: BoardLink) -> None:
     rig.plant.press(20.0)
     with pytest.raises(CommandRefused, match="retract first"):
         link.tare()
@@ -128,7 +128,7 @@ def test_probe(rig: Rig, link: BoardLink) -> None:
     assert math.isinf(link.probe().resistance)
 
 
-def test_the_heartbeat_lives_as_long_as_it_is_told_and_no_longer(rig: Rig, link: BoardLink) -> None:
+def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> None:
     assert link.counters.heartbeats == 0
     link.probe()
     with pytest.raises(CommandRefused, match="heartbeat"):
@@ -166,23 +166,23 @@ def test_closing_the_link_opens_the_contactor(rig: Rig, link: BoardLink) -> None
 
 
 @pytest.mark.parametrize("kind", ["drop", "corrupt", "truncate"])
-def test_a_lost_answer_is_asked_again(rig: Rig, link: BoardLink, kind: str) -> None:
+def test_a_command_with_a_lost_answer_is_repeated(rig: Rig, link: BoardLink, kind: str) -> None:
     rig.board.faults.inject(kind, 1, PacketType.ACK)
     link.start()
-    assert 1 <= link.counters.retries <= 3  # a busy computer may let a second answer come too late
+    assert 1 <= link.counters.retries <= 3  # on a busy computer a second answer may be late
 
 
-def test_a_close_whose_answer_was_lost_is_closed(rig: Rig, link: BoardLink) -> None:
+def test_a_close_with_a_lost_answer_succeeds(rig: Rig, link: BoardLink) -> None:
     link.probe()
     link.keep_alive(math.inf)
     rig.board.faults.inject("drop", 1, PacketType.ACK)
     link.contactor(True)
     assert rig.board.contactor_commanded
-    with pytest.raises(CommandRefused, match="closed already"):
+    with pytest.raises(CommandRefused, match="already closed"):
         link.contactor(True)
 
 
-def test_no_answer_has_a_deadline(rig: Rig, link: BoardLink) -> None:
+def test_a_missing_answer_is_an_error_after_a_deadline(rig: Rig, link: BoardLink) -> None:
     rig.board.faults.silent = True
     began = time.monotonic()
     with pytest.raises(NoAnswer, match="START within 500 ms"):
@@ -191,7 +191,7 @@ def test_no_answer_has_a_deadline(rig: Rig, link: BoardLink) -> None:
     assert isinstance(NoAnswer("", "", 0.0), TimeoutError)
 
 
-def test_a_noisy_wire_costs_frames_and_nothing_else(rig: Rig, link: BoardLink) -> None:
+def test_a_noisy_wire_loses_only_frames(rig: Rig, link: BoardLink) -> None:
     rig.board.faults.probability.update(drop=0.05, corrupt=0.05, truncate=0.05, garbage=0.1)
     link.start()
     wait_until(lambda: len(rig.frames) >= 120)
@@ -222,7 +222,7 @@ def test_frames_of_a_rebooted_board_keep_rising_and_are_untared(rig: Rig, link: 
     assert link.counters.reboots == 1
 
 
-def test_a_reboot_whose_hello_was_lost_is_noticed_by_the_clock(rig: Rig, link: BoardLink) -> None:
+def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock(rig: Rig, link: BoardLink) -> None:
     wait_until(lambda: rig.powers and rig.powers[-1].time - rig.powers[0].time > 0.7)
     rig.board.faults.inject("drop", 1, PacketType.HELLO)
     rig.board.reboot()
@@ -231,7 +231,7 @@ def test_a_reboot_whose_hello_was_lost_is_noticed_by_the_clock(rig: Rig, link: B
     assert link.counters.reboots == 1
 
 
-def test_a_command_that_a_reboot_interrupts_says_so(rig: Rig, link: BoardLink) -> None:
+def test_a_command_interrupted_by_a_reboot_reports_it(rig: Rig, link: BoardLink) -> None:
     timer = threading.Timer(0.05, rig.board.reboot)
     timer.start()
     with pytest.raises(BoardRebooted, match="PROBE"):
@@ -239,14 +239,14 @@ def test_a_command_that_a_reboot_interrupts_says_so(rig: Rig, link: BoardLink) -
     timer.join()
 
 
-def test_unplugging_ends_everything_with_port_gone_and_replugging_goes_on(rig: Rig, link: BoardLink) -> None:
+def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(rig: Rig, link: BoardLink) -> None:
     link.start()
     wait_until(lambda: len(rig.frames) >= 10)
     pull = threading.Timer(0.05, rig.cable.stop)
     pull.start()
     with pytest.raises(PortGone):
         link.probe()
-    pull.join()  # the old cable takes its link away last
+    pull.join()  # the old terminal removes its link last
     assert len(rig.losses) == 1
     with pytest.raises(PortGone):
         link.start()
@@ -261,7 +261,7 @@ def test_unplugging_ends_everything_with_port_gone_and_replugging_goes_on(rig: R
     assert rig.boots == []
 
 
-def test_a_callback_that_fails_does_not_end_the_link(tmp_path: Path) -> None:
+def test_a_failing_callback_does_not_end_the_link(tmp_path: Path) -> None:
     board = BoardEmulator(BenchPlant())
     link = BoardLink("", on_power=lambda sample: 1 / 0)  # type: ignore[arg-type, return-value]
     with PseudoTerminal(board) as cable:
@@ -271,7 +271,7 @@ def test_a_callback_that_fails_does_not_end_the_link(tmp_path: Path) -> None:
             link.ping()
 
 
-def test_a_command_from_a_callback_is_refused_rather_than_deadlocked() -> None:
+def test_a_command_from_a_callback_is_refused() -> None:
     errors: list[str] = []
 
     def ask(sample: PowerSample) -> None:
@@ -289,16 +289,16 @@ def test_a_command_from_a_callback_is_refused_rather_than_deadlocked() -> None:
 
 
 class Puppet:
-    """A device that answers every packet by a function."""
+    """A device that answers every packet with a function."""
 
     def __init__(self, answer: Callable[[Packet], bytes]) -> None:
         self._answer = answer
         self._decoder = PacketDecoder()
-        self.heard: list[int] = []
+        self.received: list[int] = []
 
     def receive(self, data: bytes, now: float) -> bytes:
         packets = self._decoder.feed(data)
-        self.heard += [packet.type for packet in packets]
+        self.received += [packet.type for packet in packets]
         return b"".join(self._answer(packet) for packet in packets)
 
     def poll(self, now: float) -> bytes:
@@ -332,14 +332,14 @@ class Puppet:
         ),
     ],
 )
-def test_a_board_that_is_none_is_refused_with_the_reason(
+def test_an_incompatible_device_is_refused_with_the_reason(
     answer: Callable[[Packet], bytes], error: type[Exception], words: str
 ) -> None:
     puppet = Puppet(answer)
     with PseudoTerminal(puppet) as cable, pytest.raises(error, match=words):
         BoardLink(cable.path).open()
-    assert set(puppet.heard) == {PacketType.HELLO}, "nothing else is sent to a board that is not understood"
-    assert len(puppet.heard) <= 3
+    assert set(puppet.received) == {PacketType.HELLO}, "an incompatible board receives only HELLO"
+    assert len(puppet.received) <= 3
 
 
 def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink) -> None:
@@ -349,30 +349,30 @@ def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink)
     assert link.counters.bad_payloads == 2
 
 
-def test_a_board_that_sends_and_does_not_hear_is_told_from_a_dead_one(tmp_path: Path) -> None:
+def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.board.faults.deaf = True
-    with pytest.raises(NoAnswer, match="sends but does not hear"):
+    with pytest.raises(NoAnswer, match="sends but does not answer"):
         rig.link.open()
     rig.board.faults.silent = True
     with pytest.raises(NoAnswer) as silence:
         rig.link.open()
-    assert "does not hear" not in str(silence.value)
+    assert "does not answer" not in str(silence.value)
     rig.stop()
 
 
-def test_a_missing_port_has_its_name() -> None:
+def test_a_missing_port_has_its_own_error() -> None:
     with pytest.raises(PortMissing, match="no such port"):
         BoardLink("/dev/does-not-exist").open()
 
 
-def test_a_busy_port_has_its_name(rig: Rig, link: BoardLink) -> None:
+def test_a_busy_port_has_its_own_error(rig: Rig, link: BoardLink) -> None:
     with pytest.raises(PortBusy, match="another program"):
         BoardLink(rig.link.port).open()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open anything")
-def test_a_forbidden_port_has_its_name(tmp_path: Path) -> None:
+def test_a_forbidden_port_has_its_own_error(tmp_path: Path) -> None:
     (tmp_path / "port").touch(mode=0)
     with pytest.raises(PortDenied, match="dialout"):
         BoardLink(str(tmp_path / "port")).open()
@@ -406,7 +406,7 @@ def _is_gone(port: BoardPort) -> bool:
         return True
 
 
-def test_closing_twice_does_no_harm(link: BoardLink) -> None:
+def test_closing_twice_is_harmless(link: BoardLink) -> None:
     link.close()
     link.close()
     with pytest.raises(PortGone, match="closed"):

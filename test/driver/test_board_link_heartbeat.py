@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `BoardLink` tells about its heartbeat."""
+"""What `BoardLink` reports about its heartbeat."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..waiting import wait_until
 pytestmark = pytest.mark.realtime
 
 
-def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: BoardEmulator) -> None:
+def test_heartbeat_lateness_is_reported_while_connected(board: BoardEmulator) -> None:
     with PseudoTerminal(board) as cable:
         link = BoardLink(cable.path)
         assert link.heartbeat_lateness is None
@@ -37,14 +37,14 @@ def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: Boa
 
 
 def heartbeat_thread() -> int:
-    """Return the system's number of the one heartbeat's thread."""
+    """Return the system's id of the heartbeat thread."""
     (thread,) = [each for each in threading.enumerate() if each.name.startswith("board heartbeat")]
     assert thread.native_id is not None
     return thread.native_id
 
 
 def is_permitted() -> bool:
-    """Return whether a thread of this process may have real-time priority, found out by one that ends at once."""
+    """Return whether a thread of this process may have real-time priority, tested with a short thread."""
     permitted = []
 
     def ask() -> None:
@@ -59,23 +59,23 @@ def is_permitted() -> bool:
 
 
 @pytest.mark.parametrize("priority", [0, 3])
-def test_its_thread_alone_has_the_priority_that_is_told(board: BoardEmulator, priority: int) -> None:
+def test_only_the_heartbeat_thread_has_the_reported_priority(board: BoardEmulator, priority: int) -> None:
     if priority and not is_permitted():
         pytest.skip("real-time priority is not permitted here")
     with PseudoTerminal(board) as cable:
         link = BoardLink(cable.path, heartbeat_priority=priority)
         assert link.heartbeat_runs_with == ""
         link.open()
-        told, thread = link.heartbeat_runs_with, heartbeat_thread()
+        reported, thread = link.heartbeat_runs_with, heartbeat_thread()
         kind, level = os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(thread).sched_priority
         others = [each.native_id or 0 for each in threading.enumerate() if each.native_id != thread]
         assert {os.sched_getscheduler(each) for each in others} == {os.SCHED_OTHER}
         link.close()
     assert (kind, level) == ((os.SCHED_FIFO, priority) if priority else (os.SCHED_OTHER, 0))
-    assert told == ("real time 3" if priority else "ordinary")
+    assert reported == ("real time 3" if priority else "ordinary")
 
 
-def test_where_real_time_is_not_permitted_it_says_so_and_works(
+def test_without_permission_for_real_time_the_heartbeat_works_and_reports_it(
     board: BoardEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*arguments: object) -> None:

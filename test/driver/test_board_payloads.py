@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What packets carry: samples, power, introductions, probes; round trips, bounds, and what no board sends."""
+"""Payloads of packets: samples, power, hello, probes; round trips, bounds and impossible values."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("at", "data", "told"),
+    ("at", "data", "reason"),
     [
         (0, struct.pack("<f", math.inf), "battery_V is inf"),
         (4, struct.pack("<f", -math.inf), "target_V is -inf"),
@@ -119,9 +119,9 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
         (15, b"\x80", "are 32768 instead of 0"),
     ],
 )
-def test_a_power_that_no_board_reports_is_refused_by_name(at: int, data: bytes, told: str) -> None:
+def test_an_impossible_power_is_refused_by_name(at: int, data: bytes, reason: str) -> None:
     assert decode_power(POWER).fault == 9
-    with pytest.raises(PacketError, match=told):
+    with pytest.raises(PacketError, match=reason):
         decode_power(spoiled(POWER, at, data))
 
 
@@ -133,7 +133,7 @@ def test_a_rate_is_finite_and_not_negative(rate: float) -> None:
         decode_hello(encode_hello(Hello(1, 0, 10, 10, 1, rate)))
 
 
-def test_a_probe_may_find_an_open_circuit_or_nothing_but_no_other_infinity() -> None:
+def test_a_probe_may_be_infinite_only_as_an_open_circuit() -> None:
     assert decode_probe(encode_probe(math.inf, 0.0)) == (math.inf, 0.0)
     assert all(map(math.isnan, decode_probe(encode_probe(math.nan, math.nan))))
     for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
@@ -148,7 +148,7 @@ def test_a_ping_carries_at_most_64_bytes() -> None:
 
 
 def bad_packets(time: int) -> list[Packet]:
-    """Intact packets that no board sends."""
+    """Intact packets with impossible content."""
     return [
         Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
         Packet(PacketType.POWER, POWER, 2, time, format=1),
@@ -159,7 +159,7 @@ def bad_packets(time: int) -> list[Packet]:
     ]
 
 
-def test_a_packet_that_no_board_sends_leaves_no_trace_but_a_count() -> None:
+def test_an_impossible_packet_is_only_counted() -> None:
     powers, boots = [], []
     receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
     hello = encode_hello(Hello(1, 0, 10, 10, 7, 120.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packets of docs/board-link.md: golden bytes, headers, and recovery from everything a wire can do."""
+"""The packets of docs/board-link.md: golden bytes, headers, and recovery from wire faults."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from deltacharger_driver.board.protocol import (
     encode_packet,
 )
 
-# Made with an encoder that shares no line with the driver's (bitwise CRC, byte-by-byte COBS).
+# Made with an independent encoder (bitwise CRC, byte-by-byte COBS).
 GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),
@@ -79,7 +79,7 @@ def test_header_layout() -> None:
 
 
 @given(st.lists(packets, max_size=5), st.integers(1, 64))
-def test_packets_survive_any_chopping(sent: list[Packet], step: int) -> None:
+def test_packets_survive_any_splitting(sent: list[Packet], step: int) -> None:
     stream = b"".join(encode_packet(packet) for packet in sent)
     decoder = PacketDecoder()
     received = [p for i in range(0, len(stream), step) for p in decoder.feed(stream[i : i + step])]
@@ -99,7 +99,7 @@ def test_garbage_never_raises_and_never_outlasts_the_next_packet(pieces: list[by
 
 
 @given(packets, st.data())
-def test_a_truncated_packet_costs_only_itself(packet: Packet, data: st.DataObject) -> None:
+def test_a_truncated_packet_loses_only_itself(packet: Packet, data: st.DataObject) -> None:
     """The leading delimiter of the next packet ends the damaged one."""
     wire = encode_packet(packet)
     cut = data.draw(st.integers(0, len(wire) - 2))
@@ -110,7 +110,7 @@ def test_a_truncated_packet_costs_only_itself(packet: Packet, data: st.DataObjec
 
 @settings(max_examples=200)
 @given(packets, st.data())
-def test_a_flipped_bit_is_noticed(packet: Packet, data: st.DataObject) -> None:
+def test_a_flipped_bit_is_detected(packet: Packet, data: st.DataObject) -> None:
     wire = bytearray(encode_packet(packet))
     wire[data.draw(st.integers(1, len(wire) - 2))] ^= 1 << data.draw(st.integers(0, 7))
     decoder = PacketDecoder()
@@ -166,5 +166,5 @@ def test_only_tactile_has_format_and_flags(type: PacketType, sample_format: int,
     if allowed:
         check_header(packet)
     else:
-        with pytest.raises(PacketError, match="not belong to it"):
+        with pytest.raises(PacketError, match="invalid for this type"):
             check_header(packet)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COBS: no zero inside, nothing lost, little added, and nothing invalid accepted."""
+"""COBS: no zero inside, nothing lost, bounded overhead, and no invalid bytes accepted."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ def test_round_trip_without_zeros_and_with_bounded_overhead(data: bytes) -> None
     assert len(stuffed) <= len(data) + 1 + len(data) // 254
 
 
-def test_a_needless_closing_code_is_understood() -> None:
+def test_an_unnecessary_closing_code_is_accepted() -> None:
     """Some encoders end a full run of 254 bytes with 01."""
     assert cobs.decode(b"\xff" + b"\7" * 254 + b"\1") == b"\7" * 254
 
 
 @pytest.mark.parametrize("stuffed", [b"", b"\0", b"\3\1\0", b"\2", b"\5\1\2\3", b"\xff\1\1"])
-def test_what_no_encoder_produces_is_refused(stuffed: bytes) -> None:
+def test_invalid_bytes_are_refused(stuffed: bytes) -> None:
     with pytest.raises(cobs.CobsError):
         cobs.decode(stuffed)
 
 
 @given(st.binary(max_size=600))
-def test_what_is_accepted_is_what_an_encoder_could_have_been_given(noise: bytes) -> None:
+def test_accepted_bytes_round_trip(noise: bytes) -> None:
     end = 0
-    while end < len(noise):  # from code to code, where none is 0
+    while end < len(noise):  # from code to code; none is 0
         end += noise[end] or len(noise)
     if not noise or 0 in noise or end != len(noise):
         with pytest.raises(cobs.CobsError):

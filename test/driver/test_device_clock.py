@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The device's clock: offset from the least delayed packets, drift, reboots; sequence numbers that only rise."""
+"""The device's clock: offset from the packets with the least delay, drift, reboots; rising sequence numbers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_long_runs_do_not_lose_the_drifting_offset() -> None:
 def test_a_stalled_host_does_not_move_the_clock() -> None:
     clock = DeviceClock()
     for number in range(1200):
-        late = 0.3 if 600 <= number < 640 else 0.0  # what waited in the kernel's buffer
+        late = 0.3 if 600 <= number < 640 else 0.0  # packets that waited in the kernel's buffer
         stamp = clock.update(number / 120.0, number / 120.0 + 50.0 + late)
         assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
 
@@ -85,13 +85,13 @@ def test_many_turns_keep_rising() -> None:
         last = unwrapped
 
 
-def test_a_repetition_is_no_frame() -> None:
+def test_a_repeated_packet_is_not_a_frame() -> None:
     counter = SequenceUnwrapper()
     assert [counter.update(n) for n in (5, 5, 6)] == [5, None, 6]
     assert (counter.lost, counter.duplicates) == (0, 1)
 
 
-def test_a_reboot_continues_above_and_counts_what_it_missed() -> None:
+def test_a_reboot_continues_above_and_counts_missed_packets() -> None:
     counter = SequenceUnwrapper()
     counter.update(100)
     counter.reboot()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may move the arm, in every state of the contactor."""
+"""Which sender may move the arm, in every state of the contactor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender, stamp_age
 
-DOCKING, STRANGER, NOBODY = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
+DOCKING, STRANGER, UNKNOWN = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
 OPEN, ARMED, CLOSED = (
     {"closed": False, "armed": False},
     {"closed": False, "armed": True},
@@ -24,10 +24,10 @@ def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0
     return guard
 
 
-def led(report: dict[str, bool], **keys: float) -> MotionGuard:
-    """Return a guard that saw docking lead while the contactor was open, and then `report`."""
+def after_docking_moved(report: dict[str, bool], **keys: float) -> MotionGuard:
+    """Return a guard after docking moved the arm with an open contactor, followed by `report`."""
     guard_ = guard(OPEN)
-    guard_.led(DOCKING, ContactorState.OPEN)
+    guard_.record_move(DOCKING, ContactorState.OPEN)
     guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
     return guard_
 
@@ -35,16 +35,16 @@ def led(report: dict[str, bool], **keys: float) -> MotionGuard:
 @pytest.mark.parametrize(
     ("state", "allowed"),
     [
-        (ContactorState.ABSENT, (DOCKING, STRANGER, NOBODY)),
-        (ContactorState.OPEN, (DOCKING, STRANGER, NOBODY)),
+        (ContactorState.ABSENT, (DOCKING, STRANGER, UNKNOWN)),
+        (ContactorState.OPEN, (DOCKING, STRANGER, UNKNOWN)),
         (ContactorState.ARMED, (DOCKING,)),
         (ContactorState.UNKNOWN, (DOCKING,)),
         (ContactorState.CLOSED, ()),
     ],
 )
-def test_who_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
-    found = led(OPEN)
-    assert tuple(sender for sender in (DOCKING, STRANGER, NOBODY) if found.may_move(sender, state)) == allowed
+def test_senders_that_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
+    found = after_docking_moved(OPEN)
+    assert tuple(sender for sender in (DOCKING, STRANGER, UNKNOWN) if found.may_move(sender, state)) == allowed
 
 
 def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
@@ -55,14 +55,14 @@ def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
         assert found.state(FRESH * 1.01, False) is ContactorState.UNKNOWN
 
 
-def test_without_a_board_the_arm_is_free_and_with_one_that_is_silent_it_is_not() -> None:
+def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
     assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
     assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN
-    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was there
+    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was received before
 
 
 @pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9, FRESH * 1.01, 1e9])
-def test_an_impossible_or_old_stamp_never_frees_the_arm(age: float) -> None:
+def test_a_wrong_or_old_stamp_never_frees_the_arm(age: float) -> None:
     assert guard(OPEN, age=age).state(0.0, False) is ContactorState.UNKNOWN
     later = guard(CLOSED)
     later.observe(b"board", **OPEN, age=age, now=0.05)
@@ -70,37 +70,37 @@ def test_an_impossible_or_old_stamp_never_frees_the_arm(age: float) -> None:
 
 
 @pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9])
-def test_a_closed_contactor_is_believed_whatever_its_stamp(age: float) -> None:
-    assert led(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
+def test_a_closed_contactor_counts_whatever_its_stamp(age: float) -> None:
+    assert after_docking_moved(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
 
 
-def test_who_says_open_cannot_talk_over_who_says_closed() -> None:
+def test_a_report_of_closed_overrides_reports_of_open() -> None:
     found = guard(CLOSED)
     for number in range(100):
         found.observe(b"liar", **OPEN, age=0.0, now=0.001 * number)
     assert found.state(0.1, False) is ContactorState.CLOSED
 
 
-def test_a_board_that_was_restarted_counts_once_its_past_is_stale() -> None:
+def test_a_restarted_board_counts_once_its_old_report_is_stale() -> None:
     found = guard(CLOSED)
     found.observe(b"restarted", **OPEN, age=0.0, now=0.15)
     assert found.state(0.15, False) is ContactorState.CLOSED
     assert found.state(FRESH + 0.05, False) is ContactorState.OPEN
 
 
-def test_publishers_are_kept_in_bounds() -> None:
+def test_the_number_of_publishers_is_bounded() -> None:
     found = guard()
     for number in range(10_000):
         found.observe(str(number).encode(), **OPEN, age=0.0, now=0.0)
     assert len(found._reports) < 10
 
 
-def test_only_who_moves_an_arm_that_is_known_to_be_free_leads() -> None:
-    found = led(OPEN)
+def test_only_a_sender_that_moves_a_free_arm_becomes_the_leader() -> None:
+    found = after_docking_moved(OPEN)
     for state in set(ContactorState) - {ContactorState.OPEN}:
-        found.led(STRANGER, state)
+        found.record_move(STRANGER, state)
         assert not found.may_move(STRANGER, ContactorState.UNKNOWN)
-    found.led(STRANGER, ContactorState.OPEN)
+    found.record_move(STRANGER, ContactorState.OPEN)
     assert found.may_move(STRANGER, ContactorState.UNKNOWN)
 
 
@@ -111,10 +111,10 @@ def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
     assert not other.is_same(DOCKING)
 
 
-def test_of_whom_nothing_is_known_is_nobody() -> None:
-    assert not NOBODY.is_same(NOBODY)
-    assert Sender("a").is_same(Sender("a"))  # where rclpy tells no publisher
-    assert STRANGER.is_same(STRANGER)  # who gives no secret is known by the publisher alone
+def test_unknown_senders_are_never_the_same() -> None:
+    assert not UNKNOWN.is_same(UNKNOWN)
+    assert Sender("a").is_same(Sender("a"))  # without a publisher id from rclpy
+    assert STRANGER.is_same(STRANGER)  # a sender without secret is known by its publisher id only
 
 
 @pytest.mark.parametrize(

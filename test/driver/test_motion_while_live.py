@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""servo_node beside a power stage that says what a test wants: whom the arm follows, and what it survives."""
+"""servo_node with a power stage controlled by the test: whose trajectories it follows, and what it survives."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ RELIABLE = QoSProfile(depth=1)
 
 
 class PowerStage(Node):
-    """Publishes charger_power 20 times a second while `speaks`; what it says may be set."""
+    """Publishes charger_power 20 times a second while `speaks`; its content may be set."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("power_stage", **options(context, namespace))
         self.closed, self.speaks = False, threading.Event()
         self.probe_age = math.inf
         self._powers = self.create_publisher(ChargerPower, "charger_power", RELIABLE)
-        self.create_timer(0.05, self.tell)
+        self.create_timer(0.05, self.publish_power)
 
-    def tell(self) -> None:
+    def publish_power(self) -> None:
         if self.speaks.is_set():
             power = ChargerPower(contactor_closed=self.closed, probe_age=self.probe_age, probe_resistance=470.0)
             power.header.stamp = self.get_clock().now().to_msg()
@@ -59,20 +59,20 @@ class PowerStage(Node):
 
 
 class Sender(Node):
-    """Sends trajectories, and hears what servo_node tells of them."""
+    """Sends trajectories, and receives servo_node's diagnostics about them."""
 
     def __init__(self, context: Any, namespace: str, name: str, secret: str = "") -> None:
         super().__init__(name, **options(context, namespace))
         self.secret = secret
         self.values: dict[str, str] = {}
-        self.told: list[str] = []
+        self.diagnostics: list[str] = []
         self.points = self.create_publisher(JointTrajectory, "joint_trajectory", RELIABLE)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == f"{self.get_namespace()}/servo_node: servo bus".lstrip("/"):
-                self.told.append(status.message)
+                self.diagnostics.append(status.message)
                 self.values = {value.key: value.value for value in status.values}
 
     def message(self, *points: tuple[float, Any]) -> JointTrajectory:
@@ -89,7 +89,7 @@ class Sender(Node):
 
 
 class Charger:
-    """servo_node with torque, a power stage, who leads and a stranger."""
+    """servo_node with torque, a power stage, the leader and a stranger."""
 
     def __init__(self, context: Any, path: str, arm: BenchArm, spin: Callable[[Any], Any]) -> None:
         self.arm, self.namespace, self._context, self._spin = arm, new_namespace(), context, spin
@@ -118,7 +118,7 @@ class Charger:
         return [command[1] for command in self.arm.commands]
 
     def goes_to(self, angles: Any, sender: Sender) -> None:
-        """Send again and again, as docking does, until the servos have the goal."""
+        """Send repeatedly, as docking does, until the servos have the goal."""
 
         def there() -> bool:
             sender.send((0.0, angles))
@@ -128,17 +128,17 @@ class Charger:
         wait_until(there, f"the arm at {angles}")
 
     def refuses(self, sender: Sender, state: ContactorState) -> None:
-        """See trajectories refused by name, and nothing move."""
+        """Check that trajectories are refused, the sender is named, and nothing moves."""
         before = self.goals()
-        sender.told.clear()
+        sender.diagnostics.clear()
 
-        def told() -> bool:
+        def is_refused() -> bool:
             sender.send((0.0, [angle + 0.3 for angle in START]))
             time.sleep(0.01)  # the sender's pace
             named = self.namespace_of(sender) if TELLS_PUBLISHERS else f"one of {self.namespace_of(self.leader)} and "
-            return any(state.value in text and f"sent by {named}" in text for text in list(sender.told))
+            return any(state.value in text and f"sent by {named}" in text for text in list(sender.diagnostics))
 
-        wait_until(told, "a refusal")
+        wait_until(is_refused, "a refusal")
         assert self.goals() == before
 
     def namespace_of(self, sender: Sender) -> str:
@@ -158,7 +158,7 @@ def charger(context: Any, terminal: PseudoTerminal, arm: BenchArm) -> Iterator[C
         spinner.close()
 
 
-def test_nobody_moves_the_arm_while_the_contactor_is_closed_and_anybody_once_it_is_open(charger: Charger) -> None:
+def test_the_arm_moves_for_no_sender_while_the_contactor_is_closed_and_for_any_once_open(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
@@ -167,29 +167,27 @@ def test_nobody_moves_the_arm_while_the_contactor_is_closed_and_anybody_once_it_
     for sender in (charger.leader, charger.stranger):
         charger.refuses(sender, ContactorState.CLOSED)
     stage.closed = False
-    charger.goes_to(START, charger.leader)  # its first piece may come before servo_node has heard of the opening
+    charger.goes_to(START, charger.leader)  # its first piece may arrive before servo_node knows of the opening
     charger.goes_to([angle + 0.1 for angle in START], charger.stranger)
 
 
-def test_a_line_under_way_becomes_a_hold_when_the_contactor_closes(charger: Charger) -> None:
+def test_a_running_line_becomes_a_hold_when_the_contactor_closes(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     end = [angle + 0.4 for angle in START]
     charger.stranger.send((60.0, end))
-    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a line under way")
+    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a running line")
     stage.closed = True
     charger.becomes(ContactorState.CLOSED)
     wait_until(lambda: not charger.node._controller._goals.are_moving, "the hold")
     stage.closed = False
     charger.becomes(ContactorState.OPEN)
-    assert not charger.node._controller._goals.are_moving  # nor does it go on
+    assert not charger.node._controller._goals.are_moving  # nor does it continue
     assert max(charger.goals()) < max(end) - 0.1
 
 
 @pytest.mark.parametrize("armed", [True, False], ids=["about to close", "unknown"])
-def test_only_who_led_moves_the_arm_while_the_contactor_may_be_closed_whatever_a_stranger_sends(
-    charger: Charger, armed: bool
-) -> None:
+def test_only_the_leader_moves_the_arm_while_the_contactor_may_be_closed(charger: Charger, armed: bool) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
@@ -202,7 +200,7 @@ def test_only_who_led_moves_the_arm_while_the_contactor_may_be_closed_whatever_a
     state = ContactorState.ARMED if armed else ContactorState.UNKNOWN
     charger.refuses(charger.stranger, state)
     if TELLS_PUBLISHERS:
-        charger.refuses(charger.sender("thief", SECRET), state)  # who overheard the secret is another publisher
+        charger.refuses(charger.sender("thief", SECRET), state)  # a sender that copied the secret is another publisher
     over = threading.Event()
 
     def flood() -> None:
@@ -220,8 +218,8 @@ def test_only_who_led_moves_the_arm_while_the_contactor_may_be_closed_whatever_a
     assert charger.goals() == pytest.approx(list(START), abs=TICK)
 
 
-def test_a_power_stage_that_is_there_and_silent_holds_the_arm_until_it_speaks(charger: Charger) -> None:
-    charger.goes_to([angle + 0.1 for angle in START], charger.stranger)  # no power stage at all
+def test_a_silent_power_stage_holds_the_arm_until_it_publishes(charger: Charger) -> None:
+    charger.goes_to([angle + 0.1 for angle in START], charger.stranger)  # without a power stage
     stage = charger.power_stage(speaks=False)
     charger.becomes(ContactorState.UNKNOWN)
     charger.refuses(charger.leader, ContactorState.UNKNOWN)
@@ -229,11 +227,11 @@ def test_a_power_stage_that_is_there_and_silent_holds_the_arm_until_it_speaks(ch
     charger.goes_to(START, charger.leader)
 
 
-def test_a_hold_is_always_taken(charger: Charger) -> None:
+def test_a_hold_is_always_accepted(charger: Charger) -> None:
     stage = charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     charger.leader.send((60.0, [angle + 0.4 for angle in START]))
-    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a line under way")
+    wait_until(lambda: charger.goals()[0] > START[0] + TICK, "a running line")
     stage.speaks.clear()
     charger.becomes(ContactorState.UNKNOWN)
     assert charger.node._controller._goals.are_moving
@@ -242,7 +240,7 @@ def test_a_hold_is_always_taken(charger: Charger) -> None:
 
 
 def hostile() -> dict[str, Callable[[JointTrajectory], Any]]:
-    """Return what is wrong with a message, by name; each changes a good one, or returns its bytes."""
+    """Return faults of a message by name; each changes a good message, or returns its bytes."""
 
     def stamped(sec: int, nanosec: int) -> Callable[[JointTrajectory], None]:
         def change(message: JointTrajectory) -> None:
@@ -296,7 +294,7 @@ def hostile() -> dict[str, Callable[[JointTrajectory], Any]]:
     }
 
 
-def test_no_message_ends_the_servos_thread_or_moves_the_arm_and_the_next_good_one_is_followed(charger: Charger) -> None:
+def test_no_bad_message_ends_the_servo_thread_or_moves_the_arm(charger: Charger) -> None:
     sender, inbox = charger.stranger, charger.node._inbox
     for number, (name, spoil) in enumerate(hostile().items()):
         before = charger.goals()
@@ -313,8 +311,8 @@ def test_no_message_ends_the_servos_thread_or_moves_the_arm_and_the_next_good_on
     assert charger.arm.torque_enabled() == [True] * 3
 
 
-def test_a_line_goes_on_beside_refused_messages(charger: Charger) -> None:
-    """A piece of a line may be older than a stamp may be; a stranger's rubbish must not make it count as a new line."""
+def test_a_line_continues_despite_refused_messages(charger: Charger) -> None:
+    """A piece of a line may be older than a valid stamp; other messages must not make it count as a new line."""
     stamp = charger.leader.get_clock().now().to_msg()
     begin = time.monotonic()
 
@@ -333,7 +331,7 @@ def test_a_line_goes_on_beside_refused_messages(charger: Charger) -> None:
     wait_until(lambda: charger.goals() == pytest.approx([angle + 0.2 for angle in START], abs=TICK), "the line's end")
 
 
-def test_impossible_reports_of_the_power_stage_end_nothing(charger: Charger, spin: Spin, context: Any) -> None:
+def test_impossible_reports_of_the_power_stage_do_not_end_the_node(charger: Charger, spin: Spin, context: Any) -> None:
     charger.power_stage()
     charger.becomes(ContactorState.OPEN)
     liar = spin(Node("liar", **options(context, charger.namespace)))
@@ -345,12 +343,12 @@ def test_impossible_reports_of_the_power_stage_end_nothing(charger: Charger, spi
         powers.publish(power)
         powers.publish(b"\0\1\0\0\xff\xff\xff\xff\xff")
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
-    powers.publish(ChargerPower(contactor_closed=True))  # of 1970: it tells nothing
+    powers.publish(ChargerPower(contactor_closed=True))  # stamped 1970: ignored
     charger.goes_to(START, charger.leader)
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["with its id", "as on Jazzy"])
-def test_who_says_open_cannot_talk_over_who_says_closed(
+def test_a_report_of_closed_overrides_reports_of_open(
     context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, named: bool
 ) -> None:
     if not named:
@@ -363,15 +361,15 @@ def test_who_says_open_cannot_talk_over_who_says_closed(
     liar = spin(Node("liar", **options(context, namespace)))
     powers = liar.create_publisher(ChargerPower, "charger_power", RELIABLE)
     wait_until(lambda: powers.get_subscription_count() and subject._client.service_is_ready(), "discovery")
-    wait_until(lambda: subject.state() is ContactorState.CLOSED, "the stage's word")
-    subject.ask_open()
+    wait_until(lambda: subject.state() is ContactorState.CLOSED, "the power stage's report")
+    subject.request_open()
     for number in range(100):
         power = ChargerPower(probe_age=math.inf)
         power.header.stamp = liar.get_clock().now().to_msg()
         if number % 2:
             power.header.stamp.sec = 2**31 - 1
         powers.publish(power)
-        time.sleep(0.01)  # the liar's pace
+        time.sleep(0.01)  # the false publisher's pace
         assert not subject.is_open()
         assert subject.state() is not ContactorState.OPEN
     stage.closed = False

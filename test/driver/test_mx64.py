@@ -56,7 +56,7 @@ def test_addresses_of_the_e_manual(name, address, size):
     assert (REGISTERS[name].address, REGISTERS[name].size) == (address, size)
 
 
-def test_the_vendor_s_figures_make_a_servo_as_stiff_as_assumed():
+def test_the_vendors_figures_give_the_assumed_stiffness():
     assert POSITION_P_GAIN == 434
     assert pytest.approx(SERVO_STIFFNESS, rel=2e-3) == POSITION_P_GAIN * STIFFNESS_PER_GAIN
     assert pytest.approx(29.3, abs=0.1) == REGISTERS["position_p_gain"].default * STIFFNESS_PER_GAIN
@@ -79,7 +79,7 @@ def test_angle_convention():
 
 def test_currents_of_the_paper():
     assert current_to_counts(0.4) == 119
-    assert current_to_counts(0.5) == 148  # never above what was asked for
+    assert current_to_counts(0.5) == 148  # never above the request
     assert current_to_counts(-0.4) == -119
 
 
@@ -91,7 +91,7 @@ def test_a_bound_is_never_rounded_up():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
-def test_what_a_register_cannot_hold_is_refused_with_its_value(value):
+def test_a_value_outside_a_registers_range_is_refused_by_name(value):
     for encode in (lambda v: angle_to_ticks(v, 2048, 1), current_to_counts):
         with pytest.raises(RangeError) as caught:
             encode(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One cable for servos and pads: bytes pass the board as they are, and what goes wrong behind it is named."""
+"""One cable for servos and pads: bytes pass the board unchanged, and faults behind it are reported."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 
 
 class Echo:
-    """What hangs on the bus sends back what it hears, and keeps it."""
+    """A device on the bus that returns received bytes, and records them."""
 
     def __init__(self) -> None:
-        self.heard = b""
+        self.received = b""
 
     def receive(self, data: bytes, now: float) -> bytes:
-        self.heard += data
+        self.received += data
         return data
 
     def poll(self, now: float) -> bytes:
@@ -65,7 +65,7 @@ class Echo:
         return math.inf
 
 
-def test_bytes_pass_as_they_are(tmp_path: Path) -> None:
+def test_bytes_pass_unchanged(tmp_path: Path) -> None:
     echo, back = Echo(), b""
     tmp_path.chmod(0o700)
     with PseudoTerminal(BoardEmulator(BenchPlant(), servos=echo)) as cable:
@@ -87,13 +87,13 @@ def test_bytes_pass_as_they_are(tmp_path: Path) -> None:
 
                 wait_until(came)
                 assert back == sent
-                assert echo.heard.endswith(sent)
+                assert echo.received.endswith(sent)
         port.close()
         assert not port.path.is_symlink()
         link.close()
 
 
-def test_a_host_that_does_not_know_of_the_bus_is_told_nothing_of_it() -> None:
+def test_a_host_that_does_not_use_the_bus_receives_nothing_from_it() -> None:
     class Noisy(Echo):
         def poll(self, now: float) -> bytes:
             return b"\xff"
@@ -107,7 +107,7 @@ def test_a_host_that_does_not_know_of_the_bus_is_told_nothing_of_it() -> None:
 
 
 @pytest.mark.parametrize("type", [PacketType.SERVO, PacketType.SERVO_SPEED])
-def test_a_board_without_the_bus_does_not_know_the_packets(type: PacketType) -> None:
+def test_a_board_without_the_bus_refuses_its_packets(type: PacketType) -> None:
     board, decoder = BoardEmulator(BenchPlant()), PacketDecoder()
     board.poll(0.0)
     decoder.feed(board.receive(encode_packet(Packet(type, bytes(4))), 0.1))
@@ -136,22 +136,22 @@ def servos() -> Iterator[Servos]:
     servos.close()
 
 
-def test_a_silent_bus_is_told_servo_by_servo(servos: Servos) -> None:
+def test_a_silent_bus_is_reported_servo_by_servo(servos: Servos) -> None:
     servos.emulator.faults.missing = {1, 2, 3}
     with pytest.raises(HandshakeError) as caught:
         servos.bus.open()
     assert [f"servo {each} does not answer at any speed" in str(caught.value) for each in (1, 2, 3)] == [True] * 3
 
 
-def test_servos_at_different_speeds_are_told_by_speed(servos: Servos) -> None:
+def test_servos_at_different_speeds_are_reported_by_speed(servos: Servos) -> None:
     servos.emulator.set_speed(2, 1)
     with pytest.raises(HandshakeError, match="servo 2 answers at 57600") as caught:
         servos.bus.open()
     assert len(caught.value.faults) == 1
 
 
-def test_an_answer_to_another_question_is_not_taken(servos: Servos) -> None:
-    """Late by longer than the wait, so that each answer meets the next question."""
+def test_a_late_answer_is_not_taken_for_the_next_request(servos: Servos) -> None:
+    """The delay exceeds the timeout, so that each answer arrives at the next request."""
     servos.bus.open()
     servos.bus.enable_torque(CURRENTS)
     servos.emulator.faults.delay = 0.15
@@ -163,7 +163,7 @@ def test_an_answer_to_another_question_is_not_taken(servos: Servos) -> None:
     wait_until(lambda: servos.bus.read().complete)
 
 
-def test_a_board_that_is_reset_amid_a_packet_costs_some_cycles(servos: Servos) -> None:
+def test_a_board_reset_during_a_packet_loses_some_cycles(servos: Servos) -> None:
     servos.bus.open()
     servos.bus.enable_torque(CURRENTS)
     for _ in range(5):
@@ -171,11 +171,11 @@ def test_a_board_that_is_reset_amid_a_packet_costs_some_cycles(servos: Servos) -
         wait_until(lambda: not servos.bus.exchange(ANGLES, CURRENTS).complete)
         wait_until(lambda: servos.bus.exchange(ANGLES, CURRENTS).complete)
     assert not servos.terminal.board.contactor_commanded
-    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs look after them meanwhile"
+    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs protect them"
 
 
 class LivePlant(BenchPlant):
-    """Knows when the contactor was told to open."""
+    """Records when the contactor was commanded to open."""
 
     opened_at = math.inf
 
@@ -185,7 +185,7 @@ class LivePlant(BenchPlant):
 
 
 @pytest.mark.parametrize("end", ["the lease", "the heartbeat"])
-def test_the_contactor_keeps_its_limits_while_servos_are_asked_without_pause(tmp_path: Path, end: str) -> None:
+def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(tmp_path: Path, end: str) -> None:
     beats: list[float] = []
     plant, servos = LivePlant(), ServoBusEmulator(BenchArm(ANGLES))
     board = BoardEmulator(plant, servos=servos, on_heartbeat=beats.append)
@@ -253,7 +253,7 @@ def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any) -> Non
 def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     context: Any, namespace: str, spin: Any, start: Any, number: int
 ) -> None:
-    """tactile_node passes on what servo_node still has to say."""
+    """tactile_node passes on the last packets of servo_node."""
     arm = BenchArm(ANGLES)
     servos = ServoBusEmulator(arm)
     board = BoardEmulator(BenchPlant(), servos=servos)
@@ -276,7 +276,7 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     assert arm.torque_enabled() == [False] * 3
 
 
-def test_servos_that_hang_on_no_board_are_named(
+def test_missing_servos_behind_the_board_are_reported(
     context: Any, namespace: str, spin: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(servo_node, "_BOARD_TIMEOUT", 0.5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which device is on a port, told on real pseudo-terminals; and swapped cables, told by the drivers themselves."""
+"""Identification of devices on real pseudo-terminals, and swapped cables reported by the drivers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_p
 
 
 @pytest.mark.parametrize("speeds", [(0, 1, 2), (3, 4, 5), (6, 6, 6)])
-def test_no_speed_is_overlooked(servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]) -> None:
+def test_every_speed_is_tried(servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]) -> None:
     for servo, speed in enumerate(speeds, 1):
         servos.set_speed(servo, speed)
     found = identify(servo_port)
@@ -54,7 +54,7 @@ def test_old_firmware_is_found(servos: ServoBusEmulator, servo_port: str) -> Non
     assert "Protocol 1.0" in found.details
 
 
-def test_two_servos_with_one_id_are_found_and_not_trusted() -> None:
+def test_two_servos_with_one_id_are_reported_as_garbled() -> None:
     with PseudoTerminal(ServoBusEmulator(BenchArm(), ids=(1, 2, 2))) as terminal:
         found = identify(terminal.path, speeds=(1_000_000,))
     assert [(s.servo, s.garbled) for s in found.servos if s.servo == 1] == [(1, False)]
@@ -75,13 +75,13 @@ def test_identifying_writes_nothing(servos: ServoBusEmulator, servo_port: str) -
     assert written(servos) == before
 
 
-def test_a_board_is_found_and_goes_on_as_it_was(board_port: str) -> None:
+def test_a_board_is_identified_without_changing_its_state(board_port: str) -> None:
     found = identify(board_port)
     assert (found.kind, found.version, found.servos) == ("board", 1, ())
     assert found.hello is not None
     assert (found.hello.rows, found.hello.columns) == (10, 10)
     with BoardLink(board_port) as link:
-        assert link.counters.tactile == 0  # nobody has started the stream
+        assert link.counters.tactile == 0  # the stream was not started
         link.tare()
 
 
@@ -93,21 +93,21 @@ def test_a_board_of_another_version_is_a_board() -> None:
 
 
 @pytest.mark.parametrize(("answer", "kind"), [(b"", "silent"), (b"login: ", "other")])
-def test_what_is_neither_is_said(answer: bytes, kind: str) -> None:
+def test_other_devices_are_reported(answer: bytes, kind: str) -> None:
     with PseudoTerminal(Babbler(answer)) as terminal:
         found = identify(terminal.path, speeds=(1_000_000, 57600))
     assert found.kind == kind
     assert found.servos == ()
 
 
-def test_a_port_that_is_not_there_is_no_identity() -> None:
+def test_a_missing_port_is_an_error() -> None:
     with pytest.raises(PortMissing):
         identify("/dev/does-not-exist")
 
 
 @pytest.mark.parametrize("scan", [True, False])
-def test_the_servo_driver_on_the_board_says_that_the_cables_are_swapped(board_port: str, scan: bool) -> None:
-    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+def test_the_servo_driver_on_the_board_reports_swapped_cables(board_port: str, scan: bool) -> None:
+    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
         ServoBus(BusSettings(port=board_port)).open(scan)
     assert (caught.value.expected, caught.value.port) == ("the servos", board_port)
     assert isinstance(caught.value, ConnectionError)
@@ -116,12 +116,12 @@ def test_the_servo_driver_on_the_board_says_that_the_cables_are_swapped(board_po
 
 
 @pytest.mark.parametrize("speed", [1, 3])
-def test_the_board_driver_on_the_servos_says_that_the_cables_are_swapped(
+def test_the_board_driver_on_the_servos_reports_swapped_cables(
     servos: ServoBusEmulator, servo_port: str, speed: int
 ) -> None:
     for servo in (1, 2, 3):
         servos.set_speed(servo, speed)
-    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
         BoardLink(servo_port).open()
     assert caught.value.found == "the servos"
     assert identify(servo_port).kind == "servos"
@@ -140,7 +140,7 @@ def test_silence_is_not_taken_for_swapped_cables(opened: Callable[[str], None], 
 
 
 class Noisy(Babbler):
-    """Servos whose replies stand among other bytes, one of them damaged."""
+    """Servos whose replies are among other bytes, one of them damaged."""
 
     def __init__(self) -> None:
         good = status(7, 0, bytes((0x37, 0x01, 45)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cable of an emulated device: links, unplugging, and a device that goes on without its host."""
+"""The pseudo-terminal of an emulated device: links, unplugging, and a device that runs without its host."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.realtime
 
 
 class Echo:
-    """Answers what it hears and counts how often it was let work."""
+    """Returns received bytes and counts its polls."""
 
     def __init__(self) -> None:
         self.polled = 0
@@ -50,7 +50,7 @@ def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_pa
             assert port.read(5) == b"hello"
 
 
-def test_it_knows_the_speed_that_its_host_has_set(tmp_path: Path) -> None:
+def test_it_returns_the_speed_set_by_its_host(tmp_path: Path) -> None:
     with PseudoTerminal(Echo(), tmp_path / "port") as cable:
         for speed in (9600, 57600, 1_000_000, 4_000_000):
             with serial.Serial(cable.path, speed):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates and latenesses for the diagnostics."""
+"""Rates and lateness for the diagnostics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deltacharger_driver.rate_meter import Lateness, RateMeter
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock set by the test."""
 
     def __init__(self) -> None:
         self.now = 5.0
@@ -22,7 +22,7 @@ class Clock:
         return self.now
 
 
-def test_the_rate_is_that_since_the_last_look() -> None:
+def test_the_rate_counts_since_the_last_call() -> None:
     clock = Clock()
     meter = RateMeter(clock)
     for _ in range(50):
@@ -42,7 +42,7 @@ def test_no_time_no_rate() -> None:
     assert math.isnan(meter.rate())
 
 
-def test_late_ones_are_counted_for_good() -> None:
+def test_late_events_are_counted_since_the_start() -> None:
     clock = Clock()
     meter = RateMeter(clock)
     for late in (True, False, True):
@@ -52,14 +52,14 @@ def test_late_ones_are_counted_for_good() -> None:
     assert meter.late == 2
 
 
-def test_nothing_noted_is_not_known() -> None:
+def test_lateness_is_unknown_before_the_first_value() -> None:
     lateness = Lateness()
     assert math.isnan(lateness.largest)
     assert math.isnan(lateness.percentile(0.99))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=512), st.floats(0.0, 1.0))
-def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values: list[float], share: float) -> None:
+def test_a_percentile_is_a_value_that_its_share_does_not_exceed(values: list[float], share: float) -> None:
     lateness = Lateness()
     for value in values:
         lateness.note(value)
@@ -69,7 +69,7 @@ def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values: list[float],
     assert lateness.percentile(1.0) == lateness.largest == max(values)
 
 
-def test_old_ones_are_forgotten_but_the_largest_is_not() -> None:
+def test_old_values_are_dropped_but_the_largest_is_kept() -> None:
     lateness = Lateness()
     lateness.note(1.0)
     for _ in range(600):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way not to open a port has its own name and advice, the same on the servos' side and on the board's."""
+"""Every failure to open a port has its own error and advice, the same for servos and board."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ SITUATIONS: list[tuple[Callable[[Path], Path], type[PortError], str]] = [
 
 @pytest.mark.parametrize("side", [open_servos, open_board])
 @pytest.mark.parametrize(("situation", "error", "words"), SITUATIONS, ids=[s[0].__name__ for s in SITUATIONS])
-def test_what_is_no_port_is_named(
+def test_a_path_that_is_not_a_port_is_named(
     tmp_path: Path,
     side: Callable[[str], None],
     situation: Callable[[Path], Path],
@@ -112,7 +112,7 @@ def test_what_is_no_port_is_named(
 
 
 @pytest.mark.parametrize("side", [open_servos, open_board])
-def test_a_port_in_use_is_busy_whoever_has_it(side: Callable[[str], None]) -> None:
+def test_a_port_in_use_is_busy_for_both_drivers(side: Callable[[str], None]) -> None:
     with (
         PseudoTerminal(BoardEmulator(BenchPlant())) as cable,
         open_serial(cable.path, 115200),
@@ -122,7 +122,7 @@ def test_a_port_in_use_is_busy_whoever_has_it(side: Callable[[str], None]) -> No
 
 
 def fail(*behind: BaseException) -> Callable[..., None]:
-    """Return a serial.Serial that fails as pyserial does: its own error, the system's behind it."""
+    """Return a serial.Serial that fails like pyserial: its own error, caused by the system's."""
 
     def refuse(*arguments: object, **options: object) -> None:
         try:
@@ -141,12 +141,12 @@ def fail(*behind: BaseException) -> Callable[..., None]:
         ((serial.SerialException(errno.EACCES, "denied"),), PortDenied, "dialout"),
         ((serial.SerialException(errno.EPERM, "denied"),), PortDenied, "dialout"),
         ((serial.SerialException(errno.EBUSY, "busy"),), PortBusy, "in use"),
-        ((serial.SerialException(errno.ENXIO, "no such address"),), PortMissing, "no device answers behind it"),
-        ((serial.SerialException(errno.ENODEV, "no such device"),), PortMissing, "no device answers behind it"),
+        ((serial.SerialException(errno.ENXIO, "no such address"),), PortMissing, "no device answers there"),
+        ((serial.SerialException(errno.ENODEV, "no such device"),), PortMissing, "no device answers there"),
         (
             (serial.SerialException("Could not configure port"), termios.error(errno.EIO, "Input/output error")),
             PortMissing,
-            "no device answers behind it",
+            "no device answers there",
         ),
         (
             (serial.SerialException("Could not configure port"), termios.error(errno.ENOTTY, "Inappropriate ioctl")),
@@ -156,7 +156,7 @@ def fail(*behind: BaseException) -> Callable[..., None]:
         ((OSError(errno.ENOMEM, "out of memory"),), PortError, "out of memory"),
     ],
 )
-def test_what_the_system_says_decides(
+def test_the_systems_error_number_decides(
     monkeypatch: pytest.MonkeyPatch, failure: tuple[Exception, ...], error: type[PortError], words: str
 ) -> None:
     with PseudoTerminal(BoardEmulator(BenchPlant())) as cable:
@@ -166,7 +166,7 @@ def test_what_the_system_says_decides(
     assert type(caught.value) is error
 
 
-def test_who_may_open_a_forbidden_port_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_forbidden_port_reports_its_owner(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = plain_file(tmp_path)
     path.chmod(0o640)
     monkeypatch.setattr(serial, "Serial", fail(serial.SerialException(errno.EACCES, "denied")))
@@ -175,7 +175,7 @@ def test_who_may_open_a_forbidden_port_is_told(monkeypatch: pytest.MonkeyPatch, 
     assert stat.filemode(path.stat().st_mode) in caught.value.reason
 
 
-def test_a_path_that_cannot_be_one_is_refused() -> None:
+def test_an_impossible_path_is_refused() -> None:
     with pytest.raises(PortError, match="null byte"):
         open_serial("/dev/tty\0USB0", 1_000_000)
     with pytest.raises(PortMissing):

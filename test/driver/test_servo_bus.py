@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus against emulated servos on a real pseudo-terminal: torque, goals, and what it does with faults."""
+"""The servo bus with emulated servos on a real pseudo-terminal: torque, goals and faults."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_signs_follow_the_mounting(terminal: PseudoTerminal, arm: BenchArm) -> N
         ((0, 0, 0), (99.0, 0.1, 0.1)),
     ],
 )
-def test_nonsense_is_refused_before_anything_is_sent(
+def test_impossible_goals_are_refused_before_anything_is_sent(
     bus: ServoBus, arm: BenchArm, angles: tuple[float, ...], currents: tuple[float, ...]
 ) -> None:
     bus.enable_torque(BOUND)
@@ -71,7 +71,9 @@ def test_a_bound_above_the_largest_is_refused_and_the_largest_itself_arrives(
     bus.close()
 
 
-def test_a_hardware_error_shows_and_forbids_torque(bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
+def test_a_hardware_error_is_reported_and_forbids_torque(
+    bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
+) -> None:
     emulator.raise_hardware_error(3, OVERLOAD)
     assert bus.read().hardware_error == (0, 0, OVERLOAD)
     with pytest.raises(ServoFault, match=r"servo 3.*overload") as caught:
@@ -87,7 +89,9 @@ def test_a_missing_servo_forbids_torque(bus: ServoBus, emulator: ServoBusEmulato
     assert arm.torque_enabled() == [False, False, False]
 
 
-def test_one_that_refuses_takes_the_torque_of_all(bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
+def test_if_one_servo_rejects_torque_all_are_switched_off(
+    bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
+) -> None:
     bus.read()
     emulator.faults.next_reply("drop", 3, 5)
     emulator.servo(3).write = lambda *request: 1
@@ -103,10 +107,10 @@ def test_torque_off_reaches_the_servos_that_answer(bus: ServoBus, emulator: Serv
     assert arm.torque_enabled() == [True, False, False]
 
 
-def test_goals_that_the_port_does_not_take_are_told_and_not_forgotten(
+def test_goals_that_the_port_does_not_accept_are_an_error_and_sent_again(
     bus: ServoBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert bus.exchange((0.0, 0.0, 0.0), BOUND).complete
     monkeypatch.setattr(bus._link._handler, "writePort", lambda packet: 0)
-    with pytest.raises(PortGone, match="takes no more bytes"):
+    with pytest.raises(PortGone, match="accepts no more bytes"):
         bus.exchange((0.1, 0.1, 0.1), BOUND)

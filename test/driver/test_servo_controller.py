@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the servos do from cycle to cycle, against emulated servos on a real pseudo-terminal."""
+"""The servo controller with emulated servos on a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fail", "told"),
+    ("fail", "reason"),
     [
         (lambda rig: rig.emulator.faults.missing.add(2), "servo 2 does not answer"),
         (lambda rig: rig.emulator.raise_hardware_error(2, OVERLOAD), "overload"),
@@ -62,15 +62,15 @@ def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
         (lambda rig: rig.arm.voltage.__setitem__(1, 9.0), "voltage"),
     ],
 )
-def test_one_servo_in_trouble_stops_all_where_they_are(rig: Rig, fail: Callable[[Rig], object], told: str) -> None:
+def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object], reason: str) -> None:
     rig.wire_contactor()
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
-    assert not rig.contactor.asked
+    assert not rig.contactor.requests
     fail(rig)
     rig.until(lambda report: report.phase is ServoPhase.STOPPING)
-    assert rig.contactor.asked  # at once, not when the torque goes
+    assert rig.contactor.requests  # at once, not only when torque goes off
     begin = time.monotonic()
     stopped = rig.references()[0]
     assert stopped == pytest.approx(rig.arm.angles[0], abs=0.1)
@@ -82,10 +82,10 @@ def test_one_servo_in_trouble_stops_all_where_they_are(rig: Rig, fail: Callable[
     assert STOP_TIME - 0.1 <= time.monotonic() - begin <= STOP_TIME + 0.5
     assert rig.references()[0] == stopped
     assert rig.arm.torque_enabled()[0] is rig.arm.torque_enabled()[2] is False
-    assert any(severity == "error" and told in sentence for severity, sentence in rig.events)
+    assert any(severity == "error" and reason in sentence for severity, sentence in rig.events)
 
 
-def test_a_single_lost_reply_stops_nothing_and_the_last_values_stand(rig: Rig) -> None:
+def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -> None:
     rig.torque_on()
     before = rig.cycle()
     rig.emulator.faults.next_reply("drop", 1, 2)
@@ -116,7 +116,7 @@ def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
     rig.torque_on()
 
 
-def test_a_cause_that_stays_is_told(rig: Rig) -> None:
+def test_a_persisting_cause_is_reported(rig: Rig) -> None:
     rig.arm.temperature[0] = 85.0
     rig.until(lambda report: report.hardware_error[0])
     request = rig.ask("reboot")
@@ -124,7 +124,7 @@ def test_a_cause_that_stays_is_told(rig: Rig) -> None:
     assert "overheating" in request.message
 
 
-def test_a_servo_that_restarts_by_itself_is_set_up_again_without_torque(rig: Rig) -> None:
+def test_a_servo_that_restarts_on_its_own_is_configured_again_without_torque(rig: Rig) -> None:
     rig.emulator.reboot(3, time.monotonic())
     rig.until(lambda report: not report.valid[2])
     rig.until(lambda report: all(report.valid))
@@ -134,7 +134,7 @@ def test_a_servo_that_restarts_by_itself_is_set_up_again_without_torque(rig: Rig
     assert any("had restarted" in sentence for _, sentence in rig.events)
 
 
-def test_the_cable_may_be_pulled_and_put_back(rig: Rig) -> None:
+def test_unplugging_and_replugging_recovers(rig: Rig) -> None:
     rig.torque_on()
     rig.terminal.stop()
     report = rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED and report)
@@ -168,7 +168,7 @@ def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
     controller.close()
 
 
-def test_torque_goes_off_as_soon_as_the_contactor_is_open_and_not_before(rig: Rig) -> None:
+def test_torque_goes_off_once_the_contactor_is_open_and_not_before(rig: Rig) -> None:
     rig.wire_contactor()
     rig.contactor.delay = 0.15
     rig.torque_on()
@@ -213,15 +213,15 @@ def test_torque_off_by_request_cuts_a_stop_short_once_the_contactor_is_open(rig:
     assert rig.cycle().phase is ServoPhase.OFF
 
 
-def test_a_pulled_cable_and_closing_ask_for_the_contactor_too(rig: Rig) -> None:
+def test_unplugging_and_closing_also_open_the_contactor(rig: Rig) -> None:
     rig.wire_contactor()
     rig.torque_on()
     rig.terminal.stop()
     rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
-    assert len(rig.contactor.asked) == 1
+    assert len(rig.contactor.requests) == 1
     rig.terminal.start()
     rig.until(lambda report: report.phase is ServoPhase.OFF)
-    rig.contactor.asked.clear()
+    rig.contactor.requests.clear()
     rig.contactor.delay = 0.1
     rig.torque_on()
     rig.controller.close()
@@ -233,7 +233,7 @@ def test_a_replugged_port_is_back_within_two_seconds(rig: Rig) -> None:
     rig.cycle()
     rig.terminal.stop()
     rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
-    away = time.monotonic() + 2.0  # long enough for the longest pause between two attempts
+    away = time.monotonic() + 2.0  # longer than the longest pause between two attempts
     rig.until(lambda report: time.monotonic() > away)
     begin = time.monotonic()
     rig.terminal.start()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories: followed in time, cut, fed piece by piece, and what a silent host leaves behind."""
+"""Trajectories: followed in time, replaced, sent in pieces, and interrupted by pauses of the host."""
 
 from __future__ import annotations
 
@@ -74,17 +74,17 @@ def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig)
     assert rig.bounds() == pytest.approx([0.3 / TORQUE_CONSTANT, 0.0, 0.3 / TORQUE_CONSTANT], abs=CURRENT_UNIT)
     rig.send()
     rig.cycle()
-    assert max(rig.bounds()) < 0.3  # a hold never presses harder
+    assert max(rig.bounds()) < 0.3  # a hold never raises the bound
     rig.send((0.0, START))
     rig.cycle()
     assert rig.bounds() == pytest.approx([DEFAULT] * 3, abs=CURRENT_UNIT)
 
 
-def test_after_a_silence_of_the_host_the_arm_goes_on_from_where_it_stopped(rig: Rig) -> None:
+def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Rig) -> None:
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
-    time.sleep(0.2)  # the host's thread starves
+    time.sleep(0.2)  # the host's thread gets no processor
     rig.cycle()
     assert rig.controller.watchdog_trips == 1
     stopped = rig.arm.angles
@@ -94,7 +94,7 @@ def test_after_a_silence_of_the_host_the_arm_goes_on_from_where_it_stopped(rig: 
     rig.until(lambda report: report.angle == pytest.approx((0.3, 0.5, 1.2), abs=3 * TICK))
 
 
-def test_a_silence_after_the_end_leaves_the_arm_where_it_is(rig: Rig) -> None:
+def test_a_pause_after_the_end_does_not_move_the_arm(rig: Rig) -> None:
     rig.torque_on()
     rig.send((0.0, (0.3, 0.5, 1.2), (0.3, 0.3, 0.3)))
     rig.cycle()
@@ -105,7 +105,7 @@ def test_a_silence_after_the_end_leaves_the_arm_where_it_is(rig: Rig) -> None:
     assert rig.references()[0] < 0.0
 
 
-def test_a_host_that_falls_silent_again_and_again_stops_the_arm(rig: Rig) -> None:
+def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:
     rig.torque_on()
     for _ in range(3):
         assert rig.report.phase is ServoPhase.ON
@@ -115,7 +115,7 @@ def test_a_host_that_falls_silent_again_and_again_stops_the_arm(rig: Rig) -> Non
     assert any("overloaded" in sentence for _, sentence in rig.events)
 
 
-def test_silence_without_torque_is_nobodys_business(rig: Rig) -> None:
+def test_a_pause_without_torque_is_not_reported(rig: Rig) -> None:
     rig.cycle()
     time.sleep(0.2)
     rig.cycle()
@@ -133,7 +133,7 @@ def line(begin: Sequence[float], end: Sequence[float], seconds: float, at: float
     return tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
 
 
-def test_a_line_sent_piece_by_piece_is_followed_as_if_sent_whole(rig: Rig) -> None:
+def test_a_line_sent_in_pieces_is_followed_like_one_message(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.5 for angle in START)
     begin = time.monotonic()
@@ -150,13 +150,13 @@ def test_a_line_sent_piece_by_piece_is_followed_as_if_sent_whole(rig: Rig) -> No
 
     rig.until(feed)
     assert len(errors) > 30
-    late = 0.06 / 0.6 * 0.5  # what the line covers in 60 ms: a pause of this computer, never the feeding itself
+    late = 0.06 / 0.6 * 0.5  # the line's way in 60 ms: allows for a pause of this computer
     assert sorted(errors)[len(errors) // 2] < 0.02
     assert max(errors) < late
     assert rig.references() == pytest.approx(list(goal), abs=TICK)
 
 
-def test_a_feed_that_ends_leaves_the_arm_at_its_last_point(rig: Rig) -> None:
+def test_when_a_feed_ends_the_arm_holds_its_last_point(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.5 for angle in START)
     begin = time.monotonic()
@@ -166,7 +166,7 @@ def test_a_feed_that_ends_leaves_the_arm_at_its_last_point(rig: Rig) -> None:
     assert rig.references() == pytest.approx(list(line(START, goal, 2.0, 0.12)), abs=TICK)
 
 
-def test_a_piece_that_has_passed_already_holds_at_its_last_point(rig: Rig) -> None:
+def test_a_piece_in_the_past_holds_at_its_last_point(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.05 for angle in START)
     rig.controller.submit(
@@ -177,7 +177,7 @@ def test_a_piece_that_has_passed_already_holds_at_its_last_point(rig: Rig) -> No
     assert rig.references() == pytest.approx(list(goal), abs=TICK)
 
 
-def test_a_point_that_is_due_is_reached_at_once_though_the_message_took_its_time(rig: Rig) -> None:
+def test_a_due_point_of_a_late_message_is_reached_at_once(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.05 for angle in START)
     rig.controller.submit(

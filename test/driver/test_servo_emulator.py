@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated servos, spoken to in bytes with a clock of our own: what the e-manual promises, they do."""
+"""The emulated servos against the e-manual, byte by byte in simulated time."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from deltacharger_driver.servos.packets import (
 from .servo_host import Host, parse, words
 
 
-def test_ping_tells_the_model_and_broadcast_ping_finds_all(host: Host) -> None:
+def test_ping_returns_the_model_and_broadcast_ping_finds_all(host: Host) -> None:
     assert host.ask(2, PING) == [(2, 0, bytes((0x37, 0x01, 45)))]
     assert [servo for servo, _, _ in host.ask(BROADCAST, PING)] == [1, 2, 3]
     assert host.ask(9, PING) == []
 
 
-def test_they_come_as_from_the_factory_but_for_id_and_speed(host: Host) -> None:
+def test_registers_have_factory_values_except_id_and_speed(host: Host) -> None:
     for name, register in REGISTERS.items():
         if name in ("id", "baud", "goal_position", "return_delay") or name.startswith(("present", "input", "temper")):
             continue
@@ -48,7 +48,7 @@ def test_they_come_as_from_the_factory_but_for_id_and_speed(host: Host) -> None:
     assert ServoBusEmulator(BenchArm()).servo(1).table.get("return_delay") == 250
 
 
-def test_every_kind_of_refusal_has_its_number(host: Host) -> None:
+def test_every_kind_of_rejection_has_its_number(host: Host) -> None:
     assert host.write(1, "present_position", 1) == ACCESS
     assert host.write(1, "torque_enable", 2) == RANGE
     assert host.write(1, "operating_mode", 2) == RANGE
@@ -79,7 +79,7 @@ def test_registered_writes_wait_for_action(host: Host) -> None:
     assert host.ask(1, ACTION)[0][1] == RESULT_FAIL
 
 
-def test_sync_read_answers_in_the_order_asked_and_stops_at_a_missing_servo(host: Host) -> None:
+def test_sync_read_answers_in_the_requested_order_and_stops_at_a_missing_servo(host: Host) -> None:
     request = words(132, 4)
     assert [reply[0] for reply in host.ask(BROADCAST, SYNC_READ, request + bytes((3, 1, 2)))] == [3, 1, 2]
     host.bus.faults.missing = {1}
@@ -106,10 +106,10 @@ def test_indirect_registers_read_and_write_what_they_point_to(host: Host) -> Non
     assert host.ask(1, READ, words(indirect_data(0), 6))[0][2] == ticks + bytes((0, 30))
     assert host.ask(1, WRITE, words(indirect_data(0)) + ticks[:2])[0][1] == LENGTH
     assert host.ask(1, WRITE, words(indirect_data(4)) + b"\0")[0][1] == ACCESS
-    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == RANGE  # EEPROM is out of reach
+    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == RANGE  # EEPROM cannot be a target
 
 
-def test_the_return_delay_and_the_wire_take_their_time() -> None:
+def test_the_return_delay_and_the_wire_delay_the_reply() -> None:
     host = Host(paced=True)
     host.bus.servo(1).table.set("return_delay", 250)
     assert host.send(1, PING) == b""
@@ -127,7 +127,7 @@ def test_status_return_level(host: Host) -> None:
     assert host.ask(1, PING)
 
 
-def test_they_hear_only_their_own_speed() -> None:
+def test_servos_receive_only_at_their_own_speed() -> None:
     speed = [57600]
     host = Host(line_speed=lambda: speed[0])
     assert host.ask(1, PING) == []
@@ -137,7 +137,7 @@ def test_they_hear_only_their_own_speed() -> None:
     assert [reply[0] for reply in host.ask(BROADCAST, PING)] == [1, 3]
 
 
-def test_factory_reset_forgets_id_and_speed_unless_told(host: Host) -> None:
+def test_factory_reset_clears_id_and_speed_unless_kept(host: Host) -> None:
     host.write(2, "operating_mode", 5)
     host.ask(2, FACTORY_RESET, b"\2")
     host.advance(0.5)
@@ -148,11 +148,11 @@ def test_factory_reset_forgets_id_and_speed_unless_told(host: Host) -> None:
     assert host.bus.servo(3).speed == 57600
 
 
-def test_noise_and_cut_packets_are_survived(host: Host) -> None:
+def test_noise_and_truncated_packets_are_skipped(host: Host) -> None:
     good = Host.packet(1, PING)
     assert host.bus.receive(b"\x00\xff\xff" + b"\xff\xff\xfd" + b"junk" + good, host.now)
     for cut in range(1, len(good)):
-        host.advance(0.1)  # half a packet is given up
+        host.advance(0.1)  # an incomplete packet is discarded
         host.bus.receive(good[:cut], host.now)
         host.advance(0.1)
         assert parse(host.bus.receive(good, host.now)), cut

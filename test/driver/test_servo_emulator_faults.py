@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with emulated servos as it does with real ones: errors, watchdogs, supply, collisions."""
+"""Faults of emulated servos that match real ones: errors, watchdogs, supply, collisions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .servo_rig import OVERLOAD
 pytestmark = pytest.mark.realtime
 
 
-def test_a_latched_error_takes_the_torque_and_only_a_reboot_clears_it(host: Host) -> None:
+def test_a_latched_error_switches_torque_off_and_only_a_reboot_clears_it(host: Host) -> None:
     host.write(1, "operating_mode", 5)
     host.write(1, "torque_enable", 1)
     host.bus.raise_hardware_error(1, OVERLOAD)
@@ -48,7 +48,7 @@ def test_a_latched_error_takes_the_torque_and_only_a_reboot_clears_it(host: Host
     assert host.write(1, "torque_enable", 1) == OK
 
 
-def test_heat_shuts_down_and_low_voltage_only_reports(host: Host) -> None:
+def test_heat_shuts_down_and_low_voltage_is_only_reported(host: Host) -> None:
     for servo in (1, 2):
         host.write(servo, "operating_mode", 5)
         host.write(servo, "torque_enable", 1)
@@ -78,7 +78,7 @@ def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
     host.write(1, "torque_enable", 1)
     host.write(1, "goal_position", 2048)
     host.advance(0.115)
-    host.read(1, "present_position")  # any instruction will do
+    host.read(1, "present_position")  # any instruction counts
     host.advance(0.115)
     assert host.arm.commands[0][1] == 0.0
     host.advance(0.01)
@@ -102,7 +102,7 @@ def test_unknown_faults_and_servos_are_named(host: Host) -> None:
         host.bus.servo(7)
 
 
-def test_a_late_reply_comes_when_it_is_due(host: Host) -> None:
+def test_a_delayed_reply_is_sent_when_due(host: Host) -> None:
     host.bus.faults.delay = 0.05
     assert host.send(1, PING) == b""
     assert host.bus.next_event(host.now) == pytest.approx(0.05)
@@ -129,7 +129,7 @@ def test_the_supply_sags_under_load_and_the_error_that_this_latches_stays(host: 
     assert host.read(1, "hardware_error") == 1
 
 
-def test_two_servos_with_one_id_act_as_one_and_answer_over_each_other(host: Host) -> None:
+def test_replies_of_two_servos_with_one_id_collide(host: Host) -> None:
     host.bus.alter(2, lambda servo: servo.table.set("id", 1))
     assert host.ask(3, PING) == []
     clean = 0
@@ -147,17 +147,17 @@ def test_two_servos_with_one_id_act_as_one_and_answer_over_each_other(host: Host
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_collision_on_the_line_is_what_zeros_over_ones_make_of_it(seed: int) -> None:
+def test_in_a_collision_zero_bits_override_ones(seed: int) -> None:
     source = random.Random(seed)
     first, second = source.randbytes(14), source.randbytes(9)
     assert collide(first, b"", source) == first
-    assert collide(first, b"\xff", source)  # a start bit, at least, goes into it
+    assert collide(first, b"\xff", source)  # at least a start bit collides
     both = collide(first, second, source)
     assert both != first
     assert 0 < len(both) <= len(first) + 1
 
 
-def test_deaf_servos_stop_by_their_watchdog_and_hear_again(host: Host) -> None:
+def test_deaf_servos_stop_by_their_watchdog_and_recover(host: Host) -> None:
     host.write(1, "operating_mode", 5)
     host.write(1, "bus_watchdog", 6)
     host.write(1, "torque_enable", 1)
@@ -168,7 +168,7 @@ def test_deaf_servos_stop_by_their_watchdog_and_hear_again(host: Host) -> None:
     assert host.read(1, "bus_watchdog") == 255
 
 
-def test_a_watchdog_trips_at_once_where_it_is_armed(host: Host) -> None:
+def test_an_armed_watchdog_can_be_tripped_at_once(host: Host) -> None:
     host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
     assert host.read(1, "bus_watchdog") == 0
     host.write(1, "bus_watchdog", 6)
@@ -176,12 +176,12 @@ def test_a_watchdog_trips_at_once_where_it_is_armed(host: Host) -> None:
     assert host.read(1, "bus_watchdog") == 255
 
 
-def test_damage_befalls_the_servos_that_it_is_ordered_for(host: Host) -> None:
+def test_faults_affect_only_the_selected_servos(host: Host) -> None:
     host.bus.faults.rate_of = {2: {"drop": 1.0}}
     assert [bool(host.ask(servo, PING)) for servo in (1, 2, 3)] == [True, False, True]
 
 
-def test_a_supply_that_sags_below_its_limit_is_told_and_latched(host: Host) -> None:
+def test_a_low_supply_is_reported_and_latched(host: Host) -> None:
     def limit(servo: ServoFirmware) -> None:
         servo.supply_limit = 9.0
 
@@ -219,11 +219,11 @@ def test_a_supply_too_weak_for_the_load_makes_the_driver_stop_all(tmp_path: Path
             controller.close()
 
 
-def test_the_driver_names_an_id_that_two_servos_have_and_one_that_none_has(tmp_path: Path) -> None:
+def test_the_driver_reports_a_duplicate_and_a_missing_id(tmp_path: Path) -> None:
     emulator = ServoBusEmulator(BenchArm())
     emulator.alter(2, lambda servo: servo.table.set("id", 2))
     with PseudoTerminal(emulator, tmp_path / "servo") as terminal, pytest.raises(HandshakeError) as caught:
         ServoBus(BusSettings(terminal.path)).open(scan=False)
     faults = " / ".join(caught.value.faults)
-    assert "servo 2 answers unintelligibly; two servos with this id" in faults
+    assert "servo 2 sends garbled replies; look for two servos with this id" in faults
     assert "servo 3" in faults

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the emulated servos move and what they measure: modes, profiles, offsets, limits, status."""
+"""Motion and measurements of the emulated servos: modes, profiles, offsets, limits, status."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_measurements_in_register_units(host: Host) -> None:
     assert host.read(1, "temperature") == 30
 
 
-def test_torque_is_held_where_the_goal_is_and_the_goal_current_bounds_it(host: Host) -> None:
+def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     host.write(2, "operating_mode", 5)
     assert host.arm.commands[1] is None or not host.arm.commands[1][0]
     host.write(2, "goal_current", 100)
@@ -94,7 +94,7 @@ def test_profile_velocity_and_acceleration_shape_the_reference(host: Host) -> No
     assert max(changes) < 20 * 0.3745 * 1.6
 
 
-def test_the_homing_offset_is_added_to_what_is_told_and_taken_off_what_is_ordered(host: Host) -> None:
+def test_the_homing_offset_is_added_to_positions_and_subtracted_from_goals(host: Host) -> None:
     host.write(1, "operating_mode", 5)
     actual = host.read(1, "present_position")
     assert host.write(1, "homing_offset", 300) == OK
@@ -148,7 +148,7 @@ def test_moving_and_moving_status_follow_a_move(
     assert (host.read(1, "moving"), host.read(1, "moving_status") & 0b1011) == (0, 0b0001)
 
 
-def test_a_servo_that_cannot_follow_says_so(host: Host) -> None:
+def test_a_servo_that_cannot_follow_reports_it(host: Host) -> None:
     host.write(1, "operating_mode", 5)
     host.write(1, "goal_current", 10)
     host.write(1, "torque_enable", 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One servo asked at a time: what opens, what is asked again, and that no wrong value comes through."""
+"""Access to single servos: opening, repeated requests, and no wrong values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_second_program_finds_the_port_busy(terminal: PseudoTerminal, link: Se
         ServoLink(terminal.path, 1_000_000).open()
 
 
-def test_each_way_not_to_open_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_failure_to_open_has_its_own_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(PortMissing, match="no such port") as caught:
         ServoLink(str(tmp_path / "nothing"), 1_000_000).open()
     assert isinstance(caught.value, ConnectionError)
@@ -44,13 +44,13 @@ def test_a_speed_that_servos_lack_is_refused(terminal: PseudoTerminal) -> None:
         ServoLink(terminal.path, 12345).open()
 
 
-def test_corrupt_replies_are_asked_for_again(link: ServoLink, emulator: ServoBusEmulator) -> None:
+def test_requests_with_corrupt_replies_are_repeated(link: ServoLink, emulator: ServoBusEmulator) -> None:
     emulator.faults.next_reply("corrupt", 1, 2)
     assert link.read(1, "input_voltage") == 120
     assert link.counters.corrupt + link.counters.timeouts == link.counters.retries == 2
 
 
-def test_a_servo_that_only_stammers_is_told_from_a_silent_one(link: ServoLink, emulator: ServoBusEmulator) -> None:
+def test_garbled_replies_are_distinguished_from_silence(link: ServoLink, emulator: ServoBusEmulator) -> None:
     emulator.faults.rate["corrupt"] = 1.0
     with pytest.raises((CorruptReply, NoAnswer)):
         link.read(1, "input_voltage")
@@ -62,9 +62,7 @@ def test_a_servo_that_only_stammers_is_told_from_a_silent_one(link: ServoLink, e
 
 
 @pytest.mark.parametrize("fault", ["drop", "corrupt", "truncate", "duplicate", "garbage"])
-def test_no_fault_of_the_wire_ever_yields_a_wrong_value(
-    link: ServoLink, emulator: ServoBusEmulator, fault: str
-) -> None:
+def test_no_wire_fault_gives_a_wrong_value(link: ServoLink, emulator: ServoBusEmulator, fault: str) -> None:
     emulator.faults.rate[fault] = 0.3
     good = 0
     for _ in range(40):

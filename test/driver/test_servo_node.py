@@ -39,11 +39,11 @@ from ..waiting import DEADLINE, wait_until
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 START = (-0.7, -0.5, 0.2)  # of `arm`
-VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not make the servo let go by itself
+VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not switch the torque off
 
 
 class Client(Node):
-    """What docking_node does with servo_node."""
+    """A client that uses servo_node like docking_node."""
 
     def __init__(self, context):
         super().__init__("client", **options(context))
@@ -64,7 +64,7 @@ class Client(Node):
         return self.call(self.torque, SetBool.Request(data=on))
 
     def fresh(self):
-        """Return a state that was sent after this call."""
+        """Return a state sent after this call."""
         count = len(self.states)
         wait_until(lambda: len(self.states) > count + 1)
         return self.states[-1]
@@ -80,8 +80,8 @@ class Client(Node):
             message.points.append(point)
         self.trajectories.publish(message)
 
-    def told(self, text):
-        """Return whether a diagnostic says `text`."""
+    def reports(self, text):
+        """Return whether a diagnostic contains `text`."""
         return any(text in status.message for message in self.diagnostics for status in message.status)
 
 
@@ -118,7 +118,7 @@ def test_the_rate(client):
         span = last.header.stamp.sec - first.header.stamp.sec
         return span + (last.header.stamp.nanosec - first.header.stamp.nanosec) * 1e-9
 
-    def kept():  # a machine busy with other things may lose some; a second that is kept must occur
+    def kept():  # a busy machine may lose some cycles; one complete second must occur
         states = client.states
         states.clear()
         wait_until(lambda: len(states) > 1 and seconds(states[0], states[-1]) >= 1.0)
@@ -156,18 +156,18 @@ def test_joints_in_another_order_and_effort_as_bound(client, arm):
 
 
 @pytest.mark.parametrize(
-    ("names", "efforts", "told"),
+    ("names", "efforts", "reason"),
     [
         (("limb_0_arm_joint", "limb_1_arm_joint", "elbow"), (), "unknown joint 'elbow'"),
         (("limb_0_arm_joint", "limb_1_arm_joint", "\x1b[2J"), (), r"unknown joint '\x1b[2J'"),
         (JOINTS, (9.0, 1.0, 1.0), "effort"),
     ],
 )
-def test_what_is_refused_moves_nothing_and_is_told(client, arm, names, efforts, told):
+def test_a_refused_trajectory_moves_nothing_and_is_reported(client, arm, names, efforts, reason):
     client.set_torque(True)
     before = list(arm.commands)
     client.send((0.0, (0.0, 0.0, 0.0)), names=names, efforts=efforts)
-    wait_until(lambda: client.told(told))
+    wait_until(lambda: client.reports(reason))
     assert list(arm.commands) == before
 
 
@@ -177,7 +177,7 @@ def stamped(client, seconds_ago=0.0):
     return stamp
 
 
-def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
+def test_a_line_may_last_longer_than_its_stamp_is_valid(client, arm):
     client.set_torque(True)
     goal = [angle + 0.4 for angle in START]
     stamp, begin = stamped(client), time.monotonic()
@@ -192,12 +192,12 @@ def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
     wait_until(fed)
     wait_until(lambda: [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK))
     assert not any(status.message for m in client.diagnostics for status in m.status if "old" in status.message)
-    client.send((0.0, START), stamp=stamped(client, 0.7))  # another stamp must be fresh by itself
-    wait_until(lambda: client.told("old"))
+    client.send((0.0, START), stamp=stamped(client, 0.7))  # another stamp must be fresh
+    wait_until(lambda: client.reports("old"))
     assert [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK)
 
 
-def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
+def test_frequent_refusals_are_reported_at_a_bounded_rate(client):
     client.diagnostics.clear()
     begin = time.monotonic()
 
@@ -207,11 +207,11 @@ def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
         return time.monotonic() - begin > 1.0
 
     wait_until(fed)
-    wait_until(lambda: client.told("set_torque"))
+    wait_until(lambda: client.reports("set_torque"))
     assert len(client.diagnostics) <= (time.monotonic() - begin) / 0.2 + 2
 
 
-def test_diagnostics_say_how_well_the_cycle_is_kept(client):
+def test_diagnostics_report_rate_and_late_cycles(client):
     client.diagnostics.clear()
     bus = wait_until(lambda: [s for m in client.diagnostics[1:] for s in m.status if s.name.endswith("servo bus")])[0]
     values = {value.key: value.value for value in bus.values}
@@ -221,22 +221,22 @@ def test_diagnostics_say_how_well_the_cycle_is_kept(client):
 
 
 class LiveArm(BenchArm):
-    """An arm that remembers whether current could flow when its torque went."""
+    """An arm that records whether current could flow when its torque went off."""
 
     def __init__(self, plant):
         super().__init__(START)
         self.plant = plant
-        self.live_when_let_go = []
+        self.live_at_torque_off = []
 
     def command_servo(self, index, torque_enabled, reference, current_limit, gain=1.0):
         command = self.commands[index]
         if command is not None and command[0] and not torque_enabled:
-            self.live_when_let_go.append(self.plant.read_power()[3])
+            self.live_at_torque_off.append(self.plant.read_power()[3])
         super().command_servo(index, torque_enabled, reference, current_limit, gain)
 
 
 class Charging:
-    """Both drivers on emulated hardware, and a client that charges and would go on for ever."""
+    """Both drivers on emulated hardware, and a client that charges without end."""
 
     def __init__(self, context, folder):
         self.plant = BenchPlant()
@@ -300,8 +300,8 @@ def charging(context, tmp_path):
 def test_the_contactor_opens_before_the_torque_goes(charging, end):
     charging.begin()
     end(charging)
-    wait_until(lambda: len(charging.arm.live_when_let_go) == 3)
-    assert charging.arm.live_when_let_go == [False] * 3
+    wait_until(lambda: len(charging.arm.live_at_torque_off) == 3)
+    assert charging.arm.live_at_torque_off == [False] * 3
     assert not charging.plant.read_power()[3]
 
 
@@ -310,7 +310,7 @@ def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging):
     begin = time.monotonic()
     charging.servo.stop()
     wait_until(lambda: not charging.plant.read_power()[3])
-    assert time.monotonic() - begin < 2.0  # the client would have gone on
+    assert time.monotonic() - begin < 2.0  # the client would have continued
 
 
 def test_a_missing_servo_stops_all(client, arm, emulator):
@@ -326,7 +326,7 @@ def test_a_missing_servo_stops_all(client, arm, emulator):
     assert state.torque_enabled[1]
     wait_until(lambda: arm.torque_enabled()[0] is False)
     assert list(client.fresh().torque_enabled)[::2] == [False, False]
-    wait_until(lambda: client.told("servo 2 does not answer"))
+    wait_until(lambda: client.reports("servo 2 does not answer"))
     answer = client.set_torque(True)
     assert not answer.success
     assert "servo 2" in answer.message
@@ -354,7 +354,7 @@ def test_two_chargers_by_namespace(context, terminal):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "reason"),
     [
         ({"port": "/nowhere"}, "no such port"),
         ({"ids": [1, 2]}, "ids"),
@@ -368,9 +368,9 @@ def test_two_chargers_by_namespace(context, terminal):
         ({"baud_rate": 57600}, "answers at 1000000"),
     ],
 )
-def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, terminal, emulator, parameters, told):
+def test_a_wrong_configuration_stops_the_start_with_a_reason(context, terminal, emulator, parameters, reason):
     emulator.line_speed = terminal.speed
-    with pytest.raises(StartupError, match=told):
+    with pytest.raises(StartupError, match=reason):
         ServoNode(**options(context, **{"port": terminal.path, **parameters}))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each trap of the bare dynamixel-sdk, shown on a real pseudo-terminal, and the same situation with ours."""
+"""Each trap of the unmodified dynamixel-sdk on a real pseudo-terminal, and the same situation with the driver."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.realtime
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
 STUFFING = bytes.fromhex("fffffd01fffdfd00")
-Bare = tuple[PortHandler, Protocol2PacketHandler]  # the SDK's own, without ours
+Bare = tuple[PortHandler, Protocol2PacketHandler]  # the SDK's own classes
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_trap_2_a_late_reply_never_answers_another_question(
     assert link.counters.late > 0
 
 
-def test_trap_3_what_is_sent_is_stuffed(bare: Bare, link: ServoLink) -> None:
+def test_trap_3_sent_packets_are_stuffed(bare: Bare, link: ServoLink) -> None:
     port, protocol = bare
     ticks = -131_073  # FF FF FD FF on the wire
     link.write(2, "operating_mode", 5)
@@ -127,13 +127,13 @@ def test_trap_4_the_error_byte_is_kept(bare: Bare, link: ServoLink, emulator: Se
     for servo in (1, 2, 3):
         group.addParam(servo)
 
-    def everything_it_tells() -> dict[str, Any]:
+    def all_values() -> dict[str, Any]:
         assert group.txRxPacket() == COMM_SUCCESS
         return {name: value for name, value in vars(group).items() if name not in ("port", "ph")}
 
-    healthy = copy.deepcopy(everything_it_tells())
+    healthy = copy.deepcopy(all_values())
     emulator.raise_hardware_error(3, 1)
-    assert everything_it_tells() == healthy  # nothing in the group says that a servo is in alarm
+    assert all_values() == healthy  # the group does not show that a servo is in alarm
     replies = link.sync_read((1, 2, 3), POSITION, 4)
     assert [error for error, _ in replies.values()] == [0, 0, 0x80]
 
@@ -222,7 +222,7 @@ def test_trap_8_a_pulled_cable_is_one_error_and_the_port_opens_again(
     again.close()
 
 
-def test_trap_8_the_cable_goes_while_a_reply_is_awaited(
+def test_trap_8_the_cable_is_pulled_while_a_reply_is_awaited(
     terminal: PseudoTerminal, link: ServoLink, emulator: ServoBusEmulator
 ) -> None:
     emulator.faults.missing = {1}
@@ -253,7 +253,7 @@ def test_trap_9_the_sdk_fails_the_call_of_a_second_thread(bare: Bare, emulator: 
     first = threading.Thread(target=protocol.ping, args=(port, 1))
     first.start()
     assert waiting.wait(5.0)
-    assert protocol.ping(port, 2)[1] == COMM_PORT_BUSY  # servo 2 is there and was not even asked
+    assert protocol.ping(port, 2)[1] == COMM_PORT_BUSY  # servo 2 is present but was not asked
     tried.set()
     first.join()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus opens: every servo is set up as it should or named with all that is wrong with it."""
+"""Opening the servo bus: every servo is configured, or reported with all its faults."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
     assert not [address for address in written if address < 64]
 
 
-def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:
+def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:
     emulator.line_speed = terminal.speed
     emulator.set_speed(1, 1)
     emulator.faults.missing = {2}
@@ -51,7 +51,7 @@ def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmul
     assert "servo 1 answers at 57600" in faults[0]
     assert "--set-baud" in faults[0]
     assert "servo 2 does not answer at any speed" in faults[1]
-    assert "servo 3 speaks Protocol 1.0" in faults[2]
+    assert "servo 3 uses Protocol 1.0" in faults[2]
     assert "firmware" in faults[2]
     assert all(fault in str(caught.value) for fault in faults)
     assert isinstance(caught.value, ConnectionError)
@@ -71,7 +71,7 @@ def test_old_firmware_at_the_factory_speed_is_found_too(
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "reason"),
     [
         ("model", 1020, "1020"),
         ("homing_offset", 12, "zero_ticks"),
@@ -88,11 +88,11 @@ def test_old_firmware_at_the_factory_speed_is_found_too(
         ("shutdown", 0, "overheating and overload.*36"),
     ],
 )
-def test_a_servo_that_is_not_as_expected_is_named_and_left_as_it_is(
-    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, told: str
+def test_an_unexpected_servo_is_named_and_not_changed(
+    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, reason: str
 ) -> None:
     emulator.servo(2).table.set(name, value)
-    with pytest.raises(HandshakeError, match=f"servo 2.*({told})") as caught:
+    with pytest.raises(HandshakeError, match=f"servo 2.*({reason})") as caught:
         closed.open()
     assert len(caught.value.faults) == 1
     assert emulator.servo(2).table.get(name) == value
@@ -109,7 +109,7 @@ def test_harmless_choices_are_accepted(closed: ServoBus, emulator: ServoBusEmula
     assert closed.read().complete
 
 
-def test_faults_of_all_servos_come_at_once_and_the_good_one_is_set_up(
+def test_faults_of_all_servos_are_reported_at_once_and_good_servos_are_configured(
     closed: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
 ) -> None:
     emulator.servo(1).table.set("homing_offset", 12)
@@ -120,7 +120,7 @@ def test_faults_of_all_servos_come_at_once_and_the_good_one_is_set_up(
         closed.open()
     assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
     assert emulator.servo(1).table.get("torque_enable") == 0
-    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips once the port is closed
+    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips after the port is closed
     assert emulator.servo(3).table.get("operating_mode") == 3
 
 
@@ -132,7 +132,7 @@ def test_a_missing_servo_does_not_hide_the_settings_of_another(closed: ServoBus,
     assert ["does not answer" in fault for fault in caught.value.faults] == [True, False]
 
 
-def test_one_refusal_does_not_hide_the_next(
+def test_one_rejection_does_not_hide_the_next(
     closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = ControlTable.write
@@ -150,7 +150,7 @@ def test_one_refusal_does_not_hide_the_next(
 
 
 @pytest.mark.parametrize("name", ["position_p_gain", "position_i_gain", "position_d_gain"])
-def test_a_gain_that_a_servo_does_not_take_is_named(
+def test_a_gain_that_a_servo_does_not_keep_is_named(
     terminal: PseudoTerminal, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     write, stubborn = ControlTable.write, emulator.servo(2).table
@@ -186,13 +186,13 @@ def test_gains_are_written_to_every_servo_and_again_after_its_restart(
         bus.close()
 
 
-def test_a_waiting_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+def test_a_pending_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.servo(3).table.set("registered", 1)
     with pytest.raises(HandshakeError, match=r"servo 3.*registered = 1.*restart it"):
         closed.open()
 
 
-def test_two_servos_with_one_id_are_suspected(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+def test_two_servos_with_one_id_are_suggested_as_a_cause(closed: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.faults.servos = {2}
     emulator.faults.rate["corrupt"] = 1.0
     with pytest.raises(HandshakeError, match="two servos with this id"):
@@ -200,7 +200,9 @@ def test_two_servos_with_one_id_are_suspected(closed: ServoBus, emulator: ServoB
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_servo_told_to_keep_quiet_is_told_to_answer(closed: ServoBus, emulator: ServoBusEmulator, level: int) -> None:
+def test_a_servo_set_to_send_no_replies_is_set_to_reply(
+    closed: ServoBus, emulator: ServoBusEmulator, level: int
+) -> None:
     emulator.servo(3).table.set("status_return_level", level)
     closed.open()
     assert emulator.servo(3).table.get("status_return_level") == 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one cycle of the bus reads: a value is right or not there, whatever the line does to it."""
+"""The reading of one bus cycle: a value is right or missing, whatever the wire fault."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def block(**changed: int) -> bytes:
     return struct.pack("<BBhiiHBBBB", *values.values())
 
 
-def test_the_block_is_read_by_layout() -> None:
+def test_the_block_is_decoded_by_its_layout() -> None:
     reading = decode_block(block())
     assert (reading.torque_enabled, reading.hardware_error, reading.current, reading.velocity) == (True, 0, -119, 5)
     assert (reading.ticks, reading.voltage, reading.temperature) == (2048, 120, 30)
@@ -52,7 +52,7 @@ def test_the_block_is_read_by_layout() -> None:
         ({"registered": 1}, "registered"),
     ],
 )
-def test_what_no_servo_reports_is_refused_by_name(changed: dict[str, int], name: str) -> None:
+def test_an_impossible_value_is_refused_by_name(changed: dict[str, int], name: str) -> None:
     with pytest.raises(RangeError) as caught:
         decode_block(block(**changed))
     assert caught.value.name == name
@@ -63,16 +63,16 @@ def test_what_no_servo_reports_is_refused_by_name(changed: dict[str, int], name:
     "changed",
     [{"current": 2047}, {"current": -2047}, {"voltage": 40}, {"voltage": 300}, {"temperature": 125}, {"watchdog": 255}],
 )
-def test_the_edges_of_what_servos_report_are_accepted(changed: dict[str, int]) -> None:
+def test_limit_values_are_accepted(changed: dict[str, int]) -> None:
     assert decode_block(block(**changed))
 
 
-def test_a_restarted_servo_is_told_by_its_lost_set_up_not_by_its_supply() -> None:
+def test_a_restart_is_detected_by_the_lost_configuration_not_by_the_supply() -> None:
     assert has_restarted(bytes(READ_LENGTH))
     assert not has_restarted(block(voltage=0))
 
 
-def test_a_burst_across_the_last_byte_and_the_checksum_does_not_reach_the_snapshot(
+def test_a_burst_error_across_the_last_byte_and_the_checksum_is_detected(
     bus: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def struck(*fields: Any) -> bytes:
@@ -80,14 +80,14 @@ def test_a_burst_across_the_last_byte_and_the_checksum_does_not_reach_the_snapsh
         return reply[:-3] + bytes((reply[-3] ^ 0x03, reply[-2] ^ 0x0A, reply[-1]))
 
     monkeypatch.setattr("deltacharger_driver.emulators.servo_bus.status", struck)
-    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not see it
+    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not detect it
     assert bus.read().valid == (False, False, False)
     assert bus.counters.implausible == 3
     assert bus.counters.corrupt == 0
 
 
 @pytest.mark.parametrize(("register", "value"), [("temperature", 200), ("input_voltage", 0), ("present_current", 3000)])
-def test_an_impossible_value_is_counted_and_nothing_of_its_reply_is_used(
+def test_a_reply_with_an_impossible_value_is_counted_and_discarded(
     bus: ServoBus, emulator: ServoBusEmulator, register: str, value: int
 ) -> None:
     servo = emulator.servo(2)
@@ -110,7 +110,7 @@ def test_an_impossible_value_is_counted_and_nothing_of_its_reply_is_used(
     wait_until(lambda: bus.read().complete)
 
 
-def test_a_lost_reply_is_nan_and_the_next_cycle_is_whole_again(bus: ServoBus, emulator: ServoBusEmulator) -> None:
+def test_a_lost_reply_is_nan_and_the_next_cycle_is_complete(bus: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.faults.next_reply("drop", 2)
     snapshot = bus.read()
     assert snapshot.valid == (True, False, True)
@@ -145,7 +145,7 @@ def test_waiting_for_a_missing_servo_does_not_slow_the_others(bus: ServoBus, emu
 
 
 @pytest.mark.parametrize("fault", ["corrupt", "truncate", "garbage", "duplicate", "drop"])
-def test_under_any_noise_a_value_is_right_or_not_there(bus: ServoBus, emulator: ServoBusEmulator, fault: str) -> None:
+def test_under_any_noise_a_value_is_right_or_missing(bus: ServoBus, emulator: ServoBusEmulator, fault: str) -> None:
     emulator.faults.rate[fault] = 0.3
     for _ in range(40):
         snapshot = bus.read()

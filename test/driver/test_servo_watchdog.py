@@ -13,26 +13,26 @@ from .servo_host import Host
 pytestmark = pytest.mark.realtime
 
 
-def test_the_watchdog_watches_only_while_torque_is_on(host: Host) -> None:
+def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
     host.write(1, "bus_watchdog", 6)
     host.advance(1.0)
     assert host.read(1, "bus_watchdog") == 6
     host.advance(1.0)
-    assert host.write(1, "torque_enable", 1) == OK  # the silence before does not count
+    assert host.write(1, "torque_enable", 1) == OK  # earlier silence does not count
     host.advance(0.115)
     assert host.read(1, "bus_watchdog") == 6
     host.advance(0.125)
     assert host.read(1, "bus_watchdog") == 255
 
 
-def test_a_servo_without_torque_asks_for_no_attention_after_a_silence(host: Host) -> None:
+def test_a_servo_without_torque_needs_no_tick_after_a_silence(host: Host) -> None:
     host.write(1, "bus_watchdog", 6)
     host.advance(1.0)
     assert host.bus.next_event(host.now) > 1.0
 
 
 @pytest.mark.parametrize("offset", [0, 500])
-def test_a_trip_lets_the_goal_go_to_where_the_shaft_is(host: Host, offset: int) -> None:
+def test_a_trip_sets_the_goal_to_the_present_angle(host: Host, offset: int) -> None:
     host.write(1, "homing_offset", offset)
     host.write(1, "operating_mode", 5)
     host.write(1, "goal_current", 100)

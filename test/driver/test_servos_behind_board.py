@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tests of servos and servo_node, run on servos that hang on the emulated board."""
+"""The tests of servos and servo_node, run on servos connected to the emulated board."""
 
 from __future__ import annotations
 

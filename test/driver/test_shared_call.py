@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A call that many share: one at a time, one outcome for all who wait for it, and who must go first does."""
+"""A shared call: one at a time, one result for all waiting callers, and precedence for a block."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..waiting import DEADLINE, wait_until
 
 
 class Slow:
-    """An action that ends when it is told to, and counts its calls."""
+    """An action that ends on command and counts its calls."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -36,13 +36,13 @@ def slow() -> Slow:
 
 
 def together(shared: SharedCall[int], pool: ThreadPoolExecutor, count: int) -> list[Future[int]]:
-    """Let `count` threads call, and return once all wait."""
+    """Start `count` calling threads, and return once all wait."""
     jobs = [pool.submit(shared) for _ in range(count)]
     wait_until(lambda: shared._running is not None and shared._running.callers == count, "all callers")
     return jobs
 
 
-def test_who_comes_while_it_runs_shares_its_result(slow: Slow) -> None:
+def test_a_caller_during_a_run_shares_its_result(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     with ThreadPoolExecutor(8) as pool:
         jobs = together(shared, pool, 8)
@@ -51,7 +51,7 @@ def test_who_comes_while_it_runs_shares_its_result(slow: Slow) -> None:
     assert shared() == 2
 
 
-def test_they_share_an_error_and_the_next_calls_anew(slow: Slow) -> None:
+def test_callers_share_an_error_and_the_next_one_calls_again(slow: Slow) -> None:
     shared = SharedCall(slow, DEADLINE)
     slow.error = ValueError("no")
     with ThreadPoolExecutor(3) as pool:
@@ -64,7 +64,7 @@ def test_they_share_an_error_and_the_next_calls_anew(slow: Slow) -> None:
     assert shared() == 2
 
 
-def test_a_result_lasts_only_where_several_waited_and_until_it_is_forgotten(slow: Slow) -> None:
+def test_a_result_is_reused_only_if_several_waited_and_until_it_is_discarded(slow: Slow) -> None:
     shared = SharedCall(slow, DEADLINE)
     slow.go_on.set()
     assert [shared(), shared()] == [1, 2]
@@ -78,7 +78,7 @@ def test_a_result_lasts_only_where_several_waited_and_until_it_is_forgotten(slow
     assert shared() == 4
 
 
-def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next(slow: Slow) -> None:
+def test_a_block_waits_for_the_running_call_and_precedes_the_next(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     entered, leave = threading.Event(), threading.Event()
 
@@ -91,7 +91,7 @@ def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next
     with ThreadPoolExecutor(3) as pool:
         (under_way,) = together(shared, pool, 1)
         first = pool.submit(go_first)
-        wait_until(lambda: shared._priority, "its turn to be asked for")
+        wait_until(lambda: shared._priority, "the block to wait")
         assert not entered.is_set()
         slow.go_on.set()
         assert under_way.result(DEADLINE) == 1
@@ -102,7 +102,7 @@ def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next
         assert late.result(DEADLINE) == 2
 
 
-def test_who_is_refused_again_and_again_is_answered_at_a_bounded_rate(slow: Slow) -> None:
+def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
     shared = SharedCall(slow, 0.0)
     slow.error = ValueError("no")
     slow.go_on.set()
@@ -110,5 +110,5 @@ def test_who_is_refused_again_and_again_is_answered_at_a_bounded_rate(slow: Slow
     for _ in range(5):
         with pytest.raises(ValueError, match="no"):
             shared()
-        assert not shared.is_running  # who must go first does not wait for the answer
+        assert not shared.is_running  # a block does not wait for the answer
     assert time.monotonic() - began >= 0.25

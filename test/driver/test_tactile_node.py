@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tactile_node over a pseudo-terminal, the emulated board and a bench plant, seen by a real ROS client."""
+"""tactile_node with a real ROS client, a pseudo-terminal, the emulated board and a bench plant."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from ..nodes import call, options
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
-AT_ONCE = 8  # requests; a service keeps ten that it has not taken yet
+AT_ONCE = 8  # requests; a service queues ten
 
 
 class Client(Node):
-    """What docking_node is to tactile_node."""
+    """A client that uses tactile_node like docking_node."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("client", **options(context, namespace))
@@ -58,8 +58,8 @@ class Client(Node):
             ChargerPower, "charger_power", self.powers.append, QoSProfile(depth=1), callback_group=group
         )
         self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10, callback_group=group)
-        for topic, heard in self.batteries.items():
-            self.create_subscription(BatteryState, topic, heard.append, 10, callback_group=group)
+        for topic, messages in self.batteries.items():
+            self.create_subscription(BatteryState, topic, messages.append, 10, callback_group=group)
         self._tare = self.create_client(Trigger, "tare", callback_group=group)
         self._probe = self.create_client(Probe, "probe", callback_group=group)
         self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
@@ -102,7 +102,7 @@ class Rig:
         self.spinner = Spinner(self.client)
 
     def reset(self) -> None:
-        """Everything as after power-up, whatever the test before left."""
+        """Restore the state after power-up."""
         self.cable.replug()
         self.plant.press(0.0)
         self.plant.resistance, self.plant.target, self.plant.detected = 2.0, 24.0, 0
@@ -122,9 +122,9 @@ class Rig:
         return self.client.powers[-1]
 
     def batteries(self) -> tuple[BatteryState, BatteryState]:
-        """Return what is told next of the charger's battery and of the target's."""
-        for heard in self.client.batteries.values():
-            heard.clear()
+        """Return the next messages of the charger's battery and of the target's."""
+        for messages in self.client.batteries.values():
+            messages.clear()
         own, target = self.client.batteries.values()
         wait_until(lambda: own and target, "both batteries")
         return own[-1], target[-1]
@@ -141,7 +141,7 @@ class Rig:
         wait_until(lambda: np.nanmax(self.fresh_frame().left) > 4.0)
 
     def charge(self, seconds: float) -> None:
-        """Hold the lease as docking_node does and see current."""
+        """Hold the lease as docking_node does and check the current."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             answer = self.client.contactor(True)
@@ -167,7 +167,7 @@ def rig(shared: Rig) -> Rig:
     return shared
 
 
-def test_both_batteries_are_told_as_the_power_stage_measures_them(rig: Rig) -> None:
+def test_both_batteries_are_published_as_measured(rig: Rig) -> None:
     rig.plant.resistance = math.inf
     rig.power()
     own, target = rig.batteries()
@@ -215,7 +215,7 @@ def test_set_contactor_is_answered_at_once_while_the_board_probes(rig: Rig) -> N
     rig.wait_for_contact()
 
     def slowest() -> float:
-        """Return how long (s) an answer took at most; inf where the probe ended before."""
+        """Return the longest time of an answer, s; inf if the probe ended before."""
         probe = rig.client.probing()
         times = [time.monotonic()]
         for close in (False, True, False):
@@ -225,7 +225,7 @@ def test_set_contactor_is_answered_at_once_while_the_board_probes(rig: Rig) -> N
         wait_until(probe.done)
         return late
 
-    wait_until(lambda: slowest() < 0.020)  # a computer busy with other things may be late, but not always
+    wait_until(lambda: slowest() < 0.020)  # a busy computer may be late, but not always
 
 
 def test_probe(rig: Rig) -> None:
@@ -237,7 +237,7 @@ def test_probe(rig: Rig) -> None:
     assert 0.0 <= power.probe_age < 1.0
     rig.plant.resistance = 0.1
     answer = rig.client.probe()
-    assert answer.success  # measured, also where it is a short
+    assert answer.success  # measured, even if it is a short
     assert answer.resistance == pytest.approx(0.1)
 
 
@@ -258,7 +258,7 @@ def test_a_held_lease_charges_and_an_open_ends_it(rig: Rig) -> None:
     assert "call probe" in answer.message
 
 
-def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: Rig) -> None:
+def test_a_lease_that_is_not_renewed_lapses_without_a_fault(rig: Rig) -> None:
     rig.dock()
     rig.charge(0.3)
     began = time.monotonic()
@@ -274,7 +274,7 @@ def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: R
     ("trouble", "words"),
     [("no contact", "no contact"), ("short", "short circuit"), ("fault", "over current")],
 )
-def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
+def test_reasons_to_refuse_a_close(rig: Rig, trouble: str, words: str) -> None:
     if trouble == "short":
         rig.plant.resistance = 0.5
     rig.dock()
@@ -326,21 +326,21 @@ def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
     assert "keeps the contactor closed" in answer.message
 
 
-def test_a_close_waits_for_a_strangers_probe_and_goes_before_the_next(rig: Rig) -> None:
+def test_a_close_waits_for_another_clients_probe_and_precedes_the_next(rig: Rig) -> None:
     rig.dock()
     probes = [rig.client.probing()]
     probe = rig.node._keeper.guard._probe
-    wait_until(lambda: probe.is_running, "a probe under way")
+    wait_until(lambda: probe.is_running, "a running probe")
     closing = rig.client.contacting()
     wait_until(lambda: probe._priority, "the close to wait")
     probes += [rig.client.probing() for _ in range(AT_ONCE)]
     wait_until(lambda: closing.done() and all(each.done() for each in probes), "all answers")
     assert closing.result().success, closing.result().message
-    assert probes[0].result().success  # the one under way
+    assert probes[0].result().success  # the running one
     assert rig.client.contactor(False).success
 
 
-def test_probes_at_once_share_one_measurement(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_probes_share_one_measurement(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     link, measured = rig.node._keeper.link, list[float]()
     measure = link.probe
 
@@ -352,10 +352,10 @@ def test_probes_at_once_share_one_measurement(rig: Rig, monkeypatch: pytest.Monk
     probes = [rig.client.probing() for _ in range(AT_ONCE)]
     wait_until(lambda: all(each.done() for each in probes), "all answers")
     assert {(each.result().success, each.result().resistance) for each in probes} == {(True, 2.0)}
-    assert len(measured) < AT_ONCE // 2  # one, but where requests came late
+    assert len(measured) < AT_ONCE // 2  # one, unless requests arrived late
 
 
-def test_only_who_knows_the_token_renews_and_anybody_opens(rig: Rig) -> None:
+def test_only_the_token_renews_and_any_client_opens(rig: Rig) -> None:
     rig.dock()
     assert rig.client.contactor(True, token="secret").success
     answer = rig.client.contactor(True)
@@ -384,7 +384,7 @@ def test_impossible_closes_are_refused_counted_and_followed_by_a_good_one(rig: R
     assert len(answer.message) < 200
     assert rig.node._keeper.guard.lease_record()["refused_closes"] == refused + 1
     assert not rig.board.contactor_commanded
-    answer = rig.client.contactor(True, lease=2.0**31 - 1)  # an endless lease is cut
+    answer = rig.client.contactor(True, lease=2.0**31 - 1)  # an endless lease is shortened
     assert answer.success, answer.message
     assert rig.node._keeper.guard.remaining() <= 0.25
 
@@ -440,14 +440,14 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
 
 
 def values_of(rig: Rig, part: str) -> dict[str, str]:
-    """The values of the part's latest status, one that was sent after this call."""
+    """Return the values of the part's next status."""
     rig.client.diagnostics.clear()
     wait_until(lambda: len(rig.client.diagnostics) >= 2)
     status = next(s for s in rig.client.diagnostics[-1].status if s.name.endswith(part))
     return {value.key: value.value for value in status.values}
 
 
-def test_diagnostics_tell_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
+def test_diagnostics_report_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
     before = values_of(rig, "power stage")
     assert before["holder"] == ""
     rig.dock()
@@ -475,7 +475,7 @@ def test_diagnostics_tell_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
 
 def test_a_replugged_board_is_back_within_two_seconds(rig: Rig) -> None:
     rig.cable.unplug()
-    time.sleep(2.0)  # long enough for the longest pause between two attempts
+    time.sleep(2.0)  # longer than the longest pause between two attempts
     rig.client.frames.clear()
     began = time.monotonic()
     rig.cable.replug()

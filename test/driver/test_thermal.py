@@ -8,7 +8,7 @@ import pytest
 from deltacharger_driver.servos.thermal import HEAT_LIMIT, ThermalModel, reserve
 
 
-def test_what_the_constants_stand_for():
+def test_the_constants_match_their_sources():
     assert reserve(0.0, 0.0) == math.inf
     assert reserve(0.0, 0.5) >= 14_400
     assert 60 <= reserve(0.0, 3.0) <= 180
@@ -30,7 +30,7 @@ def test_more_current_or_more_heat_never_lasts_longer():
 
 
 @pytest.mark.parametrize("current", [0.7, 1.5, 3.0])
-def test_the_model_reaches_the_limit_when_the_reserve_said(current):
+def test_the_model_reaches_the_limit_when_predicted(current):
     model = ThermalModel(smoothing=0.0)
     model.update(current, 0.0)
     promised = model.reserve()
@@ -58,7 +58,7 @@ def test_steps_of_any_length_agree():
     assert fine.heat == pytest.approx(coarse.heat)
 
 
-def test_silence_never_cools():
+def test_missing_data_never_cool_the_model():
     model = ThermalModel()
     model.update(2.0, 10.0)
     before = model.heat
@@ -74,7 +74,7 @@ def test_unknown_stays_unknown():
     assert math.isnan(reserve(math.nan, 1.0))
 
 
-def test_a_hot_servo_starts_with_its_heat():
+def test_a_hot_servo_starts_with_the_heat_of_its_temperature():
     model = ThermalModel()
     model.start_at(math.nan)
     assert model.heat == 0.0

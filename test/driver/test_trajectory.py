@@ -41,7 +41,7 @@ def test_a_point_at_time_zero_takes_effect_at_once():
     assert trajectory.goal_at(0.0, START) == (0.2, 0.2, 0.2)
 
 
-def test_joints_may_come_in_any_order():
+def test_joints_may_be_in_any_order():
     trajectory = check(("c", "a", "b"), points((1.0, (0.3, 0.1, 0.2), (3.0, 1.0, 2.0))), LIMITS)
     assert trajectory.angles == ((0.1, 0.2, 0.3),)
     assert trajectory.torques == ((1.0, 2.0, 3.0),)
@@ -58,7 +58,7 @@ def test_a_bound_holds_from_the_start_of_its_segment():
     assert trajectory.torque_at(9.0) == (0.0, 2.0, 4.0)
 
 
-def test_what_remains_goes_the_same_way():
+def test_the_rest_follows_the_same_path():
     trajectory = check(
         NAMES,
         points((1.0, (0.2, 0.2, 0.2), (1.0, 2.0, 3.0)), (2.0, (0.0, 0.4, 0.2)), (3.0, START, (0.0, 0.0, 0.0))),
@@ -80,7 +80,7 @@ def test_no_points_mean_hold():
 
 
 @pytest.mark.parametrize(
-    ("names", "rows", "told"),
+    ("names", "rows", "reason"),
     [
         (("a", "b", "x"), [(1.0, START)], "x"),
         (("a", "b"), [(1.0, (0.0, 0.0))], "exactly once"),
@@ -104,8 +104,8 @@ def test_no_points_mean_hold():
         (NAMES, [(1.0, START), (2.0, (0.0, 0.0, 9.0))], "point 1"),
     ],
 )
-def test_what_is_refused_and_why(names, rows, told):
-    with pytest.raises(TrajectoryRefused, match=told.replace(".", r"\.")) as caught:
+def test_bad_trajectories_are_refused_with_a_reason(names, rows, reason):
+    with pytest.raises(TrajectoryRefused, match=reason.replace(".", r"\.")) as caught:
         check(names, points(*rows), LIMITS)
     assert isinstance(caught.value, DriverError)
 
@@ -128,7 +128,7 @@ def test_too_many_points_are_refused() -> None:
 
 
 @pytest.mark.parametrize("names", [["x" * 100_000], ["a"] * 100_000])
-def test_a_refusal_repeats_little_of_what_was_sent(names: list[str]) -> None:
+def test_a_refusal_quotes_little_of_the_message(names: list[str]) -> None:
     with pytest.raises(TrajectoryRefused) as refusal:
         check(names, [ServoWaypoint(0.0, (0.0, 0.0, 0.0))], LIMITS)
     assert len(str(refusal.value)) < 200

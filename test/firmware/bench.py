@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board on the host program's bench and a host that speaks only when told, in simulated microseconds."""
+"""A board on the host program's bench and a host that sends only on command, in simulated microseconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .board_host import BoardHost
 
 MS = 1000
 S = 1_000_000
-STRONG = "battery 45", "target 22", "resistance 1"  # a circuit that drives 23 A if nobody limits them
+STRONG = "battery 45", "target 22", "resistance 1"  # a circuit of 23 A without a limit
 
 
 class Bench:
@@ -34,28 +34,28 @@ class Bench:
         self._beat = start
         for name, value in settings.items():
             self.host.command(f"{name} {value}")
-        self._hear(self.host.sent(f"boot {start}"))
+        self._decode(self.host.sent(f"boot {start}"))
 
     def close(self) -> None:
-        """End the program; nothing that it sent may have been damaged."""
+        """End the program; no packet that it sent may be damaged."""
         self.host.close()
         assert self.decoder.counters.damaged == 0
 
     def set(self, *lines: str) -> None:
-        """Do something to the bench, e.g. 'press 8'."""
+        """Send commands to the bench, e.g. 'press 8'."""
         for line in lines:
             self.host.command(line)
 
     def send(self, *packets: tuple[int, bytes]) -> list[Packet]:
-        """Send packets in one piece and return what comes at once."""
+        """Send packets at once and return the immediate answers."""
         wire = b""
         for type, payload in packets:
             self._sequence = (self._sequence + 1) % 65536
             wire += encode_packet(Packet(type, payload, self._sequence))
-        return self._hear(self.host.sent(f"wire {wire.hex()}"))
+        return self._decode(self.host.sent(f"wire {wire.hex()}"))
 
     def run(self, duration: int) -> list[Packet]:
-        """Let us pass, with a heartbeat every 20 ms while `beating`, and return what came."""
+        """Advance `duration` us, with a heartbeat every 20 ms while `beating`, and return received packets."""
         start, until = len(self.packets), self.now + duration
         while self.beating:
             self._beat = max(self._beat, self.now)
@@ -68,21 +68,21 @@ class Bench:
         return self.packets[start:]
 
     def jump(self, instant: int) -> list[Packet]:
-        """Set the counter; nobody polls meanwhile."""
+        """Set the counter without polls in between."""
         self.now = instant
-        return self._hear(self.host.sent(f"jump {instant}"))
+        return self._decode(self.host.sent(f"jump {instant}"))
 
     def _advance(self, until: int) -> None:
         self.now = until
-        self._hear(self.host.sent(f"advance {until}"))
+        self._decode(self.host.sent(f"advance {until}"))
 
-    def _hear(self, data: bytes) -> list[Packet]:
+    def _decode(self, data: bytes) -> list[Packet]:
         new = self.decoder.feed(data)
         self.packets += new
         return new
 
     def ask(self, type: int, payload: bytes = b"", wait: int = 0) -> Ack:
-        """Send a command and return its answer, which comes once and within `wait` us."""
+        """Send a command and return its answer, which must arrive once and within `wait` us."""
         packets = self.send((type, payload))
         sequence = self._sequence
         if wait:
@@ -111,7 +111,7 @@ class Bench:
         return self.ask(PacketType.CONTACTOR, b"\1").error
 
     def charge(self, duration: int = 1 * S) -> Bench:
-        """Heartbeat, probe, close, and let current flow."""
+        """Heartbeat, probe, close, and wait until current flows."""
         self.beating = True
         self.run(0)
         assert self.probe().error == 0
@@ -122,7 +122,7 @@ class Bench:
         return self
 
     def run_until(self, name: str, value: float, longest: int, step: int = 1 * MS) -> int:
-        """Let time pass until the state is so, and return the us that it took."""
+        """Advance time until the state has this value, and return the time taken, us."""
         start = self.now
         while self.state(name) != value:
             assert self.now - start < longest, f"{name} is not {value} after {longest} us"

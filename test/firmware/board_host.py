@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The firmware's C core as a process, and as what the driver's tests expect of the emulated board."""
+"""The firmware's C core as a process, with the interface of the emulated board for the driver's tests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..borrowed import anew
 
 
 class BoardHost:
-    """`board_host --step`: one line in, one line out; time passes by command only.
+    """`board_host --step`: one line in, one line out; time advances by command only.
 
     Args:
         program: path of the built program.
@@ -40,7 +40,7 @@ class BoardHost:
             text=True,
         )
         self._lock = threading.Lock()
-        self.idle = 0  # us until the board wants to be polled, as of the last answer that let time pass
+        self.idle = 0  # us until the next poll is due, from the last answer that advanced time
 
     def command(self, line: str) -> str:
         """Send a line and return the answer."""
@@ -58,18 +58,18 @@ class BoardHost:
         return answer.rstrip("\n")
 
     def sent(self, line: str) -> bytes:
-        """Send a line that lets time pass and return what the board sent to the host."""
+        """Send a line that advances time and return the bytes sent to the host."""
         _, data, _, idle = self.command(line).split(" ")
         self.idle = int(idle)
         return bytes.fromhex(data)
 
     def state(self) -> dict[str, float]:
-        """Return what the board and the bench are doing."""
+        """Return the state of board and bench."""
         _, *pairs = self.command("state").split(" ")
         return {name: float(value) for name, value in (pair.split("=") for pair in pairs)}
 
     def close(self) -> None:
-        """End the process; a sanitizer's finding or anything else on its standard error is a failure."""
+        """End the process; any output on its standard error, such as a sanitizer's, is a failure."""
         if self._process.poll() is None:
             self._process.communicate("quit\n", timeout=10.0)
         errors = self._ended()
@@ -84,7 +84,7 @@ class BoardHost:
 
 
 class FirmwarePlant:
-    """What the driver's tests do to `BenchPlant`, done to the bench inside the host program.
+    """The interface of `BenchPlant` for the bench of the host program.
 
     Args:
         offset: N added to every taxel, as before a tare.
@@ -130,7 +130,7 @@ class FirmwarePlant:
 
 
 class FirmwareBoard:
-    """The firmware behind `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
+    """The firmware with `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
 
     Thread-safe. Time is the caller's, in s.
 
@@ -164,35 +164,35 @@ class FirmwareBoard:
 
     @property
     def contactor_commanded(self) -> bool:
-        """Whether a close was accepted and nothing has opened the contactor since."""
+        """Whether a close was accepted and no opening followed."""
         return bool(self.host.state()["commanded"])
 
     @property
     def fault(self) -> int:
-        """The latched fault, 0 none."""
+        """The latched fault, 0 = none."""
         return int(self.host.state()["fault"])
 
     @property
     def unknown_types(self) -> int:
-        """Packets of types that the board does not know."""
+        """Number of packets of unknown types."""
         return int(self.host.state()["unknown"])
 
     @property
     def counters(self) -> Counters:
-        """What the board's decoder met."""
+        """Counters of the board's decoder."""
         state = self.host.state()
         return Counters(int(state["version"]), int(state["header"]), int(state["refused"]))
 
     def reboot(self) -> None:
-        """Let the board boot at its next turn."""
+        """Boot at the next poll."""
         self._boot_wanted = True
 
     def trip(self, fault: int) -> None:
-        """Let the power stage open at once and latch a fault."""
+        """Open the power stage at once and latch a fault."""
         self.host.command(f"trip {int(fault)}")
 
     def set_dead(self, pad: int, row: int, column: int, dead: bool = True) -> None:
-        """Let a taxel die or live again: pad 0 is left, 1 right."""
+        """Make a taxel dead or live: pad 0 is left, 1 right."""
         self.host.command(f"dead {pad} {row} {column} {int(dead)}")
 
     def receive(self, data: bytes, now: float) -> bytes:
@@ -205,7 +205,7 @@ class FirmwareBoard:
             return sent
 
     def poll(self, now: float) -> bytes:
-        """Return what the board sends unasked at `now`."""
+        """Return what the board sends on its own at `now`."""
         with self._lock:
             self._tell_plant()
             self._polled = round(now * 1e6)
@@ -216,7 +216,7 @@ class FirmwareBoard:
             return sent
 
     def next_event(self, now: float) -> float:
-        """Return the seconds until `poll` has something to do."""
+        """Return the seconds until `poll` is due."""
         with self._lock:
             if self._boot_wanted:
                 return 0.0
@@ -229,7 +229,7 @@ class FirmwareBoard:
                 self._known[name] = value
 
     def _damaged(self, data: bytes) -> bytes:
-        """Apply the wire's faults packet by packet; the firmware sends whole ones."""
+        """Apply the wire's faults packet by packet; the firmware sends complete ones."""
         pieces = [piece for piece in data.split(b"\0") if piece]
         return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs.decode(piece)[1]) for piece in pieces)
 
@@ -239,7 +239,7 @@ class FirmwareBus:
 
     Args:
         host: the host program, not booted yet.
-        device: what hangs on the bus; None = the board has none.
+        device: the device on the bus; None = the board has no bus.
     """
 
     def __init__(self, host: BoardHost, device: ByteDevice | None) -> None:
@@ -253,24 +253,24 @@ class FirmwareBus:
         return int(self._host.state()["servo_speed"])
 
     def serve(self, now: float) -> None:
-        """Carry bytes both ways at `now`, s; the board looks at those from the servos when it is polled next."""
+        """Pass bytes both ways at `now`, s; the board takes those from the servos at its next poll."""
         if self._device is None:
             return
-        came = self._device.poll(now)
-        heard = bytes.fromhex(self._host.command(f"bus {came.hex()}").removeprefix("bus").strip())
-        answer = self._device.receive(heard, now) if heard else b""
+        from_bus = self._device.poll(now)
+        to_bus = bytes.fromhex(self._host.command(f"bus {from_bus.hex()}").removeprefix("bus").strip())
+        answer = self._device.receive(to_bus, now) if to_bus else b""
         if answer:
             self._host.command(f"bus {answer.hex()}")
-        if came or answer:
+        if from_bus or answer:
             self._host.idle = 0
 
     def next_event(self, now: float) -> float:
-        """Return the seconds until the servos have something to say; inf for never."""
+        """Return the seconds until the servos send; inf for never."""
         return math.inf if self._device is None else self._device.next_event(now)
 
 
 class Counters:
-    """The part of `DecoderCounters` that the driver's tests look at."""
+    """The part of `DecoderCounters` used by the driver's tests."""
 
     def __init__(self, version_errors: int, header_errors: int, refused_version: int) -> None:
         self.version_errors = version_errors
@@ -279,5 +279,5 @@ class Counters:
 
 
 def on_firmware(name: str) -> ModuleType:
-    """Return a test module of the driver whose board is the firmware and whose bench is the host program's."""
+    """Return a test module of the driver with the firmware as board and the host program as bench."""
     return anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The firmware's codec as a process; firmware/host/codec.c says what goes over its pipes."""
+"""The firmware's codec as a process; firmware/host/codec.c describes the protocol of its pipes."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class CodecProcess:
         return self._process.stdout.read(_SIZE.unpack(head)[0])
 
     def new_decoder(self, longest: int = 1024) -> None:
-        """Begin a new stream."""
+        """Start a new stream."""
         self.ask("r", struct.pack("<H", longest))
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take the next bytes of the stream and return the packets that they complete."""
+        """Decode the next bytes of the stream and return completed packets."""
         answer = self.ask("d", data)
         packets, position = [], 0
         while position < len(answer):
@@ -50,7 +50,7 @@ class CodecProcess:
         return packets
 
     def counters(self) -> tuple[int, ...]:
-        """Return packets, COBS, CRC, length, version and header errors, and the refused version (-1 none)."""
+        """Return packets, COBS, CRC, length, version and header errors, and the refused version (-1 = none)."""
         return _COUNTERS.unpack(self.ask("c"))
 
     def encode(self, packet: Packet) -> bytes:

@@ -57,7 +57,7 @@ def arm_compiler() -> None:
 
 @pytest.fixture(scope="session")
 def arm_programs(arm_compiler: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of board_host (which knows no --pty), codec and fuzz for the board's processor, each run by QEMU."""
+    """The folder of board_host (without --pty), codec and fuzz for the board's processor, each run by QEMU."""
     if shutil.which("qemu-system-arm") is None:
         pytest.skip("no qemu-system-arm that emulates the board's Cortex-M3: make cross")
     folder = tmp_path_factory.mktemp("firmware")
@@ -76,7 +76,7 @@ def core(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def firmware_boards(core: Path) -> Iterator[None]:
-    """Let `FirmwareBoard` find its program, and end every board that the test started."""
+    """Set the program of `FirmwareBoard`, and end every board that the test started."""
     FirmwareBoard.program = core / "board_host"
     FirmwareBoard.started.clear()
     yield
@@ -86,7 +86,7 @@ def firmware_boards(core: Path) -> Iterator[None]:
 
 @pytest.fixture
 def new_bench(core: Path) -> Iterator[Callable[..., Bench]]:
-    """Make benches that end with the test, each with a healthy end."""
+    """Make benches that are ended and checked after the test."""
     benches: list[Bench] = []
 
     def make(start: int = 0, **settings: float) -> Bench:

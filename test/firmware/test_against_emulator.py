@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same host's day on the emulated board and on the firmware: every answer, fault and command must be the same."""
+"""The same random session on the emulated board and on the firmware: every answer, fault and command must match."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .board_host import FirmwareBoard, FirmwarePlant
 pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 STEP = 0.005
-PROBE_TIME = 0.152  # ends between two steps, whatever the last bit of the floats
+PROBE_TIME = 0.152  # ends between two steps, whatever the rounding
 DAYS, DEEDS = 8, 120
 COMMANDS = [
     *[(PacketType.CONTACTOR, b"\1")] * 6,
@@ -53,26 +53,26 @@ class Side:
         self.board = board
         self.plant = plant
         self.decoder = PacketDecoder()
-        self.heard: list[Packet] = []
+        self.received: list[Packet] = []
 
-    def hear(self, data: bytes) -> None:
-        self.heard += self.decoder.feed(data)
+    def take(self, data: bytes) -> None:
+        self.received += self.decoder.feed(data)
 
     def story(self) -> list[tuple[object, ...]]:
-        """What the host was told since the last call, in order, but for frames and power."""
-        told: list[tuple[object, ...]] = []
-        for packet in self.heard:
+        """Return the packets to the host since the last call, in order, except frames and power."""
+        events: list[tuple[object, ...]] = []
+        for packet in self.received:
             if packet.type == PacketType.ACK:
                 ack = decode_ack(packet.payload)
-                told.append(("ack", ack.type, ack.error, ack.sequence, ack.data))
+                events.append(("ack", ack.type, ack.error, ack.sequence, ack.data))
             elif packet.type == PacketType.HELLO:
-                told.append(("hello", decode_hello(packet.payload).rate))
+                events.append(("hello", decode_hello(packet.payload).rate))
             elif packet.type == PacketType.PING:
-                told.append(("ping", packet.payload))
-        return told
+                events.append(("ping", packet.payload))
+        return events
 
     def state(self) -> tuple[object, ...]:
-        powers = [packet for packet in self.heard if packet.type == PacketType.POWER]
+        powers = [packet for packet in self.received if packet.type == PacketType.POWER]
         return (
             self.board.contactor_commanded,
             self.board.fault,
@@ -82,7 +82,7 @@ class Side:
 
     def frame(self) -> tuple[int, npt.NDArray[np.float32]]:
         """Flags and forces of the last frame."""
-        packet = [packet for packet in self.heard if packet.type == PacketType.TACTILE][-1]
+        packet = [packet for packet in self.received if packet.type == PacketType.TACTILE][-1]
         return packet.flags & FLAG_TARED, np.stack(decode_samples(packet.payload, packet.format))
 
 
@@ -102,17 +102,17 @@ class Day:
         self.beating = True
         self.next_beat = self.now
         for side in self.sides:
-            side.hear(side.board.poll(self.now))
+            side.take(side.board.poll(self.now))
         self.now += 1e-6
 
     def send(self, *commands: tuple[int, bytes], flags: int = 0, format: int = 0) -> None:
-        """Send packets in one piece of bytes."""
+        """Send several packets at once."""
         wire = b""
         for type, payload in commands:
             wire += encode_packet(Packet(type, payload, self.sequence, flags=flags, format=format))
             self.sequence += 1
         for side in self.sides:
-            side.hear(side.board.receive(wire, self.now))
+            side.take(side.board.receive(wire, self.now))
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / STEP)):
@@ -121,16 +121,16 @@ class Day:
                 self.send((PacketType.HEARTBEAT, b""))
                 self.next_beat = self.now + 0.02
             for side in self.sides:
-                side.hear(side.board.poll(self.now))
+                side.take(side.board.poll(self.now))
 
     def change_plant(self) -> None:
-        """Another charge circuit or another touch; the two plants differ while a contactor closes or opens."""
+        """Change charge circuit or touch; the two plants differ while a contactor closes or opens."""
         resistance, target = self.random.choice((0.5, 2.0, 2.0, 20.0)), self.random.choice((24.0, 24.0, -24.0))
         force = self.random.choice((0.0, 0.0, 8.0))
         detected = self.random.choice((0, 0, 0, 2, 5, 9))
         closed = self.sides[0].board.contactor_commanded
         if not closed:
-            self.send((PacketType.CONTACTOR, b"\0"))  # what an older probe found is not true of the new circuit
+            self.send((PacketType.CONTACTOR, b"\0"))  # an older probe is not valid for the new circuit
         for side in self.sides:
             side.plant.press(force)
             side.plant.detected = detected
@@ -139,7 +139,7 @@ class Day:
         self.run(0.1)
 
     def change_taxel(self) -> None:
-        """A taxel dies, or lives again."""
+        """Make a taxel dead, or live again."""
         taxel, dead = self.random.choice(((0, 1, 2), (0, 5, 5), (1, 9, 0))), self.random.random() < 0.5
         for side in self.sides:
             side.board.set_dead(*taxel, dead)
@@ -160,14 +160,14 @@ class Day:
             if any(each[0] == PacketType.CONTACTOR for each in ((type, payload), *more)):
                 self.run(0.1)  # the plants' contactors differ by some milliseconds
         self.run(self.random.choice((0.01, 0.05, 0.2, 0.2, 0.5)))
-        # Each board looks at its detectors in a rhythm of its own, so nothing happens just before a POWER packet.
+        # Each board checks its detectors at its own times, so nothing must happen just before a POWER packet.
         phase = round(1e3 * (self.now - self.began)) % 50
         if not 20 <= phase <= 30:
             self.run(1e-3 * ((20 - phase) % 50))
 
 
 @pytest.mark.parametrize("seed", range(DAYS))
-def test_a_day_is_the_same_on_both_boards(seed: int) -> None:
+def test_a_random_session_is_the_same_on_both_boards(seed: int) -> None:
     day = Day(seed)
     emulated, firmware = day.sides
     for _ in range(DEEDS):
@@ -175,7 +175,7 @@ def test_a_day_is_the_same_on_both_boards(seed: int) -> None:
         assert firmware.story() == emulated.story()
         assert firmware.state() == emulated.state()
         for side in day.sides:
-            side.heard.clear()
+            side.received.clear()
     day.send((PacketType.START, b""))
     day.run(0.3)
     (emulated_flags, emulated_forces), (flags, forces) = emulated.frame(), firmware.frame()

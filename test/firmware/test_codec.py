@@ -58,7 +58,7 @@ def codec(core: Path) -> Iterator[CodecProcess]:
 
 
 def with_reserved(packet: Packet, reserved: int) -> bytes:
-    """Bytes on the wire of a packet whose header ends with `reserved`, checksum and all."""
+    """Bytes on the wire of a packet whose header ends with `reserved`, with a valid checksum."""
     body = bytearray(cobs.decode(encode_packet(packet)[1:-1])[:-4])
     body[14:16] = struct.pack("<H", reserved)
     return b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
@@ -85,7 +85,7 @@ def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
 
 
 def random_packet(source: random.Random, type: int | None = None, size: int | None = None) -> Packet:
-    """A packet whose payload is all zeros, has none, or is in between: what COBS distinguishes."""
+    """A packet whose payload is all zeros, has none, or is mixed: the cases of COBS."""
     size = source.choice((0, 1, 4, 16, 64, 200, 300, 400, source.randrange(600))) if size is None else size
     fill = source.choice((b"\0", b"\1", b"\0\1\xff", bytes(range(256)), bytes(range(1, 256))))
     return Packet(
@@ -102,7 +102,7 @@ def random_packet(source: random.Random, type: int | None = None, size: int | No
 @given(packets)
 @example(Packet(1, b"\1" * 234))  # with header and checksum a full run of 254 may end anywhere
 @example(Packet(1, b"\1" * 508))
-def test_packets_are_encoded_alike(codec: CodecProcess, packet: Packet) -> None:
+def test_packets_are_encoded_identically(codec: CodecProcess, packet: Packet) -> None:
     assert codec.encode(packet) == encode_packet(packet)
 
 
@@ -116,7 +116,7 @@ def test_every_type_at_every_size(codec: CodecProcess, type: int) -> None:
 
 
 @pytest.mark.parametrize("sample_format", FORMATS)
-def test_samples_are_written_alike(codec: CodecProcess, sample_format: SampleFormat) -> None:
+def test_samples_are_encoded_identically(codec: CodecProcess, sample_format: SampleFormat) -> None:
     random_numbers = np.random.default_rng(sample_format)
     for scale in (0.01, 1.0, 9.0, 12.0, 1e6):
         for _ in range(20):
@@ -143,7 +143,7 @@ def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess, sample
 
 
 @given(st.floats(width=32), st.floats(width=32), st.floats(width=32), st.booleans(), st.integers(0, 255))
-def test_power_is_written_alike(
+def test_power_is_encoded_identically(
     codec: CodecProcess, battery: float, target: float, current: float, closed: bool, fault: int
 ) -> None:
     body = struct.pack("<fffBB", battery, target, current, closed, fault)
@@ -151,7 +151,7 @@ def test_power_is_written_alike(
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(width=32), st.integers(0, 255), st.integers(0, 65535))
-def test_hello_and_ack_are_written_alike(
+def test_hello_and_ack_are_encoded_identically(
     codec: CodecProcess, boot_id: int, rate: float, type: int, sequence: int
 ) -> None:
     minor = sequence % 2
@@ -167,7 +167,7 @@ def test_hello_and_ack_are_written_alike(
 @example(b"\0")
 @example(b"\3\1\0")
 @example(b"\xff" + b"\7" * 254 + b"\1")
-def test_cobs_is_read_alike(codec: CodecProcess, stuffed: bytes) -> None:
+def test_cobs_is_decoded_identically(codec: CodecProcess, stuffed: bytes) -> None:
     try:
         expected = b"\1" + cobs.decode(stuffed)
     except cobs.CobsError:
@@ -199,7 +199,7 @@ def test_a_header_whose_reserved_bytes_are_not_0_is_dropped_and_counted(codec: C
 
 
 @pytest.mark.parametrize("length", [1022, 1023, 1024, 1025, 5000])
-def test_pieces_up_to_the_longest_are_read_and_longer_ones_counted(codec: CodecProcess, length: int) -> None:
+def test_pieces_up_to_the_longest_are_decoded_and_longer_ones_counted(codec: CodecProcess, length: int) -> None:
     piece = cobs.encode(encode_body(length))[:length]
     follower = encode_packet(Packet(PacketType.START))
     assert_same(codec, [b"\0" + piece + b"\0", follower])
@@ -236,8 +236,8 @@ def mutate(source: random.Random, wire: bytearray) -> bytearray:
     return wire
 
 
-def test_a_hundred_thousand_mutated_packets_are_judged_alike(codec: CodecProcess) -> None:
-    """Nothing that was not sent is accepted, and both decoders accept and count the same."""
+def test_a_hundred_thousand_mutated_packets_are_decoded_identically(codec: CodecProcess) -> None:
+    """Only sent packets are accepted, and both decoders accept and count the same."""
     source = random.Random(4)
     originals = [random_packet(source) for _ in range(1500)]
     wires = [encode_packet(packet) for packet in originals]

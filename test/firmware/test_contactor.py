@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeat, probe and contactor on the firmware, in simulated time: what docs/board-link.md demands."""
+"""Heartbeat, probe and contactor on the firmware against docs/board-link.md, in simulated time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_nothing_is_driven_after_a_boot(bench: Bench) -> None:
     assert (state["commanded"], state["fault"]) == (0, 0)
 
 
-def test_the_heartbeat_is_judged_to_the_microsecond(bench: Bench) -> None:
+def test_the_heartbeats_deadline_is_exact_to_the_microsecond(bench: Bench) -> None:
     bench.charge()
     bench.beating = False
     bench.send((PacketType.HEARTBEAT, b""))
@@ -46,7 +46,7 @@ def test_a_board_that_sleeps_wakes_for_the_heartbeats_deadline(bench: Bench) -> 
     assert bench.host.idle <= 100
 
 
-def test_a_heartbeat_that_came_while_a_sampling_ran_is_too_late(bench: Bench) -> None:
+def test_a_heartbeat_after_its_deadline_during_a_sampling_is_too_late(bench: Bench) -> None:
     bench.charge()
     bench.beating = False
     bench.send((PacketType.HEARTBEAT, b""))
@@ -59,7 +59,7 @@ def test_a_heartbeat_that_came_while_a_sampling_ran_is_too_late(bench: Bench) ->
     assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
-def test_commands_that_take_time_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
+def test_slow_commands_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
     bench.charge()
     bench.beating = False
     bench.send((PacketType.HEARTBEAT, b""))
@@ -70,7 +70,7 @@ def test_commands_that_take_time_do_not_hide_a_lost_heartbeat(bench: Bench) -> N
 
 
 def test_a_slow_poll_opens_before_the_limit(new_bench: NewBench) -> None:
-    """What a board needs between two polls comes off every deadline, so that 100 ms hold at the pins."""
+    """The time between two polls shortens every deadline, so that 100 ms hold at the pins."""
     bench = new_bench(poll_period=8000)
     bench.charge()
     bench.beating = False
@@ -90,7 +90,7 @@ def test_a_heartbeat_is_never_answered_and_counts_only_when_empty(bench: Bench, 
     assert bench.close_contactor() == (AckError.INTERLOCK if payload else AckError.DONE)
 
 
-def test_a_heartbeat_lost_during_precharge_opens_too(bench: Bench) -> None:
+def test_a_heartbeat_lost_during_precharge_also_opens(bench: Bench) -> None:
     bench.probe()
     bench.set("force output 0")
     bench.send((PacketType.HEARTBEAT, b""))
@@ -134,7 +134,7 @@ def test_what_a_probe_allows(bench: Bench, resistance: float, target: float, err
 
 
 @pytest.mark.parametrize("bad", ["resistance 0.5", "resistance inf", "target -24"])
-def test_a_bad_answer_takes_back_the_permission_of_a_good_one(bench: Bench, bad: str) -> None:
+def test_a_bad_probe_revokes_the_permission_of_a_good_one(bench: Bench, bad: str) -> None:
     bench.probe()
     bench.set(bad)
     bench.probe()
@@ -181,7 +181,7 @@ def test_no_probe_begins_before_the_coil_is_off(bench: Bench) -> None:
 
 
 def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:
-    """Whatever is asked of the board, silence opens it."""
+    """Whatever the commands before, silence opens the contactor."""
     bench.set(*STRONG)
     bench.charge()
     bench.beating = False

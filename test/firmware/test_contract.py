@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contract of any healthy board, run over a port on the firmware as code of the board's own processor."""
+"""The contract of any healthy board, run over a port on the firmware compiled for the board's processor."""
 
 from __future__ import annotations
 

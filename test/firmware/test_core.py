@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the core may use, and what a million bytes of nonsense do to it."""
+"""Dependencies of the core, and its behaviour under a million random bytes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_core_calls_nothing_but_memory_functions(compiler: str, tmp_path: Pa
     assert not re.findall(r" [bBdDC] (\w+)", listing)
 
 
-def test_the_numbers_of_the_firmware_are_those_of_the_host() -> None:
+def test_firmware_and_host_have_the_same_constants() -> None:
     text = "".join(path.read_text() for path in CORE.glob("*.h"))
     written = {name: float(value) for name, value in re.findall(r"#define DC_(\w+) ([\d.]+)[uf]?\b", text)}
     host = vars(protocol) | vars(machine)
@@ -51,7 +51,7 @@ def test_the_numbers_of_the_firmware_are_those_of_the_host() -> None:
         assert micros[name] == pytest.approx(host[name])
 
 
-def test_every_header_stands_alone_in_c_and_in_cpp(compiler: str, tmp_path: Path) -> None:
+def test_every_header_compiles_alone_in_c_and_in_cpp(compiler: str, tmp_path: Path) -> None:
     modes = [(compiler, "c", "-std=c99")]
     if shutil.which("c++"):
         modes.append(("c++", "c++", "-std=c++11"))

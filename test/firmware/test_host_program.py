@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host program as anybody would run it: BoardLink over its own pseudo-terminal, in real time."""
+"""The host program in normal use: BoardLink over its own pseudo-terminal, in real time."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def program(programs: Path, tmp_path: Path) -> Iterator[Program]:
     assert not (tmp_path / "board").is_symlink()
 
 
-def test_a_reboot_is_noticed(program: Program) -> None:
+def test_a_reboot_is_detected(program: Program) -> None:
     with program.link as link:
         link.start()
         wait_until(lambda: program.frames)
@@ -71,7 +71,7 @@ def test_a_reboot_is_noticed(program: Program) -> None:
 
 
 def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: Path) -> None:
-    """A port that has hung up is always ready to be read; that must not keep a processor busy."""
+    """A hung-up port is always readable, which must not keep a processor busy."""
     master, slave = pty.openpty()
     program = Program(programs / "board_host", tmp_path / "board", "--servos", os.ttyname(slave))
     with program.link as link:
@@ -88,16 +88,16 @@ def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: 
     program.end()
 
 
-def test_a_command_it_does_not_know_is_named(program: Program) -> None:
-    assert program.command("presss 8") == "error: not understood: presss 8"
-    assert program.command("press x") == "error: not understood: press x"
-    assert program.command("advance 5") == "error: not understood: advance 5"  # time passes by itself
+def test_an_unknown_command_is_quoted(program: Program) -> None:
+    assert program.command("presss 8") == "error: unknown command: presss 8"
+    assert program.command("press x") == "error: unknown command: press x"
+    assert program.command("advance 5") == "error: unknown command: advance 5"  # time is real
 
 
 @pytest.mark.parametrize(
     "arguments", [[], ["--pti"], ["--step", "0", "x"], ["--seed", "--pty"], ["--servos", "x", "--step"]]
 )
-def test_wrong_usage_says_how(programs: Path, arguments: list[str]) -> None:
+def test_wrong_usage_prints_the_usage(programs: Path, arguments: list[str]) -> None:
     ended = subprocess.run([programs / "board_host", *arguments], capture_output=True, text=True, check=False)
     assert ended.returncode == 2
     assert "usage:" in ended.stderr

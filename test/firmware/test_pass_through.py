@@ -9,9 +9,9 @@ from ..borrowed import borrowed_tests
 from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
-    # A boot of the firmware takes no time here, so that few of them meet a packet; in steps: test_servo_bus.py.
-    "test_a_board_that_is_reset_amid_a_packet_costs_some_cycles",
-    "test_the_contactor_keeps_its_limits_while_servos_are_asked_without_pause",  # by hooks of the emulator
+    # A boot of the firmware takes no time here, so few boots interrupt a packet; in steps: test_servo_bus.py.
+    "test_a_board_reset_during_a_packet_loses_some_cycles",
+    "test_the_contactor_keeps_its_limits_under_continuous_servo_traffic",  # by hooks of the emulator
 }
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.usefixtures("firmware_boards")]

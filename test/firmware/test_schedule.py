@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampling, device time and a wire that is too slow, in simulated time."""
+"""Sampling, device time and a slow wire, in simulated time."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_every_rate_is_kept(new_bench: NewBench, rate: float) -> None:
     assert np.abs(times - np.arange(len(times)) * 1e6 / float(np.float32(rate))).max() < 1.5
 
 
-def test_a_new_rate_goes_on_one_new_period_later(bench: Bench) -> None:
+def test_a_new_rate_continues_one_new_period_later(bench: Bench) -> None:
     bench.send((PacketType.START, b""))
     bench.run(100 * MS)
     set_rate(bench, 10.0)
@@ -57,7 +57,7 @@ def test_a_new_rate_goes_on_one_new_period_later(bench: Bench) -> None:
     assert instants(bench)[-2:].tolist() == [changed + 100 * MS, changed + 200 * MS]
 
 
-def test_starting_twice_changes_nothing_and_sequences_go_on_over_a_stop(bench: Bench) -> None:
+def test_starting_twice_changes_nothing_and_sequences_continue_over_a_stop(bench: Bench) -> None:
     bench.send((PacketType.START, b""))
     bench.run(50 * MS)
     bench.send((PacketType.START, b""))
@@ -71,14 +71,14 @@ def test_starting_twice_changes_nothing_and_sequences_go_on_over_a_stop(bench: B
     assert sequences == list(range(len(sequences)))
 
 
-def test_power_comes_at_20_hz_whatever_else_goes_on(bench: Bench) -> None:
+def test_power_is_sent_at_20_hz_under_any_load(bench: Bench) -> None:
     bench.send((PacketType.START, b""))
     bench.run(10 * S)
     times = [packet.device_time_us for packet in bench.packets if packet.type == PacketType.POWER]
     assert times == [50 * MS * (index + 1) for index in range(200)]
 
 
-def test_instants_that_nobody_polled_are_missing_numbers_and_an_overrun(bench: Bench) -> None:
+def test_missed_instants_are_missing_numbers_and_an_overrun(bench: Bench) -> None:
     """The emulator sends late samplings; a real board cannot sample the past."""
     bench.send((PacketType.START, b""))
     bench.run(100 * MS)
@@ -86,7 +86,7 @@ def test_instants_that_nobody_polled_are_missing_numbers_and_an_overrun(bench: B
     late = tactile(bench.jump(bench.now + 100 * MS))
     assert len(late) == 1
     assert late[0].flags & FLAG_OVERRUN
-    assert late[0].device_time_us == bench.now  # when it was sampled, not when it was due
+    assert late[0].device_time_us == bench.now  # the sampling time, not the due time
     assert late[0].sequence - last.sequence == 12
     assert bench.state("missed") == 11
     following = tactile(bench.run(50 * MS))
@@ -95,7 +95,7 @@ def test_instants_that_nobody_polled_are_missing_numbers_and_an_overrun(bench: B
     assert np.abs(grid - np.rint(grid)).max() < 1e-3  # the schedule itself did not move
 
 
-def test_an_instant_that_has_just_come_is_sampled_once_and_not_again(bench: Bench) -> None:
+def test_an_instant_that_has_just_come_is_sampled_only_once(bench: Bench) -> None:
     bench.send((PacketType.START, b""))
     bench.run(0)
     (frame,) = tactile(bench.jump(16666))  # the second of two instants, 16666.67 us, has just begun
@@ -116,7 +116,7 @@ def test_device_time_survives_the_counters_wrap(new_bench: NewBench) -> None:
     assert first.rate == 120.0
 
 
-def test_device_time_goes_on_beyond_32_bits(new_bench: NewBench) -> None:
+def test_device_time_continues_beyond_32_bits(new_bench: NewBench) -> None:
     bench = new_bench(noise=0)
     for minutes in (30, 60):
         bench.jump(minutes * 60 * S)
@@ -124,8 +124,8 @@ def test_device_time_goes_on_beyond_32_bits(new_bench: NewBench) -> None:
     assert bench.packets[-1].device_time_us == 2**32 + 5
 
 
-def test_a_counter_that_falls_back_costs_neither_time_nor_the_contactor(bench: Bench) -> None:
-    """The OpenCM core's micros() can fall back by a millisecond where its tick interrupts it."""
+def test_a_counter_that_steps_back_changes_neither_time_nor_contactor(bench: Bench) -> None:
+    """The OpenCM core's micros() can step back by a millisecond if its tick interrupts it."""
     bench.charge()
     before = bench.now
     bench.jump(before - 1 * MS)
@@ -136,7 +136,7 @@ def test_a_counter_that_falls_back_costs_neither_time_nor_the_contactor(bench: B
     assert times[-1] <= bench.now
 
 
-def test_a_wire_that_takes_nothing_drops_tactile_first_and_answers_last(bench: Bench) -> None:
+def test_a_blocked_wire_drops_tactile_first_and_answers_last(bench: Bench) -> None:
     bench.send((PacketType.START, b""))
     bench.run(100 * MS)
     last = tactile(bench.packets)[-1]
@@ -159,21 +159,21 @@ def test_a_wire_that_takes_nothing_drops_tactile_first_and_answers_last(bench: B
     assert [bool(p.flags & FLAG_OVERRUN) for p in frames] == (np.diff(sequences) > 1).tolist()
 
 
-def test_a_wire_that_takes_nothing_for_ever_never_stops_the_board(bench: Bench) -> None:
+def test_a_wire_blocked_for_ever_does_not_stop_the_board(bench: Bench) -> None:
     bench.charge()
     bench.set("baud 1")
     for _ in range(40):
         bench.send((PacketType.PING, bytes(64)))
         bench.run(20 * MS)
     assert bench.state("dropped_answers") > 10
-    assert bench.state("commanded") == 1  # heartbeats are still heard
+    assert bench.state("commanded") == 1  # heartbeats are still received
     bench.beating = False
     bench.run(101 * MS)
     assert bench.state("contactor") == 0
 
 
 @pytest.mark.parametrize(("sample_format", "rate", "baud"), [(3, 1000.0, 1_000_000), (2, 120.0, 115_200)])
-def test_a_stream_that_the_wire_cannot_carry_is_thinned_and_says_so(
+def test_a_stream_too_fast_for_the_wire_is_thinned_and_flagged(
     new_bench: NewBench, sample_format: int, rate: float, baud: int
 ) -> None:
     bench = new_bench(format=sample_format, baud=baud)
@@ -184,7 +184,7 @@ def test_a_stream_that_the_wire_cannot_carry_is_thinned_and_says_so(
     sequences = [packet.sequence for packet in frames]
     assert [bool(p.flags & FLAG_OVERRUN) for p in frames[1:]] == (np.diff(sequences) > 1).tolist()
     carried = sum({2: 324, 3: 424}[sample_format] for _ in frames) * 10 / baud
-    assert carried == pytest.approx(5.0, rel=0.07)  # the wire is used, POWER and a little silence apart
+    assert carried == pytest.approx(5.0, rel=0.07)  # the wire is full, except for POWER and short pauses
     assert sum(packet.type == PacketType.POWER for packet in packets) == pytest.approx(100, abs=3)
     latencies = []
     for _ in range(20):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servos' bus behind the firmware, in simulated time: what docs/board-link.md demands of SERVO and SERVO_SPEED."""
+"""The servos' bus behind the firmware: SERVO and SERVO_SPEED of docs/board-link.md, in simulated time."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ QUESTION = bytes.fromhex("fffffd0001030001194e")
 
 @pytest.fixture
 def bench(new_bench: NewBench) -> Bench:
-    """A board just booted, with servos and a wire that takes everything."""
+    """A freshly booted board with servos and an unlimited wire."""
     return new_bench(servos=1)
 
 
-def bus(bench: Bench, came: bytes = b"") -> bytes:
-    """Let bytes come from the servos and return what has gone to them."""
-    return bytes.fromhex(bench.host.command(f"bus {came.hex()}").removeprefix("bus").strip())
+def bus(bench: Bench, sent: bytes = b"") -> bytes:
+    """Receive bytes from the servos and return the bytes sent to them."""
+    return bytes.fromhex(bench.host.command(f"bus {sent.hex()}").removeprefix("bus").strip())
 
 
-def told(packets: list[Packet]) -> list[bytes]:
-    """What the host was told of the servos, packet by packet."""
+def from_servos(packets: list[Packet]) -> list[bytes]:
+    """Return the bytes from the servos that reached the host, packet by packet."""
     return [packet.payload for packet in packets if packet.type == PacketType.SERVO]
 
 
 def ask_servos(bench: Bench) -> None:
-    """Let the host ask once, so that the board passes on what comes."""
+    """Send once from the host, so that the board passes bytes on."""
     bench.send((PacketType.SERVO, QUESTION))
     assert bus(bench) == QUESTION
 
@@ -46,7 +46,7 @@ def set_speed(bench: Bench, speed: int) -> int:
     return bench.ask(PacketType.SERVO_SPEED, struct.pack("<I", speed)).error
 
 
-def test_hello_says_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
+def test_hello_reports_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
     for servos, minor in ((0, 0), (1, 1)):
         bench = new_bench(servos=servos)
         assert decode_hello(bench.packets[0].payload).minor == minor
@@ -54,7 +54,7 @@ def test_hello_says_whether_the_board_has_the_bus(new_bench: NewBench) -> None:
         assert decode_hello(answer.payload).minor == minor
 
 
-def test_a_board_without_the_bus_does_not_know_its_packets(new_bench: NewBench) -> None:
+def test_a_board_without_the_bus_refuses_the_packets_of_the_bus(new_bench: NewBench) -> None:
     bench = new_bench(servos=0)
     for type, payload in ((PacketType.SERVO, QUESTION), (PacketType.SERVO_SPEED, struct.pack("<I", 57600))):
         assert bench.ask(type, payload).error == AckError.UNKNOWN
@@ -63,11 +63,11 @@ def test_a_board_without_the_bus_does_not_know_its_packets(new_bench: NewBench) 
 
 def test_servo_is_not_answered(bench: Bench) -> None:
     assert bench.send((PacketType.SERVO, QUESTION)) == []
-    assert told(bench.run(50 * MS)) == []
+    assert from_servos(bench.run(50 * MS)) == []
 
 
 @pytest.mark.parametrize("takes", [1, 7, 4096])
-def test_what_the_host_sends_reaches_the_bus_byte_for_byte(bench: Bench, takes: int) -> None:
+def test_bytes_of_the_host_reach_the_bus_unchanged(bench: Bench, takes: int) -> None:
     source = random.Random(takes)
     bench.set(f"bus_takes {takes}")
     sent = arrived = b""
@@ -86,54 +86,54 @@ def test_what_the_host_sends_reaches_the_bus_byte_for_byte(bench: Bench, takes: 
 
 
 @pytest.mark.parametrize("baud", [0, 1_000_000])
-def test_what_comes_from_the_bus_reaches_the_host_byte_for_byte(new_bench: NewBench, baud: int) -> None:
+def test_bytes_of_the_bus_reach_the_host_unchanged(new_bench: NewBench, baud: int) -> None:
     bench = new_bench(servos=1, baud=baud)
     source = random.Random(baud)
     ask_servos(bench)
-    came = heard = b""
+    sent = received = b""
     for _ in range(300):
         piece = source.randbytes(source.choice((1, 2, 11, 127, 128, 129, 400)))
-        came += piece
+        sent += piece
         bus(bench, piece)
-        heard += b"".join(told(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
-    heard += b"".join(told(bench.run(50 * MS)))
-    assert heard == came
+        received += b"".join(from_servos(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
+    received += b"".join(from_servos(bench.run(50 * MS)))
+    assert received == sent
     assert bench.state("dropped_servo") == 0
 
 
 @pytest.mark.parametrize(("speed", "quiet"), [(4_500_000, 200), (1_000_000, 200), (57_600, 3472), (9_600, 20_833)])
 def test_bytes_are_gathered_until_the_bus_is_quiet(bench: Bench, speed: int, quiet: int) -> None:
-    """200 us, or 20 byte times where those are longer."""
+    """200 us, or 20 byte times if longer."""
     assert set_speed(bench, speed) == 0
     ask_servos(bench)
     for piece in (b"an ", b"ans", b"wer"):
         bus(bench, piece)
-        assert told(bench.run(quiet - 1)) == []
-    assert told(bench.run(1)) == [b"an answer"]
+        assert from_servos(bench.run(quiet - 1)) == []
+    assert from_servos(bench.run(1)) == [b"an answer"]
 
 
-def test_128_bytes_make_a_packet_at_once(bench: Bench) -> None:
+def test_128_bytes_form_a_packet_at_once(bench: Bench) -> None:
     ask_servos(bench)
-    came = bytes(range(256)) + b"tail"
-    bus(bench, came)
-    assert told(bench.run(0)) == [came[:128], came[128:256]]
-    assert told(bench.run(200)) == [b"tail"]
+    sent = bytes(range(256)) + b"tail"
+    bus(bench, sent)
+    assert from_servos(bench.run(0)) == [sent[:128], sent[128:256]]
+    assert from_servos(bench.run(200)) == [b"tail"]
 
 
-def test_nothing_comes_before_the_first_servo_of_a_boot(bench: Bench) -> None:
-    def nobody_asked() -> bool:
+def test_nothing_is_sent_before_the_first_servo_packet_of_a_boot(bench: Bench) -> None:
+    def nothing_is_sent() -> bool:
         bus(bench, bytes(300))
-        return told(bench.run(100 * MS)) == []
+        return from_servos(bench.run(100 * MS)) == []
 
-    assert nobody_asked()
+    assert nothing_is_sent()
     assert set_speed(bench, 57_600) == 0
-    bench.send((PacketType.SERVO, b""), (PacketType.SERVO, bytes(129)))  # neither is one
-    assert nobody_asked()
+    bench.send((PacketType.SERVO, b""), (PacketType.SERVO, bytes(129)))  # both are invalid
+    assert nothing_is_sent()
     ask_servos(bench)
     bus(bench, b"answer")
-    assert told(bench.run(10 * MS)) == [b"answer"]
+    assert from_servos(bench.run(10 * MS)) == [b"answer"]
     bench.host.sent(f"boot {bench.now}")
-    assert nobody_asked()
+    assert nothing_is_sent()
 
 
 @pytest.mark.parametrize("payload", [b"", bytes(129), bytes(150)])
@@ -145,7 +145,7 @@ def test_servo_of_a_wrong_size_is_ignored(bench: Bench, payload: bytes) -> None:
     assert bus(bench) == b""
 
 
-def test_packets_that_come_together_lose_nothing(bench: Bench) -> None:
+def test_packets_sent_together_lose_nothing(bench: Bench) -> None:
     payloads = [bytes(range(128)), b"x", bytes(100), bytes(range(128)), b"yz"]
     bench.send(*[(PacketType.SERVO, payload) for payload in payloads])
     assert bus(bench) == b"".join(payloads)
@@ -156,7 +156,7 @@ def test_packets_that_come_together_lose_nothing(bench: Bench) -> None:
     assert bench.state("dropped_servo") == 0
 
 
-def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> None:
+def test_packets_without_room_are_dropped_completely_and_counted(bench: Bench) -> None:
     bench.set("bus_takes 0")
     held = [bytes([each]) * 119 for each in (1, 2, 3)]
     bench.send(*[(PacketType.SERVO, payload) for payload in held])
@@ -170,7 +170,7 @@ def test_packets_that_find_no_room_are_lost_whole_and_counted(bench: Bench) -> N
     assert bus(bench) == QUESTION
 
 
-def test_a_boot_in_the_middle_of_a_packet_forgets_both_sides(bench: Bench) -> None:
+def test_a_boot_during_a_packet_clears_both_directions(bench: Bench) -> None:
     bench.set("bus_takes 3")
     bench.send((PacketType.SERVO, QUESTION))
     bus(bench, b"half an ans")
@@ -182,11 +182,11 @@ def test_a_boot_in_the_middle_of_a_packet_forgets_both_sides(bench: Bench) -> No
     bench.now += 100
     bench.host.sent(f"boot {bench.now}")
     bench.host.sent(f"wire {cut[12:].hex()}")
-    assert told(bench.run(10 * MS)) == []
+    assert from_servos(bench.run(10 * MS)) == []
     assert bus(bench) == b""
     ask_servos(bench)
     bus(bench, b"answer")
-    assert told(bench.run(10 * MS)) == [b"answer"]
+    assert from_servos(bench.run(10 * MS)) == [b"answer"]
 
 
 def test_speed_is_set_at_boot_and_by_command(bench: Bench) -> None:
@@ -198,14 +198,14 @@ def test_speed_is_set_at_boot_and_by_command(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("speed", [0, 1, 9_599, 4_500_001, 2**32 - 1])
-def test_a_speed_that_the_board_does_not_have_is_refused_and_changes_nothing(bench: Bench, speed: int) -> None:
+def test_an_unsupported_speed_is_refused_and_changes_nothing(bench: Bench, speed: int) -> None:
     ask_servos(bench)
     bus(bench, b"ans")
     bench.run(100)
     assert set_speed(bench, speed) == AckError.BAD_PAYLOAD
     assert bench.state("servo_speed") == 1_000_000
     bus(bench, b"wer")
-    assert told(bench.run(200)) == [b"answer"]
+    assert from_servos(bench.run(200)) == [b"answer"]
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0\0\1", struct.pack("<Q", 57_600)])
@@ -214,7 +214,7 @@ def test_a_speed_of_a_wrong_size_is_refused(bench: Bench, payload: bytes) -> Non
     assert bench.state("servo_speed") == 1_000_000
 
 
-def test_a_new_speed_forgets_what_was_under_way(bench: Bench) -> None:
+def test_a_new_speed_discards_waiting_bytes(bench: Bench) -> None:
     ask_servos(bench)
     bench.set("bus_takes 0")
     bench.send((PacketType.SERVO, b"old"))
@@ -222,16 +222,16 @@ def test_a_new_speed_forgets_what_was_under_way(bench: Bench) -> None:
     bench.run(0)
     assert set_speed(bench, 57_600) == 0
     bench.set("bus_takes 4096")
-    assert told(bench.run(100 * MS)) == []
+    assert from_servos(bench.run(100 * MS)) == []
     assert bus(bench) == b""
 
 
 def cycle(bench: Bench, answer: bytes) -> list[bytes]:
-    """10 ms of a host that asks the servos, which answer."""
+    """10 ms with a request of the host and the servos' answer."""
     bench.send((PacketType.SERVO, QUESTION))
     bench.run(1 * MS)
     bus(bench, answer)
-    return told(bench.run(9 * MS))
+    return from_servos(bench.run(9 * MS))
 
 
 def test_100_hz_of_servos_and_120_hz_of_frames_share_the_wire_without_loss(new_bench: NewBench) -> None:
@@ -264,8 +264,8 @@ def test_the_heartbeat_and_the_contactor_keep_their_deadlines_beside_a_busy_bus(
     assert (bench.state("contactor"), bench.state("fault")) == (0, BoardFault.HEARTBEAT_LOST)
 
 
-def test_on_a_full_wire_frames_give_way_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
-    """A bus that never falls silent fills every gap of the wire, and keeps neither POWER nor an answer back."""
+def test_on_a_full_wire_frames_yield_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
+    """A busy bus fills every gap of the wire, but blocks neither POWER nor an answer."""
     bench = new_bench(servos=1, baud=115_200)
     assert set_speed(bench, 115_200) == 0
     bench.send((PacketType.START, b""))
@@ -286,14 +286,14 @@ def test_on_a_full_wire_frames_give_way_to_servos_and_servos_to_power_and_answer
     assert len(acks(packets)) == asked
     times = [packet.device_time_us for packet in packets if packet.type == PacketType.POWER]
     assert np.diff(times).max() == 50 * MS
-    carried = sum(map(len, told(packets)))
+    carried = sum(map(len, from_servos(packets)))
     assert carried + 128 * state["dropped_servo"] == pytest.approx(20_000, abs=128)
     assert state["dropped_tactile"] > 200
     full = 2 * S * 115_200 / 10 / S  # bytes of the wire
     assert carried > 0.7 * full
 
 
-def test_a_wire_that_takes_nothing_loses_servo_packets_whole(bench: Bench) -> None:
+def test_a_blocked_wire_loses_only_complete_servo_packets(bench: Bench) -> None:
     ask_servos(bench)
     bench.set("baud 1")
     for _ in range(30):
@@ -302,4 +302,4 @@ def test_a_wire_that_takes_nothing_loses_servo_packets_whole(bench: Bench) -> No
     lost = int(bench.state("dropped_servo"))
     assert 20 < lost < 30
     bench.set("baud 0")
-    assert told(bench.run(10 * MS)) == [bytes(range(100))] * (30 - lost)
+    assert from_servos(bench.run(10 * MS)) == [bytes(range(100))] * (30 - lost)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sketch asks of the Arduino core, call by call: pins, probe, the servos' line, the link, the watchdog."""
+"""The sketch's calls of the Arduino core: pins, probe, the servos' line, the link, the watchdog."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ OUTPUT = 1
 
 
 class Sketch:
-    """The sketch on a core that writes down every call."""
+    """The sketch on a core that records every call."""
 
     def __init__(self, program: Path, wiring: str) -> None:
         self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.pins = {name: int(pin) for name, pin in re.findall(r"PIN_(\w+) = (\d+);", wiring)}
 
     def ask(self, line: str) -> tuple[int, list[str]]:
-        """Carry out a command and return its result and the calls that it caused."""
+        """Execute a command and return its result and the calls that it caused."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
         calls: list[str] = []
-        while not (told := self._process.stdout.readline()).startswith("done"):
-            assert told, f"the sketch died of '{line}'"
-            calls.append(told.strip())
-        result = int(told.split()[1])
+        while not (answer := self._process.stdout.readline()).startswith("done"):
+            assert answer, f"the sketch died of '{line}'"
+            calls.append(answer.strip())
+        result = int(answer.split()[1])
         assert result >= 0, f"'{line}' is no command"
         return result, calls
 
     def calls(self, line: str) -> list[str]:
-        """Carry out a command and return the calls that it caused."""
+        """Execute a command and return the calls that it caused."""
         return self.ask(line)[1]
 
     def close(self) -> None:
@@ -75,7 +75,7 @@ def sketch(form: Path) -> Iterator[Sketch]:
     sketch.close()
 
 
-def test_every_output_is_off_before_it_drives_and_stays_off(sketch: Sketch) -> None:
+def test_every_output_is_off_before_it_is_enabled_and_stays_off(sketch: Sketch) -> None:
     calls = sketch.calls("setup")
     for name in ("CONTACTOR", "PRECHARGE", "PROBE"):
         pin = sketch.pins[name]
@@ -86,7 +86,7 @@ def test_every_output_is_off_before_it_drives_and_stays_off(sketch: Sketch) -> N
     assert not [call for _ in range(50) for call in sketch.calls("loop") if call.endswith(f" {HIGH}") and "pin" in call]
 
 
-def test_what_goes_off_goes_first_and_the_contactor_comes_on_last(sketch: Sketch) -> None:
+def test_outputs_go_off_first_and_the_contactor_on_last(sketch: Sketch) -> None:
     contactor, precharge = sketch.pins["CONTACTOR"], sketch.pins["PRECHARGE"]
     assert sketch.calls("drive 1 1 0")[-2:] == [f"pin {precharge} {HIGH}", f"pin {contactor} {HIGH}"]
     calls = sketch.calls("drive 0 0 0")
@@ -94,8 +94,8 @@ def test_what_goes_off_goes_first_and_the_contactor_comes_on_last(sketch: Sketch
     assert f"pin {contactor} {HIGH}" not in calls
 
 
-def test_the_probe_waits_though_the_clock_falls_back(sketch: Sketch) -> None:
-    """micros() can fall back by a millisecond where a tick interrupts it."""
+def test_the_probe_waits_even_if_the_clock_steps_back(sketch: Sketch) -> None:
+    """micros() can step back by a millisecond if a tick interrupts it."""
     settle = 100_000
     sketch.calls("counts 100")
     sketch.calls("now 5000")
@@ -107,7 +107,7 @@ def test_the_probe_waits_though_the_clock_falls_back(sketch: Sketch) -> None:
     assert sketch.ask("probed") == (1, [f"pin {sketch.pins['PROBE']} {LOW}"])
 
 
-def test_the_servos_line_is_let_go_when_the_last_bit_is_out(sketch: Sketch) -> None:
+def test_the_servos_line_is_released_after_the_last_bit(sketch: Sketch) -> None:
     calls = sketch.calls("setup")
     assert calls.index("bus connector 1") < calls.index("bus begin 1000000")
     assert calls.index("listen") < calls.index("bus begin 1000000")
@@ -123,11 +123,11 @@ def test_sending_to_the_servos_takes_half_a_millisecond_at_most(sketch: Sketch, 
 
 
 @pytest.mark.parametrize("speed", [0, 9_599, 4_500_001, 2**32 - 1])
-def test_a_speed_that_the_uart_does_not_have_touches_nothing(sketch: Sketch, speed: int) -> None:
+def test_a_speed_that_the_uart_does_not_support_changes_nothing(sketch: Sketch, speed: int) -> None:
     assert sketch.ask(f"speed {speed}") == (0, [])
 
 
-def test_the_link_is_never_offered_more_than_fits(sketch: Sketch) -> None:
+def test_the_link_never_gets_more_than_fits(sketch: Sketch) -> None:
     sketch.calls("setup")
     for room in (0, 1, 5, 127):
         sketch.calls(f"room {room}")
@@ -136,7 +136,7 @@ def test_the_link_is_never_offered_more_than_fits(sketch: Sketch) -> None:
         assert bool(written) == (room > 0)
 
 
-def test_the_watchdog_is_fed_until_the_bootloader_wants_it_to_bite(sketch: Sketch) -> None:
+def test_the_watchdog_is_reloaded_until_the_bootloader_uses_it(sketch: Sketch) -> None:
     sketch.calls("setup")
     sketch.calls("loop")
     assert sketch.ask("fed")[0] == 1

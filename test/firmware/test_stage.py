@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sequence and detectors of the power stage, in simulated time; the emulator leaves them to its plant."""
+"""Sequence and detectors of the power stage, in simulated time; the emulator's plant has none of them."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def test_a_small_current_under_a_high_limit_is_opened_soon(bench: Bench) -> None
     assert bench.state("broken") < 1.0
 
 
-def test_an_opening_opens_after_50_ms_where_the_current_does_not_fall(bench: Bench) -> None:
+def test_an_opening_opens_after_50_ms_if_the_current_does_not_fall(bench: Bench) -> None:
     bench.charge()
     bench.set("force current 12")
     bench.open()
     bench.run(49 * MS)
     assert bench.state("contactor") == 1
-    bench.open()  # asking again does not start the ramp anew
+    bench.open()  # a repeated opening does not restart the ramp
     bench.run(1 * MS)
     assert bench.state("contactor") == 0
 
@@ -77,7 +77,7 @@ def test_a_fault_opens_at_once_under_full_current(bench: Bench) -> None:
     assert bench.state("broken") == 18.0
 
 
-def test_an_opening_during_precharge_is_at_once_and_no_fault(bench: Bench) -> None:
+def test_an_opening_during_precharge_is_immediate_and_no_fault(bench: Bench) -> None:
     bench.beating = True
     bench.run(0)
     bench.probe()
@@ -90,7 +90,7 @@ def test_an_opening_during_precharge_is_at_once_and_no_fault(bench: Bench) -> No
     assert bench.state("fault") == 0
 
 
-def test_a_contactor_that_opens_by_itself_is_no_fault_and_needs_a_new_probe(bench: Bench) -> None:
+def test_a_contactor_that_opens_on_its_own_is_no_fault_and_needs_a_new_probe(bench: Bench) -> None:
     bench.charge()
     bench.set("drop 1")
     bench.run(5 * MS)
@@ -114,7 +114,7 @@ DETECTED = [
 
 
 @pytest.mark.parametrize(("fault", "trouble", "longest"), DETECTED)
-def test_what_the_stage_detects_opens_at_once_and_is_latched(
+def test_a_detected_fault_opens_at_once_and_is_latched(
     bench: Bench, fault: BoardFault, trouble: str, longest: int
 ) -> None:
     bench.set("battery 29")  # 2.5 A
@@ -166,7 +166,7 @@ def test_a_close_that_cannot_be_completed_ends_with_its_fault(bench: Bench, faul
     assert (state["fault"], state["contactor"], state["precharge"]) == (fault, 0, 0)
 
 
-def test_welded_contacts_are_found_out_by_every_opening(bench: Bench) -> None:
+def test_welded_contacts_are_detected_by_every_opening(bench: Bench) -> None:
     bench.charge()
     bench.set("welded 1")
     bench.open()
@@ -183,12 +183,12 @@ def test_welded_contacts_are_found_out_by_every_opening(bench: Bench) -> None:
 def test_contacts_have_50_ms_to_open(bench: Bench, release: int, fault: int) -> None:
     bench.charge()
     bench.set(f"release_time {release}", "trip 9")
-    bench.open()  # clears the fault that was tripped
+    bench.open()  # clears the tripped fault
     bench.run(200 * MS)
     assert bench.state("fault") == fault
 
 
-def test_contacts_welded_before_a_boot_are_found_out_without_a_command(bench: Bench) -> None:
+def test_contacts_welded_before_a_boot_are_detected_without_a_command(bench: Bench) -> None:
     bench.charge()
     bench.set("welded 1")
     bench.host.sent(f"boot {bench.now}")
@@ -196,7 +196,7 @@ def test_contacts_welded_before_a_boot_are_found_out_without_a_command(bench: Be
     assert bench.state("fault") == BoardFault.CONTACTOR_WELDED
 
 
-def test_current_that_an_open_contactor_carries_is_a_weld_too(bench: Bench) -> None:
+def test_current_through_an_open_contactor_is_also_a_weld(bench: Bench) -> None:
     bench.run(100 * MS)
     bench.set("force current 0.6")
     bench.run(20 * MS)
@@ -204,7 +204,7 @@ def test_current_that_an_open_contactor_carries_is_a_weld_too(bench: Bench) -> N
 
 
 @pytest.mark.parametrize("fault", [2, 4, 5, 6, 7, 9])
-def test_the_stages_own_detectors_are_latched_also_while_open(bench: Bench, fault: int) -> None:
+def test_the_stages_own_detectors_are_latched_even_while_open(bench: Bench, fault: int) -> None:
     bench.set(f"detected {fault}")
     bench.run(60 * MS)
     bench.set("detected 0")

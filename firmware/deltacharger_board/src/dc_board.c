@@ -5,7 +5,7 @@
 
 #include "dc_bytes.h"
 
-#define READ_PER_POLL 64u    /* bytes, two or three packets; bounds what one poll can take */
+#define READ_PER_POLL 64u    /* bytes, two or three packets; limits the duration of one poll */
 #define FLUSH_PERIOD_US 250u /* 25 bytes of wire at 1 Mbaud */
 
 static uint64_t now_us(dc_board *board)
@@ -13,8 +13,8 @@ static uint64_t now_us(dc_board *board)
     return dc_clock_update(&board->clock, board->hardware->now_us(board->hardware->context));
 }
 
-/* Number a packet and queue it. What lives for a call is on the stack: the 20 kB of an OpenCM 9.04 have no room to
- * keep it. */
+/* Number a packet and queue it. Temporary data is on the stack: the 20 kB of an OpenCM 9.04 have no room for static
+ * buffers. */
 static bool queue(dc_board *board, dc_packet *packet, size_t leaves)
 {
     uint8_t wire[DC_WIRE_SIZE(DC_LONGEST_PAYLOAD)];
@@ -80,7 +80,7 @@ void dc_board_introduce(dc_board *board)
     (void)dc_board_send(board, DC_HELLO, payload, (uint16_t)size);
 }
 
-/* Answer the probe and the tare where they have ended. */
+/* Answer the probe and the tare if they have ended. */
 static void finish(dc_board *board)
 {
     float resistance, target;
@@ -109,8 +109,8 @@ static void finish(dc_board *board)
     }
 }
 
-/* Sample where an instant of the schedule has come. Those that were missed cannot be sampled any more: their numbers
- * are left out and the next frame says so. */
+/* Sample if an instant of the schedule has come. Missed instants cannot be sampled any more: their sequence numbers
+ * are skipped, and the next frame is flagged. */
 static void stream(dc_board *board)
 {
     const uint32_t come = dc_schedule_take(&board->samples, board->clock.now);
@@ -123,7 +123,7 @@ static void stream(dc_board *board)
     uint8_t payload[DC_LONGEST_PAYLOAD];
     dc_packet packet = {0};
     packet.type = DC_TACTILE;
-    packet.device_time_us = now_us(board); /* the sampling instant itself, not when it was due */
+    packet.device_time_us = now_us(board); /* the actual sampling instant, not the due time */
     board->hardware->read_taxels(board->hardware->context, forces);
     dc_pads_apply(&board->pads, forces);
     packet.payload = payload;
@@ -158,7 +158,7 @@ static void receive(dc_board *board)
             continue;
         dc_board_obey(board, &packet);
         dc_contactor_poll(&board->contactor, now_us(board)); /* a TARE may have sampled */
-        finish(board); /* an opening ends a probe: answer that before the next PROBE takes its place */
+        finish(board); /* an opening ends a probe: answer it before the next PROBE replaces it */
     }
 }
 
@@ -176,7 +176,7 @@ void dc_board_poll(dc_board *board)
     dc_contactor_poll(&board->contactor, now_us(board));
     finish(board);
     stream(board);
-    /* Sampling took time, and a heartbeat is judged before one that came too late is read. */
+    /* Sampling took time: check the heartbeat's deadline before reading one that arrived too late. */
     dc_contactor_poll(&board->contactor, now_us(board));
     report_power(board);
     receive(board);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The board of docs/board-link.md: hooks below, bytes of the link above, one entry that never waits.
+/* The board of docs/board-link.md, between hardware hooks and the bytes of the link; one entry that never waits.
  *
  *     static dc_board board;
  *     dc_board_boot(&board, &hardware, &config, boot_id);
@@ -27,15 +27,15 @@ extern "C" {
 #endif
 
 #define DC_DEFAULT_RATE 120.0f /* Hz, after every boot */
-#define DC_SLOWEST_RATE 0.1f   /* Hz that RATE accepts */
+#define DC_SLOWEST_RATE 0.1f   /* Hz, lower limit of RATE */
 #define DC_FASTEST_RATE 1000.0f
 #define DC_POWER_PERIOD_US 50000u
 
-/* For a debugger: version 1 of the link does not carry them. Every number only rises, and stays at its top. */
+/* For a debugger; the link does not send them. They only rise, and stop at their maximum. */
 typedef struct {
-    uint32_t unknown_types;   /* packets of types that the board does not know */
-    uint32_t missed_samples;  /* instants of the schedule that nobody polled in time */
-    uint32_t dropped_tactile; /* packets that found the wire full */
+    uint32_t unknown_types;   /* packets of unknown types */
+    uint32_t missed_samples;  /* instants of the schedule without a poll in time */
+    uint32_t dropped_tactile; /* packets for which the output had no room */
     uint32_t dropped_power;
     uint32_t dropped_answers;
     uint32_t dropped_servo;
@@ -55,32 +55,32 @@ typedef struct {
     uint32_t boot_id;
     float rate;          /* Hz */
     uint64_t next_power; /* us */
-    bool overrun;        /* samplings were lost since the last that was sent */
+    bool overrun;        /* samplings were lost since the last sent one */
     uint16_t sequences[DC_TYPES];
-    uint16_t probe_sequence; /* of the packets that wait for an answer */
+    uint16_t probe_sequence; /* of the packet waiting for an answer */
     uint16_t tare_sequence;
     uint8_t received[DC_LONGEST_RECEIVED];
 } dc_board;
 
-/* Switch everything off, forget everything, queue HELLO. `boot_id` differs from boot to boot. `hardware` is kept. */
+/* Switch everything off, reset all state, queue HELLO. `boot_id` differs at each boot. `hardware` must stay valid. */
 void dc_board_boot(dc_board *board, const dc_hardware *hardware, const dc_config *config, uint32_t boot_id);
 
-/* Do whatever is due, the contactor first. Never waits; call it at least every config.poll_period. */
+/* Do everything due, the contactor first. Never waits; call it at least every config.poll_period. */
 void dc_board_poll(dc_board *board);
 
-/* Return how many us after the last poll the next has something to do besides reading, for who wants to sleep. */
+/* Return the time from the last poll until the next is needed, us, apart from reading: the caller may sleep so long. */
 uint32_t dc_board_idle_us(const dc_board *board);
 
 /* Queue the board's HELLO. */
 void dc_board_introduce(dc_board *board);
 
-/* Queue a packet of a type with the next sequence number, queued now; false where the wire is full. */
+/* Queue a packet with the next sequence number of its type and the present time; false if the output is full. */
 bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16_t size);
 
-/* Carry out a packet from the host and answer it. */
+/* Execute a packet from the host and answer it. */
 void dc_board_obey(dc_board *board, const dc_packet *packet);
 
-/* Queue an ACK with `size` bytes of data behind it. */
+/* Queue an ACK with `size` bytes of data. */
 void dc_board_acknowledge(dc_board *board, uint8_t type, uint16_t sequence, uint8_t error, const uint8_t *data,
                           uint16_t size);
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Little-endian bytes, whatever the processor's own order and alignment. A float travels as its IEEE 754 bits. */
+/* Little-endian bytes, independent of the processor's order and alignment. A float is sent as its IEEE 754 bits. */
 #ifndef DC_BYTES_H
 #define DC_BYTES_H
 

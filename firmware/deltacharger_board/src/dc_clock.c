@@ -12,8 +12,8 @@ void dc_clock_start(dc_clock *clock, uint32_t counter)
 uint64_t dc_clock_update(dc_clock *clock, uint32_t counter)
 {
     const uint32_t elapsed = counter - clock->last;
-    /* The OpenCM core's micros() can fall back by a millisecond where its tick interrupts the reading. Taken for a
-     * wrap, that would be 71 minutes: a lost heartbeat and a false device time. */
+    /* The OpenCM core's micros() can step back by a millisecond if its tick interrupts the reading. Treated as a
+     * wrap, that would add 71 minutes: a lost heartbeat and a wrong device time. */
     if (elapsed <= UINT32_MAX / 2u) {
         clock->now += elapsed;
         clock->last = counter;

@@ -10,7 +10,7 @@ extern "C" {
 #endif
 
 typedef struct {
-    uint32_t last; /* the counter when it was last seen to advance */
+    uint32_t last; /* the counter at its last advance */
     uint64_t now;  /* us since the start */
 } dc_clock;
 

@@ -51,7 +51,7 @@ size_t dc_cobs_decode(uint8_t *bytes, size_t size)
         length += (size_t)code - 1u;
         position += code;
         if (code != FULL && position < size)
-            bytes[length++] = 0; /* the zero's place held this run's code, so it never overtakes the reading */
+            bytes[length++] = 0; /* the zero replaces the run's code, so writing never overtakes reading */
     }
     return size == 0 ? DC_COBS_BAD : length;
 }

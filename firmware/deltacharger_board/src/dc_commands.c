@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the board does with each packet of the host. */
+/* Commands: the action for each packet from the host. */
 #include "dc_board.h"
 #include "dc_bytes.h"
 
-/* An answer that a command gives later, by itself. */
+/* Result of a command that sends its answer itself, later. */
 #define LATER 0xFFu
 
 static uint8_t start_tare(dc_board *board, const dc_packet *packet)
@@ -28,7 +28,7 @@ static uint8_t set_rate(dc_board *board, const dc_packet *packet)
     if (packet->size != DC_RATE_SIZE)
         return DC_BAD_PAYLOAD;
     const float rate = dc_get_f32(packet->payload);
-    if (!(rate >= DC_SLOWEST_RATE && rate <= DC_FASTEST_RATE)) /* also NaN */
+    if (!(rate >= DC_SLOWEST_RATE && rate <= DC_FASTEST_RATE)) /* also refuses NaN */
         return DC_BAD_PAYLOAD;
     board->rate = rate;
     dc_schedule_set_rate(&board->samples, rate, board->clock.now);
@@ -58,7 +58,7 @@ static uint8_t switch_contactor(dc_board *board, const dc_packet *packet)
     return DC_DONE;
 }
 
-/* Commands that take no value. */
+/* Commands without a value. */
 static uint8_t plain_command(dc_board *board, const dc_packet *packet)
 {
     if (packet->size != 0)

@@ -25,7 +25,7 @@ static void abort_probe(dc_contactor *contactor)
     }
 }
 
-/* What every opening does, whoever or whatever caused it. */
+/* Common part of every opening, whatever its cause. */
 static void void_probe(dc_contactor *contactor)
 {
     contactor->closed = false;
@@ -56,7 +56,7 @@ uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now)
         return DC_NOT_NOW;
     if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT || now >= contactor->probe_deadline)
         return DC_INTERLOCK;
-    abort_probe(contactor); /* its circuit must be off the electrodes before they carry the battery */
+    abort_probe(contactor); /* the probe's circuit must leave the electrodes before the battery is connected */
     contactor->closed = true;
     contactor->next_check = now + DC_CHECK_PERIOD_US;
     dc_stage_close(&contactor->stage, now);
@@ -122,7 +122,7 @@ static void check(dc_contactor *contactor, uint64_t now)
     const uint8_t shown = dc_stage_step(&contactor->stage, now, &contactor->reading);
     uint8_t fault = contactor->reading.fault != DC_NO_FAULT ? contactor->reading.fault : shown;
     if (fault == DC_NO_CHARGE_CURRENT && !contactor->closed)
-        fault = DC_NO_FAULT; /* no current is what an opening is for */
+        fault = DC_NO_FAULT; /* after an opening no current is expected */
     if (fault != DC_NO_FAULT && contactor->fault == DC_NO_FAULT) {
         dc_contactor_trip(contactor, fault, now);
         read_power(contactor);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Who may close the contactor and what opens it: heartbeat, probe, latched faults. Energy never depends on a live
+/* Interlocks and automatic openings of the contactor: heartbeat, probe, latched faults. Energy never depends on a live
  * host. */
 #ifndef DC_CONTACTOR_H
 #define DC_CONTACTOR_H
@@ -14,52 +14,52 @@ extern "C" {
 #endif
 
 #define DC_HEARTBEAT_TIMEOUT_US 100000u
-#define DC_PROBE_LIFETIME_US 2000000u /* that an answer allows a close */
-#define DC_PROBE_DEADLINE_US 250000u  /* until a probe is answered at the latest */
+#define DC_PROBE_LIFETIME_US 2000000u /* during which an answer allows a close */
+#define DC_PROBE_DEADLINE_US 250000u  /* longest time until a probe is answered */
 #define DC_SHORT_RESISTANCE 1.0f      /* ohm, below it the electrodes are shorted */
-#define DC_CHECK_PERIOD_US 1000u      /* between looks at the power stage while it does something */
+#define DC_CHECK_PERIOD_US 1000u      /* between readings of the active power stage */
 #define DC_IDLE_CHECK_PERIOD_US 10000u
 
-/* How a probe ended. */
+/* Outcome of a probe. */
 typedef enum { DC_PROBE_NONE, DC_PROBE_DONE, DC_PROBE_ABORTED } dc_probe_event;
 
 typedef struct {
     dc_stage stage;
-    bool closed;   /* a close was accepted and nothing has opened since; the stage may still pre-charge */
-    uint8_t fault; /* latched until the next opening command, 0 none */
+    bool closed;   /* a close was accepted and no opening followed; the stage may still pre-charge */
+    uint8_t fault; /* latched until the next opening command, 0 = none */
     bool probing;
     bool probe_aborted;          /* not answered yet */
-    uint64_t probe_due;          /* us, until when the probe that runs must be answered */
-    uint64_t probe_deadline;     /* us, until when the last answer allows a close */
+    uint64_t probe_due;          /* us, latest answer to the running probe */
+    uint64_t probe_deadline;     /* us, the last answer allows a close until then */
     uint64_t heartbeat_deadline; /* us */
     uint64_t next_check;         /* us */
     dc_power_reading reading;    /* the last one */
 } dc_contactor;
 
-/* Boot: open, nothing known. */
+/* Boot: open, all state reset. */
 void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, const dc_config *config, uint64_t now);
 
 void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now);
 
-/* Close where every interlock allows it; return DC_DONE, DC_INTERLOCK or DC_NOT_NOW. */
+/* Close if every interlock allows it; return DC_DONE, DC_INTERLOCK or DC_NOT_NOW. */
 uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now);
 
-/* Open as commanded, ramping down, and forget the latched fault. */
+/* Open as commanded, ramping down, and clear the latched fault. */
 void dc_contactor_open(dc_contactor *contactor, uint64_t now);
 
 /* Open at once and latch a fault; the first stays until the next opening command. */
 void dc_contactor_trip(dc_contactor *contactor, uint8_t fault, uint64_t now);
 
-/* Begin to measure; return DC_DONE (dc_contactor_poll_probe will have the answer) or DC_NOT_NOW. */
+/* Start a probe; return DC_DONE (dc_contactor_poll_probe will return the result) or DC_NOT_NOW. */
 uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now);
 
-/* Say whether the probe has ended; ohm and V are set with DC_PROBE_DONE. */
+/* Return whether the probe has ended; ohm and V are set with DC_PROBE_DONE. */
 dc_probe_event dc_contactor_poll_probe(dc_contactor *contactor, uint64_t now, float *resistance, float *target);
 
-/* Watch the heartbeat and, where it is time, the power stage: `reading` and `fault` are then what POWER says. */
+/* Check the heartbeat and, if due, the power stage; then `reading` and `fault` are the content of POWER. */
 void dc_contactor_poll(dc_contactor *contactor, uint64_t now);
 
-/* When dc_contactor_poll or dc_contactor_poll_probe has something to do, us. */
+/* Return when dc_contactor_poll or dc_contactor_poll_probe is due, us. */
 uint64_t dc_contactor_next_event(const dc_contactor *contactor, uint64_t now);
 
 #ifdef __cplusplus

@@ -10,7 +10,7 @@
 extern "C" {
 #endif
 
-/* Return the CRC of what gave `crc` followed by `size` bytes; `crc` is 0 for the first. */
+/* Continue `crc` with `size` bytes and return the new CRC; start with 0. */
 uint32_t dc_crc32(uint32_t crc, const uint8_t *bytes, size_t size);
 
 #ifdef __cplusplus

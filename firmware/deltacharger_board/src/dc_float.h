@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Questions about floats, answered by their bits: cheap without a floating-point unit, true under -ffast-math. */
+/* Tests of floats by their bits: cheap without a floating-point unit, correct under -ffast-math. */
 #ifndef DC_FLOAT_H
 #define DC_FLOAT_H
 
@@ -33,13 +33,13 @@ static inline bool dc_is_finite(float value)
     return (dc_bits_of_float(value) & 0x7FFFFFFFu) < 0x7F800000u;
 }
 
-/* Also true of -0; do not ask of a NaN. */
+/* True for -0 too; undefined for NaN. */
 static inline bool dc_is_negative(float value)
 {
     return dc_bits_of_float(value) >> 31 != 0;
 }
 
-/* The sign bit is cleared, so a NaN stays a NaN. */
+/* Clears the sign bit; a NaN stays a NaN. */
 static inline float dc_absolute(float value)
 {
     return dc_float_of_bits(dc_bits_of_float(value) & 0x7FFFFFFFu);

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Packets on their way to the host: a ring of bytes that takes whole packets and never waits.
+/* Packets for the host: a ring buffer that takes complete packets and never waits.
  *
- * Where the wire is slow, the less a packet matters the more room it must leave: TACTILE is refused first, SERVO next,
- * then POWER, and the answers to commands have the last bytes for themselves. */
+ * If the wire is slow, less important packets must leave more room: TACTILE is refused first, SERVO next, then POWER.
+ * The last bytes are reserved for answers to commands. */
 #ifndef DC_OUTPUT_H
 #define DC_OUTPUT_H
 
@@ -16,8 +16,8 @@ extern "C" {
 
 #define DC_OUTPUT_SIZE 1536u    /* bytes: 15 ms of wire at 1 Mbaud */
 #define DC_TACTILE_LEAVES 768u  /* bytes that TACTILE must leave free; the rest holds two packets in u12, one in u16 */
-#define DC_SERVO_LEAVES 448u    /* bytes that SERVO must leave free: a bus that never falls silent keeps no POWER back */
-#define DC_POWER_LEAVES 384u    /* bytes that POWER must leave free, 14 ACKs; it may fill half a second */
+#define DC_SERVO_LEAVES 448u    /* bytes that SERVO must leave free: a bus that is always busy must not block POWER */
+#define DC_POWER_LEAVES 384u    /* bytes that POWER must leave free, 14 ACKs; they last half a second */
 
 typedef struct {
     uint16_t first; /* the oldest byte */
@@ -27,10 +27,10 @@ typedef struct {
 
 void dc_output_clear(dc_output *output);
 
-/* Queue a whole packet; false and unchanged where fewer than `leaves` bytes would stay free. */
+/* Queue a complete packet; false, without a change, if fewer than `leaves` bytes would stay free. */
 bool dc_output_put(dc_output *output, const uint8_t *packet, size_t size, size_t leaves);
 
-/* Give `write` what it takes now: it returns how many bytes it took and never waits. */
+/* Pass bytes to `write`, which returns the number accepted and never waits. */
 void dc_output_flush(dc_output *output, size_t (*write)(void *context, const uint8_t *bytes, size_t size),
                      void *context);
 

@@ -45,7 +45,7 @@ void dc_decoder_init(dc_decoder *decoder, uint8_t *buffer, uint16_t capacity)
     decoder->counters.refused_version = -1;
 }
 
-/* Read a piece between delimiters, in place. */
+/* Decode a piece between delimiters, in place. */
 static bool read_piece(dc_decoder *decoder, dc_packet *packet)
 {
     dc_decoder_counters *counters = &decoder->counters;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Packets of the board link: framing, header, checksum and the numbers both sides agree on (docs/board-link.md). */
+/* Packets of the board link: framing, header, checksum and constants of the protocol (docs/board-link.md). */
 #ifndef DC_PACKET_H
 #define DC_PACKET_H
 
@@ -15,16 +15,16 @@ extern "C" {
 
 #define DC_VERSION 1u
 #define DC_MINOR 0u
-#define DC_SERVO_MINOR 1u /* of a board that carries the bytes of the servos' bus */
+#define DC_SERVO_MINOR 1u /* of a board that passes the bytes of the servos' bus */
 #define DC_HEADER_SIZE 16u
 #define DC_CRC_SIZE 4u
 #define DC_LONGEST_PING 64u     /* bytes */
-#define DC_LONGEST_PAYLOAD 400u /* bytes that the board sends: TACTILE in u16 */
+#define DC_LONGEST_PAYLOAD 400u /* bytes, sent by the board: TACTILE in u16 */
 
-/* Bytes on the wire of a packet with `payload` bytes, at most; both delimiters included. */
+/* Largest size on the wire of a packet with `payload` bytes, both delimiters included. */
 #define DC_WIRE_SIZE(payload) (DC_COBS_SIZE(DC_HEADER_SIZE + (payload) + DC_CRC_SIZE) + 2u)
 
-/* Longest stuffed packet that the board takes from the host; version 1 has none longer than 149 bytes. */
+/* Longest stuffed packet that the board accepts from the host; the longest of version 1 has 149 bytes. */
 #define DC_LONGEST_RECEIVED 256u
 
 enum {
@@ -72,10 +72,10 @@ typedef struct {
     uint8_t format; /* sample format of a TACTILE payload, else 0 */
 } dc_packet;
 
-/* Write the bytes on the wire, delimiters included, and return how many: at most DC_WIRE_SIZE(packet->size). */
+/* Write the bytes for the wire, delimiters included; return their number, at most DC_WIRE_SIZE(packet->size). */
 size_t dc_packet_encode(const dc_packet *packet, uint8_t *wire);
 
-/* What a decoder met so far. Every number only rises, and stays at its top. */
+/* Counts of a decoder. They only rise, and stop at their maximum. */
 typedef struct {
     uint32_t packets;
     uint32_t cobs_errors;
@@ -83,25 +83,25 @@ typedef struct {
     uint32_t length_errors;
     uint32_t version_errors;
     uint32_t header_errors;  /* intact packets whose reserved bytes are not 0 */
-    int16_t refused_version; /* the last one refused, -1 none */
+    int16_t refused_version; /* the last one refused, -1 = none */
 } dc_decoder_counters;
 
-/* Cuts a byte stream into packets, however it is chopped and whatever lies between them. A piece that is no intact
- * packet is counted and dropped; the next delimiter starts afresh. */
+/* Cuts a byte stream into packets, however it is split and whatever lies between them. A piece that is not an intact
+ * packet is counted and dropped; decoding resumes at the next delimiter. */
 typedef struct {
     uint8_t *buffer;
     uint16_t capacity; /* longest stuffed packet, bytes */
     uint16_t size;
-    bool overlong; /* the piece was longer than the buffer; the rest up to its delimiter belongs to the damage */
+    bool overlong; /* the piece was longer than the buffer; skip the rest up to its delimiter */
     dc_decoder_counters counters;
 } dc_decoder;
 
 void dc_decoder_init(dc_decoder *decoder, uint8_t *buffer, uint16_t capacity);
 
-/* Take the stream's next byte. True where it completes an intact packet, which is valid until the next byte. */
+/* Take the next byte. True if it completes an intact packet, which is valid until the next byte. */
 bool dc_decoder_put(dc_decoder *decoder, uint8_t byte, dc_packet *packet);
 
-/* Count `more`; a counter that is full stays full. */
+/* Add `more`; a counter stops at its maximum. */
 void dc_count(uint32_t *counter, uint32_t more);
 
 #ifdef __cplusplus

@@ -23,7 +23,7 @@ void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS])
         forces[i] = dc_is_nan(pads->baseline[i]) ? DC_NAN : forces[i] - pads->baseline[i];
 }
 
-/* Floats as integers of the same order, and back: a Cortex-M3 compares those ten times faster. */
+/* Converts floats to integers of the same order, and back: a Cortex-M3 compares integers ten times faster. */
 static uint32_t key_of(float value)
 {
     const uint32_t bits = dc_bits_of_float(value);
@@ -35,7 +35,7 @@ static float value_of(uint32_t key)
     return dc_float_of_bits(key >> 31 ? key & 0x7FFFFFFFu : ~key);
 }
 
-/* Shell's sort: this runs between two looks at the contactor, so its worst case counts. */
+/* Shell sort: it runs between two checks of the contactor, so its worst case matters. */
 static void sort(uint32_t *keys, size_t count)
 {
     static const uint8_t GAPS[] = {57, 23, 10, 4, 1};
@@ -76,8 +76,8 @@ static bool any_unknown(const float baseline[DC_PAD])
 bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS])
 {
     for (size_t pad = 0; pad < DC_TAXELS; pad += DC_PAD) {
-        /* A resting value that no tare has found may come near a newton by itself; the pad's median stands in for it,
-         * since contact covers a quarter of a pad. */
+        /* Without a tare, the resting value of a taxel may come near 1 N. The pad's median replaces the baseline,
+         * because contact covers only a quarter of a pad. */
         const float resting = any_unknown(pads->baseline + pad) ? median(raw + pad) : 0.0f;
         for (size_t i = pad; i < pad + DC_PAD; i++) {
             const float baseline = dc_is_nan(pads->baseline[i]) ? resting : pads->baseline[i];

@@ -17,30 +17,30 @@ extern "C" {
 #define DC_TARE_PERIOD_US 4000u /* 28 ms in all */
 
 typedef struct {
-    bool tared;               /* a tare is being subtracted */
-    uint8_t taken;            /* samples of the tare that runs */
-    uint64_t tare_due;        /* us, DC_NEVER while none runs */
-    float baseline[DC_TAXELS]; /* N; NaN = unknown: no tare yet, or dead in every sample of the last */
-    float sum[DC_TAXELS];      /* N, of the tare that runs */
+    bool tared;               /* a tare is subtracted */
+    uint8_t taken;            /* samples of the running tare */
+    uint64_t tare_due;        /* us, DC_NEVER if none is running */
+    float baseline[DC_TAXELS]; /* N; NaN = unknown: no tare yet, or dead in every sample of it */
+    float sum[DC_TAXELS];      /* N, of the running tare */
     uint8_t live[DC_TAXELS];   /* samples in `sum` */
 } dc_pads;
 
-/* What became of a tare. */
+/* Result of a tare. */
 typedef enum { DC_TARE_NONE, DC_TARE_DONE, DC_TARE_REFUSED } dc_tare_result;
 
 void dc_pads_reset(dc_pads *pads);
 
-/* Subtract the tare from raw forces: NaN where dead or where the tare knows no baseline; dc_put_samples clips what
- * falls below 0. */
+/* Subtract the tare from raw forces: NaN if dead or without a baseline in the tare; dc_put_samples clips values
+ * below 0. */
 void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS]);
 
-/* Begin a tare; false where one runs or something touches a pad. */
+/* Start a tare; false if one is running or something touches a pad. */
 bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now);
 
-/* Take the tare's sample that is due, and say whether it has ended. */
+/* Take the tare's due sample, and return whether it has ended. */
 dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now);
 
-/* Whether any live taxel carries DC_CONTACT_FORCE or more after the present tare. */
+/* Return whether any live taxel carries DC_CONTACT_FORCE or more after the present tare. */
 bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS]);
 
 #ifdef __cplusplus

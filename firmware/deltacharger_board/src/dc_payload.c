@@ -5,10 +5,10 @@
 #include "dc_float.h"
 #include "dc_packet.h"
 
-#define FULL_SCALE_BITS 0x41200000u /* of 10.0f; floats that are not negative are ordered as their bits */
+#define FULL_SCALE_BITS 0x41200000u /* of 10.0f; non-negative floats are ordered like their bits */
 
-/* Half goes to the even code, as everywhere in IEEE 754. In integers: a Cortex-M3 has no floating-point unit, and this
- * is done 200 times per frame. `scaled` is not negative and below 65535. */
+/* Rounds half to even, as IEEE 754. Uses integers: a Cortex-M3 has no floating-point unit, and this runs 200 times per
+ * frame. `scaled` is not negative and below 65535. */
 static uint16_t nearest(float scaled)
 {
     const uint32_t bits = dc_bits_of_float(scaled);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What packets of the board link carry, as bytes (docs/board-link.md). Pure functions. */
+/* Payloads of the board link's packets as bytes (docs/board-link.md). Pure functions. */
 #ifndef DC_PAYLOAD_H
 #define DC_PAYLOAD_H
 
@@ -25,8 +25,8 @@ enum { DC_NO_FORMAT = 0, DC_U8, DC_U12, DC_U16 };
 #define DC_PROBE_DATA_SIZE 8u
 #define DC_RATE_SIZE 4u
 
-/* Write forces (N, row-major from the top row; NaN = dead, clipped to 0..10) in a format and return the bytes written:
- * 200, 300 or 400; 0 for a format that is none. */
+/* Write forces (N, row-major from the top row; NaN = dead, clipped to 0..10) in a format; return the bytes written:
+ * 200, 300 or 400; 0 for an unknown format. */
 size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format);
 
 /* V, V, A (NaN = not measured), the contactor's own feedback, the latched fault. */

@@ -49,7 +49,7 @@ uint32_t dc_schedule_take(dc_schedule *schedule, uint64_t now)
 {
     if (now < schedule->due_us)
         return 0;
-    /* All instants whose whole microsecond has begun. The clock refuses steps of 2^31 us, so this fits into 64 bits. */
+    /* All instants whose microsecond has begun. The clock refuses steps of 2^31 us, so this fits into 64 bits. */
     const uint64_t behind = ((now - schedule->due_us) << 32) + (UINT32_MAX - schedule->due_fraction);
     const uint32_t come = (uint32_t)(behind / schedule->period) + 1u;
     advance(schedule, come * schedule->period);

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#define QUIET_BITS 200u     /* 20 bytes: longer than servos pause between their answers to one question */
+#define QUIET_BITS 200u     /* 20 bytes: longer than the pause between replies to one request */
 #define SHORTEST_QUIET 200u /* us */
 
 bool dc_servos_are_there(const dc_hardware *hardware)
@@ -38,7 +38,7 @@ bool dc_servos_put(dc_servos *servos, const uint8_t *bytes, size_t size)
     return true;
 }
 
-/* Bytes are dropped until the host has asked: one that does not know of the bus gets none. */
+/* Bytes are dropped until the host has sent some: a host that does not know the bus gets none. */
 static void gather(dc_servos *servos, const dc_hardware *hardware, uint64_t now)
 {
     const size_t room = DC_LONGEST_SERVO - (size_t)servos->in_size;
@@ -62,7 +62,7 @@ size_t dc_servos_poll(dc_servos *servos, const dc_hardware *hardware, uint64_t n
     if (!dc_servos_are_there(hardware))
         return 0;
     gather(servos, hardware, now);
-    send(servos, hardware); /* last: it takes time, by which what has come would be older than `now` says */
+    send(servos, hardware); /* last: it takes time, and received bytes would then be older than `now` indicates */
     const bool full = servos->in_size == DC_LONGEST_SERVO;
     return full || now - servos->came_us >= servos->quiet_us ? servos->in_size : 0;
 }

@@ -89,7 +89,7 @@ static uint8_t pull_in(dc_stage *stage, uint64_t now, const dc_power_reading *re
     return DC_NO_FAULT;
 }
 
-/* Faults of a closed contactor, whatever it is about to do. Comparisons with NaN are false. */
+/* Faults of a closed contactor in any state. Comparisons with NaN are false. */
 static uint8_t watch(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
 {
     if (reading->current > DC_LARGEST_CURRENT)
@@ -132,7 +132,7 @@ static void ramp_down(dc_stage *stage, uint64_t now, const dc_power_reading *rea
     }
     float limit = stage->outputs.current_limit;
     if (reading->current < limit)
-        limit = reading->current; /* a limit far above the current would not reach it in time */
+        limit = reading->current; /* a limit far above the current would not come down to it in time */
     limit -= DC_RAMP_DOWN * 1e-6f * (float)(now - stage->stepped);
     drive(stage, false, true, limit > 0.0f ? limit : 0.0f);
 }

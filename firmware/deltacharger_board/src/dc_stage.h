@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The power stage's sequence and its detectors: pre-charge, contactor, ramp up; ramp down, open, confirm.
  *
- * Knows nothing of packets, probes and heartbeats: dc_contactor decides whether, this decides how. */
+ * dc_contactor decides when to close and open; this module executes it, without packets, probes and heartbeats. */
 #ifndef DC_STAGE_H
 #define DC_STAGE_H
 
@@ -14,22 +14,22 @@
 extern "C" {
 #endif
 
-/* Times in us, limits in V and A; docs/firmware.md says where each comes from. */
+/* Times in us, limits in V and A; docs/firmware.md gives the source of each. */
 #define DC_PRECHARGE_TIMEOUT_US 500000u
 #define DC_PRECHARGE_MATCH 1.0f       /* V between both sides of the contactor when it closes */
-#define DC_PULL_IN_TIMEOUT_US 100000u /* until the feedback says closed */
+#define DC_PULL_IN_TIMEOUT_US 100000u /* until the feedback shows closed */
 #define DC_RAMP_UP 40.0f              /* A/s */
 #define DC_RAMP_DOWN 500.0f           /* A/s: 18 A in 36 ms */
 #define DC_RAMP_DOWN_TIMEOUT_US 50000u
-#define DC_OPEN_CURRENT 1.0f          /* A, below it a wanted opening opens */
+#define DC_OPEN_CURRENT 1.0f          /* A; below it a ramped opening opens the contactor */
 #define DC_ZERO_TIMEOUT_US 50000u     /* from the opening until feedback and current must confirm it */
 #define DC_ZERO_CURRENT 0.5f          /* A */
 #define DC_LARGEST_CURRENT 20.0f      /* A */
 #define DC_REVERSE_LIMIT (-0.5f)      /* A */
-#define DC_SHORT_VOLTAGE 2.0f         /* V that no target has while current flows */
-#define DC_IDLE_CURRENT 0.05f         /* A, below it none flows */
+#define DC_SHORT_VOLTAGE 2.0f         /* V; no target has less while current flows */
+#define DC_IDLE_CURRENT 0.05f         /* A; below it no current flows */
 #define DC_IDLE_TIMEOUT_US 3000000u   /* without current since the closing */
-#define DC_LOST_TIMEOUT_US 50000u     /* without the current that has flowed */
+#define DC_LOST_TIMEOUT_US 50000u     /* without current that has flowed before */
 #define DC_BLIND_TIMEOUT_US 100000u   /* without a measured current */
 
 typedef enum { DC_OPEN, DC_PRECHARGE, DC_CLOSING, DC_CLOSED, DC_RAMPING_DOWN } dc_stage_state;
@@ -41,22 +41,22 @@ typedef struct {
     dc_power_outputs outputs;
     uint64_t since;   /* us, when `state` began */
     uint64_t stepped; /* us, the last step */
-    uint64_t flowing; /* us, when current last flowed, or could first */
+    uint64_t flowing; /* us, when current last flowed, or first could */
     uint64_t seen;    /* us, when the current was last measured */
     bool flowed;      /* current has flowed since the closing */
-    bool dropped_out; /* the contactor opened by itself: a plug pulled, a fuse */
+    bool dropped_out; /* the contactor opened on its own: a pulled plug, a fuse */
 } dc_stage;
 
 /* Everything off. */
 void dc_stage_reset(dc_stage *stage, const dc_hardware *hardware, const dc_config *config, uint64_t now);
 
-/* Begin to close; only from DC_OPEN. */
+/* Start closing; only from DC_OPEN. */
 void dc_stage_close(dc_stage *stage, uint64_t now);
 
-/* Open: below 1 A first (at most 50 ms) with `ramp`, at once without. Always allowed. */
+/* Open: with `ramp` reduce the current below 1 A first (at most 50 ms), otherwise open at once. Always allowed. */
 void dc_stage_open(dc_stage *stage, uint64_t now, bool ramp);
 
-/* Go on with what was measured at `now` and return the fault that this shows, 0 none. The caller opens on a fault. */
+/* Advance with the measurements at `now` and return the detected fault, 0 = none. The caller opens on a fault. */
 uint8_t dc_stage_step(dc_stage *stage, uint64_t now, const dc_power_reading *reading);
 
 #ifdef __cplusplus

@@ -42,7 +42,7 @@ def test_whoever_opened_a_port_without_a_lock_is_named_too(silent_port: str) -> 
 
 @pytest.mark.parametrize(
     ("path", "words"),
-    [("/dev/does-not-exist", "no such port"), ("/dev", "a directory"), ("/dev/null", "no serial port")],
+    [("/dev/does-not-exist", "no such port"), ("/dev", "a directory"), ("/dev/null", "not a serial port")],
 )
 def test_what_is_no_port_is_wrong_with_a_remedy(path: str, words: str) -> None:
     found = list(examine_port("servo port", path))

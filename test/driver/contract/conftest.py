@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The devices that the contract runs on, and the host's end of each."""
+"""The devices of the contract, and a host for each."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def ports(pytestconfig: pytest.Config) -> dict[str, str]:
 
 
 class Real:
-    """A device on a port that was given, opened once beforehand.
+    """A device on a given port, opened once beforehand.
 
     Args:
         device: "servo" or "board".
-        path: of its port; None where none was given.
+        path: of its port; None if not given.
         open: opens it and closes it again.
     """
 
     def __init__(self, device: str, path: str | None, open: Callable[[str], None]) -> None:
         self.path = path or ""
         self._problem = f"no --port {device}=PATH was given"
-        self._told = path is None
+        self._reported = path is None
         if path is not None:
             self._problem = ""
             try:
@@ -57,12 +57,12 @@ class Real:
                 self._problem = str(error)
 
     def demand(self) -> str:
-        """Return the path. Where the device cannot be had, the first test that wants it fails with the driver's reason,
-        and the others are skipped with it."""
-        if self._problem and self._told:
+        """Return the path. If the device cannot be opened, the first test fails with the driver's reason and the
+        others are skipped with it."""
+        if self._problem and self._reported:
             pytest.skip(self._problem)
         if self._problem:
-            self._told = True
+            self._reported = True
             pytest.fail(self._problem, pytrace=False)
         return self.path
 
@@ -80,13 +80,13 @@ def _open_board(path: str) -> None:
 
 @pytest.fixture(scope="session")
 def real_servos(ports: dict[str, str]) -> Real:
-    """The servos on the port that was given."""
+    """The servos on the given port."""
     return Real("servo", ports.get("servo"), _open_servos)
 
 
 @pytest.fixture(scope="session")
 def real_board(ports: dict[str, str]) -> Real:
-    """The board on the port that was given."""
+    """The board on the given port."""
     return Real("board", ports.get("board"), _open_board)
 
 
@@ -135,7 +135,7 @@ def may_move(pytestconfig: pytest.Config, ports: dict[str, str]) -> None:
 
 @pytest.fixture
 def load_connected(pytestconfig: pytest.Config) -> bool:
-    """Whether somebody says that a load is connected to a real board's electrodes."""
+    """Whether a load is connected to a real board's electrodes, by option."""
     return bool(pytestconfig.getoption("--close-contactor"))
 
 
@@ -148,7 +148,7 @@ def may_close(ports: dict[str, str], load_connected: bool) -> None:
 
 @pytest.fixture
 def bus(servo_site: ServoSite) -> Iterator[ServoBus]:
-    """The servos set up for the cycle, torque off; it is off again in the end."""
+    """The servos configured for the cycle, torque off before and after."""
     bus = ServoBus(servo_site.settings)
     bus.open(scan=False)
     yield bus
@@ -159,7 +159,7 @@ def bus(servo_site: ServoSite) -> Iterator[ServoBus]:
 
 @pytest.fixture
 def link(servo_site: ServoSite) -> Iterator[ServoLink]:
-    """The servos' registers, set up, torque off; it is off again in the end."""
+    """The servos' registers, configured, torque off before and after."""
     settings = servo_site.settings
     link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
     link.open()
@@ -175,7 +175,7 @@ def link(servo_site: ServoSite) -> Iterator[ServoLink]:
 
 @pytest.fixture
 def host(board_site: BoardSite) -> Iterator[BoardHost]:
-    """The board greeted: contactor open, no fault, no stream, rate of a boot; the same in the end."""
+    """The connected board: contactor open, no fault, no stream, default rate, before and after."""
     host = BoardHost(board_site.path)
     host.link.open()
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host's end of a board: the driver's link and guard, and everything that they were told."""
+"""The host's end of a board: the driver's link and guard, with all received data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .sites import until
 
 
 class BoardHost:
-    """A link, a guard and what came.
+    """A link, a guard and the received data.
 
     Attributes:
         frames: tactile frames since the last `stream`.
@@ -39,7 +39,7 @@ class BoardHost:
         self.guard.observe_power(sample)
 
     def settle(self) -> None:
-        """Bring the board to where a boot would leave it, but for the tare."""
+        """Bring the board to its state after a boot, except for the tare."""
         self.link.stop_heartbeat()
         self.link.contactor(False)
         self.link.stop()
@@ -48,7 +48,7 @@ class BoardHost:
         self.arrivals.clear()
 
     def stream(self, count: int) -> list[TactileSample]:
-        """Let the board stream until `count` frames have come, and return all up to its STOP."""
+        """Stream until `count` frames have arrived, and return all frames up to STOP."""
         self.frames.clear()
         self.arrivals.clear()
         self.link.start()
@@ -63,7 +63,7 @@ class BoardHost:
         return self.powers[first : first + count]
 
     def await_contactor(self, closed: bool) -> PowerSample:
-        """Wait until the power stage says that its contactor is closed, or open."""
+        """Wait until the power stage reports its contactor closed, or open."""
         first = len(self.powers)
 
         def seen() -> PowerSample | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the contract runs: emulated devices behind pseudo-terminals, or real ones on their ports.
+"""Devices of the contract: emulated ones behind pseudo-terminals, or real ones on their ports.
 
-A site says how to reach a device and what is known of it beforehand; no test asks for more.
+A site states how to reach a device and what is known of it; tests use nothing else.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class ServoSite:
 
     Attributes:
         path: of the port.
-        real: it was given with --port.
+        real: whether it was given with --port.
     """
 
     path: str
@@ -46,7 +46,7 @@ class ServoSite:
 
     @property
     def settings(self) -> BusSettings:
-        """Wiring and mounting as from the drawing; an emulator beside the tests is given more time than a servo."""
+        """Wiring and mounting of the drawing; an emulator on the tests' computer gets more time than a servo."""
         margin = REPLY_MARGIN if self.real else _EMULATOR_MARGIN
         return BusSettings(self.path, reply_margin=margin, current_max=LARGEST_CURRENT)
 
@@ -57,9 +57,9 @@ class BoardSite:
 
     Attributes:
         path: of the port.
-        real: it was given with --port.
-        dead: (pad, row, column) of its dead taxels; None where nobody knows.
-        connect_load: connects a load to the electrodes; on a real board somebody has done so.
+        real: whether it was given with --port.
+        dead: (pad, row, column) of its dead taxels; None if unknown.
+        connect_load: connects a load to the electrodes; on a real board it is connected beforehand.
     """
 
     path: str
@@ -69,7 +69,7 @@ class BoardSite:
 
 
 def until(condition: Callable[[], T], what: str, seconds: float = 20.0) -> T:
-    """Wait until `condition` gives something true, and return that."""
+    """Wait until `condition` returns a true value, and return it."""
     deadline = time.monotonic() + seconds
     while not (result := condition()):
         assert time.monotonic() < deadline, f"waited {seconds:g} s for {what}"
@@ -78,8 +78,8 @@ def until(condition: Callable[[], T], what: str, seconds: float = 20.0) -> T:
 
 
 def holds(site: ServoSite | BoardSite, law: Callable[[], None]) -> None:
-    """Let a law about time hold at once on real devices. An emulator shares this computer's processors, whose pauses
-    are none of its doing: there one of three attempts must show the law."""
+    """Check a timing law: at once on a real device; on an emulator one of three attempts must pass, because this
+    computer's pauses are not its fault."""
     for left in reversed(range(1 if site.real else _CHANCES)):
         try:
             law()
@@ -91,7 +91,7 @@ def holds(site: ServoSite | BoardSite, law: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def emulated_servos() -> Iterator[ServoSite]:
-    """Serve emulated servos; their arms stand at different angles, so that none is taken for another."""
+    """Serve emulated servos; their arms have different angles, so that they cannot be confused."""
     emulator = ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2)))
     with PseudoTerminal(emulator) as terminal:
         emulator.line_speed = terminal.speed

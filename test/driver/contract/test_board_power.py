@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board's power stage while nobody asks for its contactor to be closed."""
+"""Laws of a healthy board's power stage without a close of its contactor."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .sites import BoardSite, holds
 pytestmark = pytest.mark.realtime
 
 LARGEST_VOLTAGE = 60.0  # V
-LEAKAGE = 0.5  # A that an open contactor may seem to let through
+LEAKAGE = 0.5  # A, largest reading with an open contactor
 
 
-def test_power_comes_unasked_at_its_rate_with_values_that_can_be(host: BoardHost, board_site: BoardSite) -> None:
+def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost, board_site: BoardSite) -> None:
     def law() -> None:
         samples = host.next_powers(30)
         steps = [later.time - earlier.time for earlier, later in pairwise(samples)]
@@ -59,7 +59,7 @@ def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_s
     holds(board_site, law)
 
 
-def test_a_probe_in_the_open_air_finds_an_open_circuit(
+def test_a_probe_in_free_air_finds_an_open_circuit(
     host: BoardHost, board_site: BoardSite, load_connected: bool
 ) -> None:
     if board_site.real and load_connected:
@@ -67,7 +67,7 @@ def test_a_probe_in_the_open_air_finds_an_open_circuit(
     assert math.isinf(host.link.probe().resistance), "the electrodes must touch nothing"
 
 
-def test_the_guard_refuses_a_close_where_nothing_touches_the_pads(host: BoardHost) -> None:
+def test_the_guard_refuses_a_close_without_contact(host: BoardHost) -> None:
     host.next_powers(1)
     with pytest.raises(LeaseRefused, match="probe"):
         host.guard.close("contract", 0.2)

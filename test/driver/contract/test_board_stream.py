@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of the tactile side of a healthy board whose pads nothing touches."""
+"""Laws of the tactile side of a healthy board with untouched pads."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def seconds(frames: list[TactileSample]) -> float:
     return (frames[-1].device_time_us - frames[0].device_time_us) * 1e-6
 
 
-def test_the_port_is_known_as_that_of_the_board(board_site: BoardSite) -> None:
+def test_the_port_is_identified_as_the_board(board_site: BoardSite) -> None:
     def law() -> None:
         found = identify(board_site.path, speeds=())
         assert found.kind == "board", found.details
@@ -42,14 +42,14 @@ def test_the_port_is_known_as_that_of_the_board(board_site: BoardSite) -> None:
     holds(board_site, law)
 
 
-def test_it_introduces_itself_and_is_the_same_board_each_time(host: BoardHost) -> None:
+def test_hello_is_the_same_each_time(host: BoardHost) -> None:
     hello = host.link.hello()
     assert (hello.major, hello.rows, hello.columns) == (VERSION, ROWS, COLUMNS)
     assert host.link.hello() == hello
     assert host.link.counters.reboots == 0
 
 
-def test_pings_come_back(host: BoardHost, board_site: BoardSite) -> None:
+def test_pings_are_returned(host: BoardHost, board_site: BoardSite) -> None:
     def law() -> None:
         retries = host.link.counters.retries
         trips = [host.link.ping(bytes(range(length))) for length in range(64 + 1)]
@@ -60,7 +60,7 @@ def test_pings_come_back(host: BoardHost, board_site: BoardSite) -> None:
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
-def test_frames_come_at_the_rate_that_was_asked_for_by_the_boards_clock(host: BoardHost, rate: float) -> None:
+def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rate: float) -> None:
     host.link.set_rate(rate)
     assert host.link.hello().rate == rate
     frames = host.stream(40)
@@ -68,7 +68,7 @@ def test_frames_come_at_the_rate_that_was_asked_for_by_the_boards_clock(host: Bo
 
 
 @pytest.mark.parametrize("rate", [0.0, -60.0, 1e6])
-def test_a_rate_that_it_does_not_have_is_refused_and_the_old_one_stays(host: BoardHost, rate: float) -> None:
+def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost, rate: float) -> None:
     host.link.set_rate(60.0)
     with pytest.raises(CommandRefused, match="does not sample at") as refusal:
         host.link.set_rate(rate)
@@ -77,7 +77,7 @@ def test_a_rate_that_it_does_not_have_is_refused_and_the_old_one_stays(host: Boa
 
 
 def lost_in_silence(frames: list[TactileSample]) -> list[int]:
-    """Numbers of the frames before which others are missing, without the board having said so."""
+    """Numbers of the frames before which others are missing without an overrun flag."""
     pairs = pairwise(frames)
     return [after.sequence for before, after in pairs if after.sequence != before.sequence + 1 and not after.overrun]
 
@@ -131,7 +131,7 @@ def test_it_streams_between_start_and_stop_only(host: BoardHost, board_site: Boa
         host.next_powers(4)
         assert len(host.frames) == len(first)
         host.link.start()
-        host.link.start()  # also where it streams already
+        host.link.start()  # harmless while it streams
         again = host.stream(20)
         assert again[0].sequence > first[-1].sequence
         host.link.stop()
@@ -140,7 +140,7 @@ def test_it_streams_between_start_and_stop_only(host: BoardHost, board_site: Boa
     holds(board_site, law)
 
 
-def test_the_numbers_go_on_over_stop_and_start(host: BoardHost, board_site: BoardSite) -> None:
+def test_sequence_numbers_continue_over_stop_and_start(host: BoardHost, board_site: BoardSite) -> None:
     def law() -> None:
         first, second = host.stream(20), host.stream(20)
         assert lost_in_silence([*first, *second]) == []
@@ -148,19 +148,19 @@ def test_the_numbers_go_on_over_stop_and_start(host: BoardHost, board_site: Boar
     holds(board_site, law)
 
 
-def test_a_taxel_is_dead_always_or_never_and_a_dead_one_has_no_force(host: BoardHost, board_site: BoardSite) -> None:
+def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite) -> None:
     forces = np.array([frame.pads for frame in host.stream(STRETCH // 2)])
     dead = np.isnan(forces)
     assert (dead.all(axis=0) == dead.any(axis=0)).all()
     alive = ~dead[0]
-    assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; look at its cable"
+    assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; check its cable"
     assert (forces[:, alive] >= 0.0).all()
     assert (forces[:, alive] <= FULL_SCALE).all()
     if board_site.dead is not None:
         assert {tuple(map(int, place)) for place in np.argwhere(~alive)} == board_site.dead
 
 
-def test_a_tare_brings_untouched_pads_to_zero_and_every_frame_says_so(host: BoardHost) -> None:
+def test_a_tare_brings_untouched_pads_to_zero_and_flags_every_frame(host: BoardHost) -> None:
     host.link.tare()
     frames = host.stream(STRETCH // 2)
     assert all(frame.tared for frame in frames)
@@ -170,7 +170,7 @@ def test_a_tare_brings_untouched_pads_to_zero_and_every_frame_says_so(host: Boar
         assert np.nanmax(forces) < CONTACT_FORCE, f"{side} pad"
 
 
-def test_a_second_host_finds_the_board_as_the_first_left_it(host: BoardHost) -> None:
+def test_a_second_host_finds_the_board_in_the_state_left_by_the_first(host: BoardHost) -> None:
     boot = host.link.hello().boot_id
     host.link.tare()
     before = host.stream(5)[-1]
@@ -182,10 +182,10 @@ def test_a_second_host_finds_the_board_as_the_first_left_it(host: BoardHost) -> 
     assert not same or after.device_time_us > before.device_time_us
 
 
-def test_another_program_cannot_have_the_port(host: BoardHost, board_site: BoardSite) -> None:
+def test_another_program_cannot_open_the_port(host: BoardHost, board_site: BoardSite) -> None:
     command = [sys.executable, "-c", OPEN_AGAIN, board_site.path]
     began = time.monotonic()
-    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert meanwhile.returncode != 0
-    assert "the port is in use by another program" in meanwhile.stderr
+    second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode != 0
+    assert "the port is in use by another program" in second.stderr
     assert host.link.ping() < time.monotonic() - began

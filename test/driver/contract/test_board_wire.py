@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board packet by packet: its answers to what is unknown, wrong, damaged or in pieces."""
+"""Laws of a healthy board's answers to unknown, wrong, damaged and split packets."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Wire:
         self.port = BoardPort(path, 1_000_000)
         self._decoder = PacketDecoder()
         self._numbers = itertools.count()
-        self._packets: list[Packet] = []  # came and were not looked at
+        self._packets: list[Packet] = []  # received but not checked yet
 
     def exchange(self, *data: bytes) -> list[Packet]:
-        """Send bytes, then a PING of its own, and return what comes up to its return, but for POWER."""
+        """Send bytes, then a PING, and return all packets before its return, except POWER."""
         end = f"end {next(self._numbers)}".encode()
         self.port.write(b"".join(data) + encode_packet(Packet(PacketType.PING, end)))
         found: list[Packet] = []
@@ -65,11 +65,11 @@ class Wire:
         pytest.fail(f"the board did not return a PING; it sent {found}")
 
     def is_silent_on(self, *data: bytes) -> bool:
-        """Return whether nothing answers these bytes, neither before the PING behind them nor before a later one."""
+        """Return whether these bytes get no answer, neither before the PING behind them nor before a later one."""
         return self.exchange(*data) + self.exchange() == []
 
     def acks(self, *data: bytes) -> list[Ack]:
-        """Do the same and return the answers, of which there must be nothing else."""
+        """Do the same and return the answers, which must all be ACKs."""
         return [decode_ack(packet.payload) for packet in self.exchange(*data)]
 
 
@@ -81,10 +81,10 @@ def wire(board_site: BoardSite) -> Iterator[Wire]:
     wire.port.close()
 
 
-def test_an_unknown_command_is_told_to_be_one(wire: Wire) -> None:
+def test_an_unknown_command_is_answered_as_unknown(wire: Wire) -> None:
     (ack,) = wire.acks(encode_packet(Packet(UNKNOWN_TYPE, b"whatever", sequence=4711)))
     assert ack == Ack(UNKNOWN_TYPE, AckError.UNKNOWN, 4711)
-    assert "does not know this command" in str(CommandRefused(ack.type, ack.error))
+    assert "unknown command" in str(CommandRefused(ack.type, ack.error))
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
     assert wire.is_silent_on(b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
 
 
-def test_pings_return_what_they_carried(wire: Wire) -> None:
+def test_pings_return_their_bytes(wire: Wire) -> None:
     for data in (b"", bytes(LONGEST_PING), bytes(range(192, 256)), b"\0\xff" * 20):
         (back,) = wire.exchange(encode_packet(Packet(PacketType.PING, data)))
         assert (back.type, back.payload) == (PacketType.PING, data)
@@ -128,13 +128,13 @@ def test_heartbeats_are_not_answered(wire: Wire) -> None:
     assert wire.is_silent_on(*[encode_packet(Packet(PacketType.HEARTBEAT))] * 5)
 
 
-def test_a_greeting_is_answered_and_then_acknowledged(wire: Wire) -> None:
+def test_hello_is_answered_and_then_acknowledged(wire: Wire) -> None:
     hello, ack = wire.exchange(encode_packet(Packet(PacketType.HELLO, sequence=65535)))
     assert decode_hello(hello.payload).major == VERSION
     assert decode_ack(ack.payload) == Ack(PacketType.HELLO, AckError.DONE, 65535)
 
 
-def test_commands_in_one_piece_are_answered_in_their_order(wire: Wire) -> None:
+def test_commands_sent_together_are_answered_in_order(wire: Wire) -> None:
     rates = [30.0, 60.0, 120.0]
     packets = [encode_packet(Packet(PacketType.RATE, encode_rate(rate), n)) for n, rate in enumerate(rates)]
     packets.append(encode_packet(Packet(PacketType.STOP, sequence=3)))
@@ -147,13 +147,13 @@ def test_commands_in_one_piece_are_answered_in_their_order(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("damage", [damage for _, damage in DAMAGES], ids=[name for name, _ in DAMAGES])
-def test_a_damaged_packet_costs_itself_alone(wire: Wire, damage: Callable[[bytes], bytes]) -> None:
+def test_a_damaged_packet_loses_only_itself(wire: Wire, damage: Callable[[bytes], bytes]) -> None:
     assert wire.acks(damage(STOP), encode_packet(Packet(PacketType.STOP, sequence=10))) == [
         Ack(PacketType.STOP, AckError.DONE, 10)
     ]
 
 
-def test_a_packet_may_come_byte_by_byte(wire: Wire) -> None:
+def test_a_packet_may_arrive_byte_by_byte(wire: Wire) -> None:
     for byte in STOP:
         wire.port.write(bytes((byte,)))
     assert wire.acks() == [Ack(PacketType.STOP, AckError.DONE, 9)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of a healthy board's contactor with a load connected. On a real one with --close-contactor only."""
+"""Laws of a healthy board's contactor with a load connected. On a real one only with --close-contactor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .sites import BoardSite, holds, until
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_close")]
 
 LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
-SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that says open
+SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that reports open
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def loaded(host: BoardHost, board_site: BoardSite) -> BoardHost:
 
 
 def close(host: BoardHost) -> None:
-    """Probe and close as whoever wants energy must."""
+    """Probe and close, as a client must."""
     host.link.contactor(False)
     host.link.probe()
     host.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
@@ -41,7 +41,7 @@ def close(host: BoardHost) -> None:
 
 
 def refused(host: BoardHost) -> int:
-    """Ask for a close that must be refused, and return the board's reason."""
+    """Request a close that must be refused, and return the board's reason."""
     with pytest.raises(CommandRefused, match="the board refused CONTACTOR") as refusal:
         host.link.contactor(True)
     return refusal.value.error
@@ -65,20 +65,20 @@ def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> N
     assert stays_open(loaded)
 
 
-def test_no_close_after_the_probe_has_grown_old(loaded: BoardHost) -> None:
+def test_no_close_after_the_probe_is_too_old(loaded: BoardHost) -> None:
     result = loaded.link.probe()
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
-    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to grow old")
+    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to become too old")
     assert refused(loaded) == AckError.INTERLOCK
     assert stays_open(loaded)
 
 
-def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: BoardHost) -> None:
+def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded: BoardHost) -> None:
     close(loaded)
     for power in (sample.power for sample in loaded.next_powers(10)):
         assert power.contactor_closed
         assert power.fault == BoardFault.NONE
-        assert abs(power.charge_current) < 20.0  # also: it was measured
+        assert abs(power.charge_current) < 20.0  # and it was measured
     assert refused(loaded) == AckError.NOT_NOW
     with pytest.raises(CommandRefused, match="the contactor is closed") as refusal:
         loaded.link.probe()
@@ -90,7 +90,7 @@ def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: Bo
     assert stays_open(loaded)
 
 
-def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, board_site: BoardSite) -> None:
+def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost, board_site: BoardSite) -> None:
     def law() -> None:
         close(loaded)
         assert all(sample.power.contactor_closed for sample in loaded.next_powers(10))
@@ -106,7 +106,7 @@ def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, boar
     holds(board_site, law)
 
 
-def test_a_host_that_goes_leaves_it_open(loaded: BoardHost) -> None:
+def test_a_host_that_disconnects_leaves_the_contactor_open(loaded: BoardHost) -> None:
     close(loaded)
     loaded.link.close()
     time.sleep(SEEN_WITHIN)  # the silence itself

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the contract finds its devices: the options themselves, in runs of their own against emulators on given ports."""
+"""Options that select the contract's devices, in separate runs with emulators on given ports."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ REPOSITORY = HERE.parents[2]
 @pytest.fixture(autouse=True)
 def only_over_the_emulators(ports: dict[str, str]) -> None:
     if ports:
-        pytest.skip("says nothing about devices")
+        pytest.skip("does not test devices")
 
 
 def run(*words: str) -> tuple[int, str, dict[str, int]]:
-    """Run the contract's shortest tests and return exit code, output, and how many of each outcome."""
-    chosen = ["-k", "the_port_is_known or torque_is_off or no_close_without_a_heartbeat"]
+    """Run the contract's shortest tests and return exit code, output, and the count of each outcome."""
+    chosen = ["-k", "the_port_is_identified or torque_is_off or no_close_without_a_heartbeat"]
     command = [sys.executable, "-m", "pytest", str(HERE), *chosen, "-p", "no:cacheprovider", "--color=no", *words]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=100.0)
     output = done.stdout + done.stderr
@@ -35,7 +35,7 @@ def run(*words: str) -> tuple[int, str, dict[str, int]]:
 
 
 @pytest.mark.parametrize("given", ["/dev/ttyUSB0", "board="])
-def test_a_port_that_names_no_device_is_told_how_to_write_it(given: str) -> None:
+def test_a_port_option_without_device_is_refused_with_advice(given: str) -> None:
     code, output, _ = run("--port", given)
     assert code == pytest.ExitCode.USAGE_ERROR
     assert f"'{given}' names no device's port; write servo=PATH or board=PATH" in output
@@ -47,7 +47,7 @@ def test_a_device_has_one_port() -> None:
     assert "--port servo=PATH is given 2 times" in output
 
 
-def test_what_is_not_given_and_what_moves_is_skipped_with_the_reason() -> None:
+def test_missing_devices_and_moving_tests_are_skipped_with_the_reason() -> None:
     with emulated_servos() as site:
         code, output, counts = run(f"--port=servo={site.path}")
         assert (code, counts) == (0, {"passed": 1, "skipped": 4}), output
@@ -55,7 +55,7 @@ def test_what_is_not_given_and_what_moves_is_skipped_with_the_reason() -> None:
         assert "no --port board=PATH was given" in output
 
 
-def test_what_is_allowed_runs() -> None:
+def test_allowed_tests_run() -> None:
     with emulated_servos() as servos, emulated_board() as board:
         board.connect_load()
         ports = (f"--port=servo={servos.path}", f"--port=board={board.path}")
@@ -65,11 +65,11 @@ def test_what_is_allowed_runs() -> None:
         assert "skipped" not in counts
 
 
-def test_swapped_and_missing_ports_are_told_once_in_the_drivers_words(tmp_path: Path) -> None:
+def test_swapped_and_missing_ports_are_reported_once_with_the_drivers_error(tmp_path: Path) -> None:
     with emulated_servos() as servos:
         nothing = tmp_path / "nothing"
         code, output, counts = run(f"--port=board={servos.path}", f"--port=servo={nothing}")
         assert (code, counts["error"]) == (1, 2), output
         assert "passed" not in counts
-        assert f"{servos.path}: here is the servos, not the board" in output
+        assert f"{servos.path}: found the servos, expected the board" in output
         assert f"{nothing}: there is no such port" in output

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of three healthy MX-64 without torque; nothing here moves them."""
+"""Laws of three healthy MX-64 without torque; no test moves them."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ JITTER = {
     "input_voltage": 3,
     "temperature": 1,
 }
-"""Counts by which what is measured may differ between two readings at rest; 0 for any other register."""
+"""Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
 OPEN_AGAIN = (
     "import sys; from deltacharger_driver.servos.link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
 )
 
 
-def test_the_port_is_known_as_that_of_the_three_servos(servo_site: ServoSite) -> None:
+def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> None:
     settings = servo_site.settings
 
     def law() -> None:
@@ -84,20 +84,20 @@ def test_the_port_is_known_as_that_of_the_three_servos(servo_site: ServoSite) ->
     holds(servo_site, law)
 
 
-def test_each_is_an_mx_64_with_firmware_that_speaks_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
+def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
         assert link.ping(servo, attempts=2) == link.read(servo, "model") == MODEL
         assert link.read(servo, "firmware") >= OLDEST_FIRMWARE
         assert link.read(servo, "id") == servo
 
 
-def test_the_set_up_stands_in_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
+def test_the_configuration_is_in_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
         assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
         assert link.read(servo, "bus_watchdog") in (WATCHDOG, WATCHDOG_TRIPPED)  # a pause of this computer trips it
 
 
-def test_the_block_of_the_cycle_says_what_the_registers_say(link: ServoLink, servo_site: ServoSite) -> None:
+def test_the_block_of_the_cycle_matches_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
         data = link.read_bytes(servo, READ_ADDRESS, READ_LENGTH)
         for name in READ_BLOCK:
@@ -144,7 +144,7 @@ def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_si
 
 
 def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
-    """Fail where a value is none that a servo at rest, at 12 V, can have."""
+    """Fail if a value is impossible for a servo at rest at 12 V."""
     for index, servo in enumerate(settings.ids):
         about = f"servo {servo}: {snapshot}"
         assert -math.pi <= snapshot.angle[index] <= math.pi, about
@@ -157,7 +157,7 @@ def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
         assert snapshot.torque_enabled[index] is False, about
 
 
-def test_a_register_that_does_not_exist_is_refused_by_name(link: ServoLink, servo_site: ServoSite) -> None:
+def test_a_missing_register_is_refused_by_name(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
         with pytest.raises(ServoFault, match=f"servo {servo}: read 2 bytes at 700: register does not exist"):
             link.read_bytes(servo, 700, 2)  # the last one is 661
@@ -171,7 +171,7 @@ def test_a_register_that_does_not_exist_is_refused_by_name(link: ServoLink, serv
         ("goal_current", 1, "limit|range"),  # one more than the servo's current limit
     ],
 )
-def test_a_write_that_is_not_allowed_is_refused_by_name(
+def test_a_forbidden_write_is_refused_by_name(
     link: ServoLink, servo_site: ServoSite, name: str, step: int, words: str
 ) -> None:
     for servo in servo_site.settings.ids:
@@ -186,9 +186,7 @@ def test_a_write_that_is_not_allowed_is_refused_by_name(
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_a_restart_loses_the_set_up_and_keeps_what_is_in_eeprom(
-    link: ServoLink, servo_site: ServoSite, index: int
-) -> None:
+def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, servo_site: ServoSite, index: int) -> None:
     settings = servo_site.settings
     servo = settings.ids[index]
     link.reboot(servo)
@@ -208,10 +206,10 @@ def test_a_restart_loses_the_set_up_and_keeps_what_is_in_eeprom(
     assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
 
 
-def test_a_restart_in_the_cycle_is_noticed_and_mended(bus: ServoBus, servo_site: ServoSite) -> None:
+def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_site: ServoSite) -> None:
     bus.read()
     bus.reboot(1)
-    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be noticed")
+    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be detected")
     assert not noticed.valid[1]
     assert math.isnan(noticed.angle[1])
     assert noticed.rebooted == (False, True, False)
@@ -220,11 +218,11 @@ def test_a_restart_in_the_cycle_is_noticed_and_mended(bus: ServoBus, servo_site:
     assert after.rebooted == after.torque_enabled == (False, False, False)
 
 
-def test_another_program_cannot_have_the_port_and_then_it_can(bus: ServoBus, servo_site: ServoSite) -> None:
+def test_another_program_can_open_the_port_only_after_it_is_closed(bus: ServoBus, servo_site: ServoSite) -> None:
     command = [sys.executable, "-c", OPEN_AGAIN, servo_site.path]
-    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert meanwhile.returncode != 0
-    assert "the port is in use by another program" in meanwhile.stderr
+    second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode != 0
+    assert "the port is in use by another program" in second.stderr
     bus.close()
     afterwards = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
     assert afterwards.returncode == 0, afterwards.stderr

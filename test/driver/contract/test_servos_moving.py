@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of three healthy MX-64 with torque on, moved by a few degrees. On real ones with --move only."""
+"""Laws of three healthy MX-64 with torque on, moved by a few degrees. On real ones only with --move."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .sites import ServoSite, until
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_move")]
 
 STEP = math.radians(5.0)
-BOUND = 0.5  # A, less than docking presses with; 0.7 N·m
+BOUND = 0.5  # A, less than in docking; 0.7 N·m
 NOISE = 0.1  # A that a servo's sensor may read beyond the bound
 PERIOD = 0.01  # s
 BOUNDS = (BOUND, BOUND, BOUND)
@@ -33,7 +33,7 @@ Angles = tuple[float, ...]
 
 @pytest.fixture
 def start(bus: ServoBus) -> Angles:
-    """Where the arm stands, torque off."""
+    """Present angles of the arm, torque off."""
     return until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
 
 
@@ -45,7 +45,7 @@ def step(start: Angles) -> float:
 
 @pytest.fixture
 def held(bus: ServoBus, start: Angles) -> Iterator[ServoBus]:
-    """The servos holding where they are."""
+    """The servos holding their present angles."""
     bus.enable_torque(BOUNDS)
     yield bus
     with contextlib.suppress(DriverError):
@@ -62,7 +62,7 @@ def moved(snapshot: BusSnapshot, start: Angles, step: float) -> list[float]:
 
 
 def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[BusSnapshot]:
-    """Exchange goal and state 100 times a second; watchdogs that a pause of this computer tripped are restarted."""
+    """Exchange goal and state 100 times a second; restart watchdogs that a pause of this computer tripped."""
     while True:
         begin = time.monotonic()
         snapshot = bus.read() if goal is None else bus.exchange(goal, BOUNDS)
@@ -86,15 +86,15 @@ def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool]
     return seen
 
 
-def test_torque_goes_on_where_the_arm_is_whatever_the_goal_was(bus: ServoBus, start: Angles, step: float) -> None:
+def test_torque_goes_on_at_the_present_angle_whatever_the_goal(bus: ServoBus, start: Angles, step: float) -> None:
     bus.write_goals(toward(start, step), BOUNDS)
     bus.enable_torque(BOUNDS)
     for snapshot, _ in zip(cycles(bus, None, restart=False), range(50), strict=False):
         assert snapshot.torque_enabled == (True, True, True)
-        assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm went toward a goal of before"
+        assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm moved toward an old goal"
 
 
-def test_a_goal_is_gone_to_with_no_more_current_than_its_bound(held: ServoBus, start: Angles, step: float) -> None:
+def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angles, step: float) -> None:
     for goal, far in ((toward(start, step), True), (start, False)):
 
         def arrived(snapshot: BusSnapshot, far: bool = far) -> bool:
@@ -107,13 +107,13 @@ def test_a_goal_is_gone_to_with_no_more_current_than_its_bound(held: ServoBus, s
 
 
 def test_silence_locks_the_goals_until_the_watchdogs_are_restarted(held: ServoBus, start: Angles, step: float) -> None:
-    time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # the silence itself
+    time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # no packets
     assert until(lambda: (s := held.read()).complete and s, "a snapshot").watchdog_tripped == (True, True, True)
     goal = toward(start, step)
     for snapshot, _ in zip(cycles(held, goal, restart=False), range(50), strict=False):
-        assert max(moved(snapshot, start, step)) < 0.5, "a servo that has heard nothing took a goal"
+        assert max(moved(snapshot, start, step)) < 0.5, "a servo accepted a goal although its watchdog had tripped"
     held.restart_watchdogs()
-    follow(held, goal, lambda snapshot: min(moved(snapshot, start, step)) > 0.5, "the goals to be taken again")
+    follow(held, goal, lambda snapshot: min(moved(snapshot, start, step)) > 0.5, "the goals to be accepted again")
 
 
 def test_eeprom_is_locked_while_torque_is_on(link: ServoLink, servo_site: ServoSite) -> None:
@@ -130,7 +130,7 @@ def test_eeprom_is_locked_while_torque_is_on(link: ServoLink, servo_site: ServoS
 
 
 def torque(site: ServoSite) -> list[int]:
-    """What the servos' own registers say, asked over a new connection that changes nothing."""
+    """Return the servos' torque registers, read over a new connection that changes nothing."""
     link = ServoLink(site.path, site.settings.baud_rate, site.settings.reply_margin)
     link.open()
     try:
@@ -164,7 +164,7 @@ def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) ->
     assert torque(servo_site) == [0, 0, 0]
 
 
-def test_opening_switches_off_the_torque_that_was_left_on(held: ServoBus, servo_site: ServoSite) -> None:
+def test_opening_switches_off_remaining_torque(held: ServoBus, servo_site: ServoSite) -> None:
     held.close()
     before = torque(servo_site)
     again = ServoBus(servo_site.settings)
