@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 
 _UNITS: dict[str, tuple[float, str, int]] = {
+    "Nm_per_rad": (1.0, "N·m/rad", 1),
     "m": (1e3, "mm", 1),
     "rad": (180.0 / math.pi, "°", 1),
     "A": (1.0, "A", 2),
@@ -34,10 +35,11 @@ def numbers(values: Mapping[str, float]) -> str:
     """Return the numbers of a decision, each with its name and unit, a standard deviation behind its value."""
     parts = []
     for name, value in values.items():
-        base, _, unit = name.rpartition("_")
+        unit = next((each for each in _UNITS if name.endswith(f"_{each}")), "")
+        base = name.removesuffix(f"_{unit}")
         if base.endswith(_STDDEV):
             continue
-        if unit not in _UNITS:
+        if not unit:
             parts.append(f"{name.replace('_', ' ')} {value:.3g}")
             continue
         text = f"{_label(base)} {quantity(value, unit)}"

@@ -133,6 +133,8 @@ def test_the_story_is_in_order_with_every_state_and_decision(tmp_path: Path) -> 
 def test_numbers_have_the_unit_of_their_name() -> None:
     values = {"angle_rad": 0.1, "x_m": -0.00125, "share": 0.036467, "margin_3_sigma_m": 0.005, "v_V": float("inf")}
     assert numbers(values) == "angle 5.7°, x −1.2 mm, share 0.0365, margin at 3σ 5.0 mm, v infinite"
+    stiffness = {"felt_Nm_per_rad": 17.284, "told_Nm_per_rad": 15.0}
+    assert numbers(stiffness) == "felt 17.3 N·m/rad, told 15.0 N·m/rad"
 
 
 def test_json_holds_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
