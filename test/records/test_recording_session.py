@@ -237,5 +237,5 @@ def test_the_sets_are_the_papers() -> None:
 
 def test_electrodes_that_hang_on_the_battery_are_not_pressed_on_a_target_to_record() -> None:
     machine = VirtualCharger(parameters=DockingParameters(power="none")).machine
-    with pytest.raises(Rejected, match="take the electrodes' leads off"):
+    with pytest.raises(Rejected, match="disconnect the electrodes"):
         check_places(machine, [(0.0, 0.0, 0.080)])
