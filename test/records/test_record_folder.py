@@ -251,7 +251,7 @@ def test_a_record_that_somebody_put_another_file_in_place_of_is_not_ours_any_mor
     before = contents(tmp_path)
     with stream:
         for end in (folder.forget, lambda *file: folder.finish(*file, "OK")):
-            with pytest.raises(FileNotFoundError, match="somebody moved"):
+            with pytest.raises(FileNotFoundError, match="another program moved"):
                 end(path, stream)
     assert contents(tmp_path) == before
 
@@ -269,7 +269,7 @@ def test_what_cannot_be_removed_is_named_and_the_next_goes(tmp_path: Path, monke
     monkeypatch.setattr(Path, "unlink", refuse)
     small = RecordFolder(tmp_path, 2, 10**9)
     assert small.prune() == [next_]
-    assert small.passed_by == {stuck.name: "it cannot be removed: Operation not permitted"}
+    assert small.passed_by == {stuck.name: "cannot be removed: Operation not permitted"}
 
 
 def test_a_copied_folder_is_a_folder_of_records(tmp_path: Path) -> None:
