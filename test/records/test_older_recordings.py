@@ -124,7 +124,7 @@ def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
     kind = KINDS[NAMES["charger_power"]]
     definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
     path = older(tmp_path / "a.mcap", kind, definition)
-    assert "defined otherwise" in Recording(path).unreadable["charger_power"]
+    assert "another definition" in Recording(path).unreadable["charger_power"]
 
 
 def before_lean(kind: Any) -> str:

@@ -228,7 +228,7 @@ def text(folder: Path, content: str) -> Path:
         (lambda folder: folder, "it is a folder"),
         (lambda folder: text(folder, ""), "is empty"),
         (lambda folder: text(folder, "a scene: {}\n" * 9), "is no MCAP file"),
-        (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "tells no docking_state"),  # type: ignore[arg-type]
+        (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "has no readable docking_state"),  # type: ignore[arg-type]
         (damaged, "is damaged from here on"),
         (of_two, "parameter 'charger'"),
     ],

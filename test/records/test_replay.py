@@ -230,7 +230,7 @@ def test_a_recording_of_the_states_alone_is_enough(tmp_path: Path) -> None:
         (lambda path: path.write_bytes(b""), "is empty"),
         (lambda path: path.write_bytes(b"PNG and so on" * 100), "no MCAP file"),
         (lambda path: write(path, readings(0.0, 0.1), kinds={NAMES["servo_state"]: ServoState}), "no docking_state"),
-        (lambda path: write(path, []), "tells no docking_state: there is no message of it"),
+        (lambda path: write(path, []), "has no readable docking_state: no messages"),
         (lambda path: None, "no such file"),
     ],
 )
