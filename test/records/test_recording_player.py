@@ -246,7 +246,7 @@ def test_one_charger_of_several_is_played_by_its_name(context: Any, tmp_path: Pa
     player = alone(of_two(tmp_path), context, charger="b")
     player.close()
     player.destroy_node()
-    with pytest.raises(StartupError, match=r"no docking_state of /c; there is /a, /b"):
+    with pytest.raises(StartupError, match=r"no docking_state of /c; it holds /a, /b"):
         alone(of_two(tmp_path), context, charger="c")
 
 

@@ -88,7 +88,7 @@ def test_a_roll_that_was_given_is_refused_before_anything_is_touched(tmp_path: P
             "no electrodes were found: dark",
             ["in MEASURE by ELECTRODES_NOT_FOUND", "dark", "Move"],
         ),
-        (Code.CANCELED, "cancelled by the client", ["The client took the goal back in MEASURE after 2.0 s."]),
+        (Code.CANCELED, "cancelled by the client", ["The client canceled the goal in MEASURE after 2.0 s."]),
         (Code.STUCK, "the magnets held against 2.8 A", ["STUCK", "free the target by hand"]),
         (
             Code.MISALIGNED,
