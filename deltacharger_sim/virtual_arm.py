@@ -77,8 +77,8 @@ class VirtualArm:
         for _ in range(round(seconds / PERIOD)):
             self._cycle(self._goals)
             rows.append([self.world.servo(index) for index in range(3)])
-        told = np.array(rows)
-        angles, currents = told[:, :, 0], told[:, :, 2]
+        states = np.array(rows)
+        angles, currents = states[:, :, 0], states[:, :, 2]
         return ArmReadings(np.round(angles / TICK) * TICK, np.round(currents / CURRENT_UNIT) * CURRENT_UNIT)
 
     def _let(self, seconds: float) -> None:

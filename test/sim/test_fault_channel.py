@@ -149,7 +149,7 @@ def test_what_answers_and_is_no_charger_is_named(place: Path, capsys: pytest.Cap
     with stranger(place, [reply], 0.0):
         code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
     assert (code, out) == (1, "")
-    assert "no charger" in err
+    assert "not a charger" in err
 
 
 def test_a_charger_that_hangs_keeps_its_name(place: Path, tmp_path: Path) -> None:
@@ -159,5 +159,5 @@ def test_a_charger_that_hangs_keeps_its_name(place: Path, tmp_path: Path) -> Non
         hangs.listen(0)
         Registration(name, place)
         waiting.enter_context(connected(place))  # the one whom the system lets wait
-        with pytest.raises(FileExistsError, match="another charger that runs"):
+        with pytest.raises(FileExistsError, match="another running charger"):
             Registration(name, Path("other"))
