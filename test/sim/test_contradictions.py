@@ -35,7 +35,7 @@ from deltacharger_sim.world import World
             "softer than the springs",
         ),
         ({"servo": {"friction": 1.0, "stall_torque": 0.9}}, "servo.friction", "servo.stall_torque"),
-        ({"servo": {"friction": 1.0, "stall_torque": 1.0}}, "servo.friction", "no servo could turn"),
+        ({"servo": {"friction": 1.0, "stall_torque": 1.0}}, "servo.friction", "no servo could move"),
         ({"servo": {"supply_resistance": 1.0}}, "servo.supply_resistance", "servo.supply_voltage"),
         ({"servo": {"supply_resistance": 0.5, "stall_torque": 12.0}}, "servo.supply_resistance", "smaller"),
     ],
@@ -78,7 +78,7 @@ def test_every_stiffness_is_proven_up_to_ten_milliseconds(step: float, stiffness
 
 def test_a_world_outside_of_what_is_proven_warns_with_the_nearest_that_is() -> None:
     bold = WorldParameters(step=0.1, magnets=MagnetParameters(force=0.0))
-    with pytest.warns(UnprovenWarning, match=r"step 0\.1 s .* nearest that has: step 0\.0\d+ s") as caught:
+    with pytest.warns(UnprovenWarning, match=r"step 0\.1 s .* nearest verified point: step 0\.0\d+ s") as caught:
         World(bold)
     assert len(caught) == 1
     servo, contact, step = nearest(15.0, 1e5, 0.1)
