@@ -105,7 +105,7 @@ def test_a_target_out_of_reach_tells_where_to_stand(context: Any) -> None:
 
 def test_a_simulated_camera_never_stands_beside_real_servos() -> None:
     nodes = ["servo_node", "simulated_camera_node", "electrode_detector_node", "docking_node"]
-    with pytest.raises(SceneError, match="real servos would go there"):
+    with pytest.raises(SceneError, match="real servos would move there"):
         parse_scene({"nodes": nodes, "ports": {"servo": "/dev/ttyUSB0"}}, "mixed")
 
 

@@ -101,7 +101,7 @@ def test_records_go_where_they_are_told_to_or_nowhere(tmp_path: Path) -> None:
 
 
 REFUSED = [
-    ("simulated", {"servo_port": "/dev/null"}, "brings its own ports"),
+    ("simulated", {"servo_port": "/dev/null"}, "has its own ports"),
     ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
     ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
     ("bench", {"camera": "usb"}, "give oak, topics, none"),

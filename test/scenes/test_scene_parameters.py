@@ -144,4 +144,4 @@ def test_check_names_nodes_that_take_their_servos_from_elsewhere(
     assert servo.startswith("parameters.servo_node.servos_file: is ''")
     assert kinematics.startswith("parameters.kinematics_node.servos_file: is ''")
     (docking,) = warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="b.yaml")
-    assert "docking_node.servos_file: is 'b.yaml', but that of servo_node is 'a.yaml'" in docking
+    assert "docking_node.servos_file: is 'b.yaml', but servo_node's is 'a.yaml'" in docking

@@ -93,7 +93,7 @@ def test_parts_are_those_of_the_scene_in_their_order() -> None:
     assert all(importlib.util.find_spec(part["module"]) for part in found["parts"])
     by_name = {entry["name"]: entry for entry in found["left_out"]}
     assert set(NODES) - set(load_scene("simulated").nodes) <= set(by_name)
-    assert by_name["mock_servo_node"]["why"] == "servo_node itself is there"
+    assert by_name["mock_servo_node"]["why"] == "servo_node itself is part of the scene"
     assert "electrode_detector_node" in by_name["cv2"]["why"]
 
 
