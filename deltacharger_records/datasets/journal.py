@@ -89,7 +89,7 @@ class Journal:
         """
         pairs: list[tuple[Any, Any]] = [(self.settings, settings), (self.parts.get(part.name), part)]
         differing = [
-            f"{_flag(item.name)} {_shown(getattr(held, item.name))}, not {_shown(asked)}"
+            f"{_flag(item.name)} {_shown(getattr(held, item.name))} (not {_shown(asked)})"
             for held, wanted in pairs
             if held is not None
             for item in fields(wanted)
