@@ -151,9 +151,7 @@ class World:
             ValueError: a number is not finite, or the duration is not above 0.
         """
         if not (0.0 < seconds < math.inf and all(map(math.isfinite, (dx, dy, roll)))):
-            raise ValueError(
-                f"move by ({dx!r}, {dy!r}) m, {roll!r} rad in {seconds!r} s: give finite numbers, time > 0"
-            )
+            raise ValueError(f"move ({dx!r}, {dy!r}) m, {roll!r} rad in {seconds!r} s: give finite numbers, time > 0")
         self.mechanics.carry(0.0, 0.0)
         target = self.parameters.target
         dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + roll)  # checks its bounds
@@ -169,7 +167,7 @@ class World:
         assert self._moving is not None
         vx, vy, turn, left = self._moving
         now = dt if dt < left else left
-        # The rest is not a sum of steps: a rest of a nanosecond would need a step.
+        # The remaining time is not an exact sum of steps: a remainder below 1 ns must not cost a step.
         self._moving = (vx, vy, turn, left - now) if left - now > _NOTHING else None
         target, dx, dy = self.parameters.target, vx * now, vy * now
         moved = dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + turn * now)

@@ -137,17 +137,15 @@ def before_lean(kind: Any) -> str:
     return ("=" * 80 + "\nMSG: ").join([head, *parts])
 
 
-def misalignment(**more: float) -> Misalignment:
+def pose(**more: float) -> Misalignment:
     return Misalignment(angle=0.02, vertical=-0.001, contact=True, angle_probability=[0.25, 0.75], model="pose", **more)
 
 
 def test_a_misalignment_recorded_without_lean_has_no_lean(tmp_path: Path) -> None:
     definition = before_lean(Misalignment)
     assert fields(definition) != fields(mcap_recording.schema_text(Misalignment))
-    old = as_before(misalignment(yaw=0.3), definition)
-    path = older(
-        tmp_path / "a.mcap", Misalignment, definition, raw(2.2, "misalignment", misalignment())._replace(data=old)
-    )
+    old = as_before(pose(yaw=0.3), definition)
+    path = older(tmp_path / "a.mcap", Misalignment, definition, raw(2.2, "misalignment", pose())._replace(data=old))
     found: list[Misalignment] = []
     recording = Recording(path)
     assert not recording.unreadable
@@ -162,7 +160,7 @@ def test_a_misalignment_recorded_without_lean_has_no_lean(tmp_path: Path) -> Non
 def test_feedback_without_lean_is_replayed(tmp_path: Path) -> None:
     kind = KINDS[NAMES[FEEDBACK]]
     definition = before_lean(kind)
-    message = kind(feedback=Dock.Feedback(misalignment=misalignment(), waiting_for="nobody"))
+    message = kind(feedback=Dock.Feedback(misalignment=pose(), waiting_for="nobody"))
     old = as_before(message, definition)
     path = older(tmp_path / "a.mcap", kind, definition, raw(9.0, FEEDBACK, kind())._replace(data=old))
     found: list[Any] = []
