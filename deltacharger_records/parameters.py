@@ -10,7 +10,7 @@ from deltacharger_core.parameters import Bounded, flag, number, words
 
 @dataclass(frozen=True)
 class DockingRecorderNodeParameters(Bounded):
-    """Where records go, how many are kept and what is in them."""
+    """Folder, limits and content of records."""
 
     folder: str = words("~/deltacharger_records", "folder of the records")
     max_files: int = number(200, 1, 100_000, "", "records in the folder; the oldest are removed")

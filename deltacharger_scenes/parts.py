@@ -77,7 +77,7 @@ def _why_started(scene: Scene, name: str) -> str:
         return "listed in 'nodes'; its port is the simulated charger's"
     if NODES[name].plays:
         return f"listed in 'nodes'; plays the recorded topics of {', '.join(NODES[name].plays)}"
-    return f"listed in 'nodes'; stands in for {double}" if double else "listed in 'nodes'"
+    return f"listed in 'nodes'; replaces {double}" if double else "listed in 'nodes'"
 
 
 def _groups(scene: Scene) -> Iterator[tuple[str, Any]]:
@@ -114,7 +114,7 @@ def _left_out_nodes(scene: Scene) -> Iterator[Entry]:
         doubled = [other for other in scene.nodes if spec.replaces(other)]
         why = f"not listed in 'nodes': {spec.lacks}" if spec.lacks else "not listed in 'nodes'"
         if doubles:
-            how = "plays its recorded topics" if name in NODES[doubles[0]].plays else "stands in for it"
+            how = "plays its recorded topics" if name in NODES[doubles[0]].plays else "replaces it"
             why = f"{doubles[0]} {how}"
         elif doubled:
             why = f"{doubled[0]} itself is part of the scene"

@@ -97,7 +97,7 @@ class DockingRecorderNode(Node):
             self._ask_result(action, message.data[_ID])
 
     def _ask_result(self, action: str, goal: bytes) -> None:
-        """Request once the result of a goal, whoever sent it; the answer arrives when the goal ends."""
+        """Request once the result of a goal of any client; the answer arrives when the goal ends."""
         if goal in self._asked or len(goal) != _ID.stop - _ID.start:  # a foreign feedback may be short
             return
         self._asked.append(goal)

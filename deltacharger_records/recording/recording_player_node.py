@@ -139,7 +139,7 @@ class RecordingPlayerNode(Node):
         return False
 
     def _charger_here(self) -> str:
-        """Return a message if a charger runs under the same names, or ''."""
+        """Return a message if a charger publishes the same topics, or ''."""
         for name in _OF_A_CHARGER:
             if self.count_publishers(name) > (name in self._played):
                 return (

@@ -79,5 +79,5 @@ def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
     info = decoded(recording, first)
     source = f"{recording.path}: {recording.topics.info}"
     if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
-        raise CameraInfoError(source, "binning or a region of interest is set; record whole images, unbinned")
+        raise CameraInfoError(source, "binning or a region of interest is set; record full images, unbinned")
     return intrinsics_of(info, source)

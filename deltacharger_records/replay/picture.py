@@ -156,17 +156,17 @@ def _clearance(axes: Axes, replay: Replay) -> None:
 
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
-    """Return the clearance of a measurement, and the same less three standard deviations, mm."""
+    """Return the clearance of a measurement, and that value minus three standard deviations, mm."""
     gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
-    felt = touch.estimate
-    left = clearance(felt.angle, felt.across, gap, length)
-    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(felt, gap, length))
+    pose = touch.estimate
+    left = clearance(pose.angle, pose.across, gap, length)
+    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(pose, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:
     """Show the pads' forces at the measurements, seen along +z: +x to the left, +y up."""
-    felt = [touch for touch in replay.run.touches if touch.frames is not None]
-    shown = felt if len(felt) <= _MAPS else [felt[round(i * (len(felt) - 1) / (_MAPS - 1))] for i in range(_MAPS)]
+    maps = [touch for touch in replay.run.touches if touch.frames is not None]
+    shown = maps if len(maps) <= _MAPS else [maps[round(i * (len(maps) - 1) / (_MAPS - 1))] for i in range(_MAPS)]
     rows = place.subgridspec(_MAPS, 2, hspace=0.42, wspace=0.08)
     if not shown:
         axes = figure.add_subplot(rows[0, :])

@@ -105,7 +105,7 @@ class Replay:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything except the story as one JSON object."""
-        felt = self.run.touches
+        touches = self.run.touches
         return {
             "file": str(self.recording.path),
             "request_id": self.request_id,
@@ -116,7 +116,7 @@ class Replay:
             "about": self.about,
             "phases": [vars(phase) for phase in self.phases],
             "decisions": [vars(each) for each in self.run.decisions],
-            "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in felt],
+            "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in touches],
             "dropped": {
                 "damage": self.recording.damage,
                 "missing": self.recording.missing(),

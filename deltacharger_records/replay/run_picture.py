@@ -192,14 +192,14 @@ def _force(axes: Axes, run: Run) -> None:
 
 
 def _misalignment(axes: Axes, run: Run) -> None:
-    felt, decided = run.felt.arrays(), run.decided.arrays()
+    live, decided = run.felt.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     for contact, time in {touch.contact: touch.time for touch in reversed(run.touches)}.items():
         axes.annotate(str(contact), (time, 0.04), xycoords=("data", "axes fraction"), fontsize=8, ha="center")
     for name, colour, scale, label in MISALIGNMENT:
-        axes.plot(felt["time"], scale * felt[name], color=colour, linewidth=0.9, alpha=0.45)
+        axes.plot(live["time"], scale * live[name], color=colour, linewidth=0.9, alpha=0.45)
         acted = scale * np.append(decided[name], decided[name][-1:])  # holds until the end of the record
-        times = np.append(decided["time"], felt["time"][-1:] if len(decided["time"]) and len(felt["time"]) else [])
+        times = np.append(decided["time"], live["time"][-1:] if len(decided["time"]) and len(live["time"]) else [])
         axes.step(times, acted[: len(times)], where="post", color=colour, linewidth=1.8, label=label)
     known = np.concatenate([1e3 * decided["horizontal"], 1e3 * decided["vertical"], np.degrees(decided["angle"])])
     known = known[np.isfinite(known)]
@@ -287,7 +287,7 @@ def _report(axes: Axes, run: Run) -> None:
     if outcome is None:
         return
     details = outcome.details
-    felt = details.get("misalignment", {})
+    rest = details.get("misalignment", {})
     lines = [
         ("charge", _figure(details.get("charge_current"), 1.0, "A", 2)),
         ("energy", _figure(details.get("energy"), 1.0, "J", 0)),
@@ -295,9 +295,9 @@ def _report(axes: Axes, run: Run) -> None:
         ("servo push", _figure(details.get("contact_force"), 1.0, "N", 1)),
         ("alignments", str(details.get("alignments", "–"))),
         ("redockings", str(details.get("redockings", "–"))),
-        ("rest horizontal", _figure(felt.get("horizontal"), 1e3, "mm", 2)),
-        ("rest vertical", _figure(felt.get("vertical"), 1e3, "mm", 2)),
-        ("rest angle", _figure(felt.get("angle"), 180.0 / math.pi, "°", 2)),
+        ("rest horizontal", _figure(rest.get("horizontal"), 1e3, "mm", 2)),
+        ("rest vertical", _figure(rest.get("vertical"), 1e3, "mm", 2)),
+        ("rest angle", _figure(rest.get("angle"), 180.0 / math.pi, "°", 2)),
         ("took", _figure(outcome.elapsed, 1.0, "s", 1)),
     ]
     for index, (name, value) in enumerate(lines):
@@ -321,8 +321,8 @@ def headline(run: Run) -> tuple[str, str]:
         title = "Docked and charging" if outcome.details.get("energy", 0.0) > 0.0 else "Docked"
     else:
         title = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}"
-    said = outcome.error_message if outcome is not None else ""
-    return title, said or run.notes.get("about", "")
+    message = outcome.error_message if outcome is not None else ""
+    return title, message or run.notes.get("about", "")
 
 
 def _title(figure: Figure, run: Run) -> None:

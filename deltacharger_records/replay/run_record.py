@@ -39,7 +39,7 @@ class Series:
             self._stride *= 2
 
     def last(self, column: str) -> float:
-        """Return the newest value of a column; NaN where there is none."""
+        """Return the newest value of a column; NaN if empty."""
         return self._rows[-1][1 + self.columns.index(column)] if self._rows else float("nan")
 
     def shift(self, seconds: float) -> None:

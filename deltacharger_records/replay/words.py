@@ -95,7 +95,7 @@ def _charged(replay: Replay) -> str:
     highest = (
         f" at up to {quantity(float(current[current == current].max()), 'A')}" if (current == current).any() else ""
     )
-    end = "The recording ends while it goes on." if replay.last_phase == "charging" else "Then it was undocked."
+    end = "The recording ends while it still charges." if replay.last_phase == "charging" else "Then it was undocked."
     return f"It charged for {_duration(replay.charged)}{highest}. {end}"
 
 

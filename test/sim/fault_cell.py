@@ -23,15 +23,15 @@ _TRANSPORT = 0.1  # s, longest transport of a message
 _DIAGNOSTICS = 4.0  # s; diagnostics are published once a second
 
 
-def suffer(bench: Bench, row: Row, phase: Phase) -> None:
+def check_fault(bench: Bench, row: Row, phase: Phase) -> None:
     """Cause a fault, end it and recover; assert everything in its row.
 
     Repeats a failed cell if the computer was too busy.
     """
-    bench.pulse.attempt(lambda: _suffer(bench, row.at(phase), phase), bench.restore)
+    bench.pulse.attempt(lambda: _check_fault(bench, row.at(phase), phase), bench.restore)
 
 
-def _suffer(bench: Bench, row: Row, phase: Phase) -> None:
+def _check_fault(bench: Bench, row: Row, phase: Phase) -> None:
     bench.reach(phase)
     before = bench.client.count(row.part, row.counted)
     mark = bench.mark()

@@ -71,7 +71,7 @@ def _latched(kind: str, error: str, **others: object) -> Row:
     return _stopped(kind, f"servo 2 has latched: {error}", within=0.1, recovery=("reboot_servos",), **others)
 
 
-def _borne(kind: str, part: str, counted: str, amount: float) -> Row:
+def _tolerated(kind: str, part: str, counted: str, amount: float) -> Row:
     return Row(kind, part, counted=counted, amount=amount)
 
 
@@ -89,14 +89,14 @@ SERVO_ROWS = (
     _stopped("servo_duplicate_id", "servo 2 does not answer", unknown=(1, 2), amount=1.0),
     _stopped("servo_deaf", "servo 1 does not answer", "servo 3 does not answer", deaf=(1, 2, 3), unknown=(1, 2, 3)),
     _stopped("servo_delay", "does not answer", unknown=(1, 2, 3), amount=0.1),
-    _borne("servo_delay", BUS, "", 0.005),
+    _tolerated("servo_delay", BUS, "", 0.005),
     _stopped("servo_unplugged", "/servo", within=0.35, deaf=(1, 2, 3), unknown=(1, 2, 3)),
-    _borne("servo_drop", BUS, "timeouts", 0.05),
+    _tolerated("servo_drop", BUS, "timeouts", 0.05),
     _stopped("servo_drop", "servo 3 does not answer", servo=3, unknown=(3,), amount=1.0),
-    _borne("servo_corrupt", BUS, "corrupt", 0.05),
-    _borne("servo_truncate", BUS, "corrupt", 0.05),
-    _borne("servo_duplicate", BUS, "", 0.05),
-    _borne("servo_garbage", BUS, "", 0.05),
+    _tolerated("servo_corrupt", BUS, "corrupt", 0.05),
+    _tolerated("servo_truncate", BUS, "corrupt", 0.05),
+    _tolerated("servo_duplicate", BUS, "", 0.05),
+    _tolerated("servo_garbage", BUS, "", 0.05),
 )
 
 _UNHEARD = Row("board_deaf", asked=("probe", "no answer"))
@@ -110,7 +110,7 @@ BOARD_ROWS = (
     Row("board_dead_taxel", PADS, ("dead taxel",), unknown=("taxel 44",), amount=44.0),
     Row("board_silent", LINK, ("no answer",), opens=0.45, unknown=("frames", "power")),
     Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1, recovery=("open",), idle=_UNHEARD),
-    _borne("board_delay", LINK, "", 0.03),
+    _tolerated("board_delay", LINK, "", 0.03),
     Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4),
     Row(
         "board_unplugged",
@@ -121,9 +121,9 @@ BOARD_ROWS = (
         recovery=("open",),
         idle=Row("board_unplugged", LINK, ("/board",), unknown=("frames", "power")),
     ),
-    _borne("board_drop", LINK, "lost_tactile", 0.05),
-    _borne("board_corrupt", LINK, "crc_errors", 0.05),
-    _borne("board_truncate", LINK, "lost_tactile", 0.05),
-    _borne("board_duplicate", LINK, "duplicates", 0.05),
-    _borne("board_garbage", LINK, "cobs_errors", 0.05),
+    _tolerated("board_drop", LINK, "lost_tactile", 0.05),
+    _tolerated("board_corrupt", LINK, "crc_errors", 0.05),
+    _tolerated("board_truncate", LINK, "lost_tactile", 0.05),
+    _tolerated("board_duplicate", LINK, "duplicates", 0.05),
+    _tolerated("board_garbage", LINK, "cobs_errors", 0.05),
 )

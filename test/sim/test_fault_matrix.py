@@ -15,7 +15,7 @@ from deltacharger_sim.charger.fault_kinds import KINDS
 
 from ..chargers import new_namespace
 from .fault_bench import Bench, Phase
-from .fault_cell import suffer
+from .fault_cell import check_fault
 from .fault_table import BOARD_ROWS, SERVO_ROWS, Row
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -53,4 +53,4 @@ def test_the_table_has_every_kind_of_fault() -> None:
 
 @pytest.mark.parametrize(("phase", "row"), CELLS)
 def test_fault(bench: Bench, phase: Phase, row: Row) -> None:
-    suffer(bench, row, phase)
+    check_fault(bench, row, phase)

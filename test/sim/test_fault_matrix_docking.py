@@ -92,7 +92,7 @@ class Charger:
         client.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, qos_profile_sensor_data)
         self._reboot = client.node.create_client(Trigger, "reboot_servos")
 
-    def dock_and_suffer(self, fault: Fault, phase: str) -> Outcome:
+    def dock_with_fault(self, fault: Fault, phase: str) -> Outcome:
         """Dock, and cause `fault` when `phase` begins; in charging, after success."""
         once = threading.Event()
 
@@ -165,15 +165,15 @@ def charger(context: Any) -> Iterator[Charger]:
 @pytest.mark.parametrize(("phase", "family"), CELLS)
 def test_a_goal_under_a_fault(charger: Charger, family: Family, phase: str) -> None:
     """Recovery means: the previous goal had its fault, and nothing was restarted since."""
-    charger.pulse.attempt(lambda: suffer(charger, family, phase), charger.restore)
+    charger.pulse.attempt(lambda: check_goal(charger, family, phase), charger.restore)
 
 
-def suffer(charger: Charger, family: Family, phase: str) -> None:
+def check_goal(charger: Charger, family: Family, phase: str) -> None:
     fault = Fault(kind=family.kind, amount=family.amount)
     record = charger.simulated.world.record
     lost_before, expected = record.unpowered_live, getattr(family, phase)
     codes = (expected,) if isinstance(expected, str) else expected
-    outcome = charger.dock_and_suffer(fault, phase)
+    outcome = charger.dock_with_fault(fault, phase)
     ended, message = outcome.error_name, outcome.error_message
     if phase == "charging" and BORNE not in codes:
         wait_until(lambda: charger.state.error_code, f"{codes} in docking_state")
