@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened: recordings, replays, the live view, recorded data sets."""
+"""Docking records, replays, the live view, and recorded data sets."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a charger's nodes are set to, asked by the standard services; what docking_node and its arm are by that."""
+"""Read the parameters of a charger's nodes by the standard services; derive docking settings and geometry from them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _FILE, _GEOMETRY = "geometry_file", "geometry"
 
 
 class ParameterReader:
-    """Asks another node for all its parameters.
+    """Reads all parameters of another node.
 
     Args:
-        node: asks; its executor must run.
-        name: of the other, in the same namespace.
+        node: that asks; its executor must run.
+        name: of the other node, in the same namespace.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -36,11 +36,11 @@ class ParameterReader:
         self._values: Any = node.create_client(GetParameters, f"{name}/get_parameters", qos_profile=SERVICE)
 
     def is_ready(self) -> bool:
-        """Whether it can be asked."""
+        """Whether the other node's services are available."""
         return bool(self._names.service_is_ready() and self._values.service_is_ready())
 
     def ask(self, take: Callable[[dict[str, Any]], None]) -> None:
-        """Have `take` called with what it answers, arrays as tuples; never where it does not answer."""
+        """Call `take` with the parameters, arrays as tuples; never if the node does not answer."""
 
         def on_names(done: Any) -> None:
             if done.exception() is None and done.result() is not None:
@@ -56,52 +56,52 @@ class ParameterReader:
         self._names.call_async(ListParameters.Request()).add_done_callback(on_names)
 
 
-def with_geometry(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return docking_node's parameters with the content of its geometry file, where that can be read here."""
+def with_geometry(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return docking_node's parameters with the content of its geometry file, if that is readable on this computer."""
     try:
-        return {**told, _GEOMETRY: geometry_to_mapping(load_geometry(given_path(told[_FILE])))}
+        return {**values, _GEOMETRY: geometry_to_mapping(load_geometry(given_path(values[_FILE])))}
     except (LookupError, OSError, ValueError):
-        return dict(told)
+        return dict(values)
 
 
-def docking_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:
-    """Return what docking_node's parameters say; what they leave out has its default.
+def docking_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:
+    """Return docking_node's settings from its parameters; missing ones have their defaults.
 
     Raises:
-        OSError: its geometry file cannot be read here.
+        OSError: its geometry file cannot be read on this computer.
         ValueError: a value is refused.
     """
-    if _GEOMETRY in told:
-        base = from_mapping(told[_GEOMETRY], DeltaGeometry)
+    if _GEOMETRY in values:
+        base = from_mapping(values[_GEOMETRY], DeltaGeometry)
     else:
-        base = load_geometry(given_path(told[_FILE])) if told.get(_FILE) else DeltaGeometry()
-    lengths = {name: _plain(value) for name, value in _of(DeltaGeometry, told).items() if name != "limbs"}
-    return DockingParameters(**_of(DockingParameters, told)), replace(base, **lengths)
+        base = load_geometry(given_path(values[_FILE])) if values.get(_FILE) else DeltaGeometry()
+    lengths = {name: _plain(value) for name, value in _of(DeltaGeometry, values).items() if name != "limbs"}
+    return DockingParameters(**_of(DockingParameters, values)), replace(base, **lengths)
 
 
-def known_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:
-    """Return the same, without the limbs' own adjustments where the geometry file is elsewhere."""
+def known_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:
+    """As `docking_settings`, without the limbs' own adjustments if the geometry file is on another computer."""
     try:
-        return docking_settings(told)
+        return docking_settings(values)
     except OSError:
-        return docking_settings({**told, _FILE: ""})
+        return docking_settings({**values, _FILE: ""})
 
 
 def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry] | None:
-    """Return the settings that a record tells; None where they were not recorded.
+    """Return a record's settings; None if they were not recorded.
 
     Raises:
-        RecordingError: they are none.
+        RecordingError: they are invalid.
     """
-    told = file.told(PARAMETERS)
+    values = file.told(PARAMETERS)
     try:
-        return known_settings({name: parse_json(text) for name, text in told[-1].items()}) if told else None
+        return known_settings({name: parse_json(text) for name, text in values[-1].items()}) if values else None
     except (ValueError, TypeError) as error:
-        raise RecordingError(f"{file.path}: docking_node's parameters in it are refused: {error}") from error
+        raise RecordingError(f"{file.path}: invalid parameters of docking_node: {error}") from error
 
 
-def _of(kind: Any, told: Mapping[str, Any]) -> dict[str, Any]:
-    return {item.name: told[item.name] for item in fields(kind) if item.name in told}
+def _of(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    return {item.name: values[item.name] for item in fields(kind) if item.name in values}
 
 
 def _plain(value: Any) -> Any:

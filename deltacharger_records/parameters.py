@@ -10,35 +10,35 @@ from deltacharger_core.parameters import Bounded, flag, number, words
 
 @dataclass(frozen=True)
 class DockingRecorderNodeParameters(Bounded):
-    """Where records go, how many are kept and what is in them."""
+    """Folder, limits and content of records."""
 
-    folder: str = words("~/deltacharger_records", "where records go")
-    max_files: int = number(200, 1, 100_000, "", "records in the folder, the oldest are removed")
-    max_megabytes: int = number(500, 10, 1_000_000, "1e6 bytes", "{unit} that the records take in all")
-    before: float = number(2.0, 0.0, 30.0, "s", "{unit} kept from before the goal, and from before an event")
+    folder: str = words("~/deltacharger_records", "folder of the records")
+    max_files: int = number(200, 1, 100_000, "", "records in the folder; the oldest are removed")
+    max_megabytes: int = number(500, 10, 1_000_000, "1e6 bytes", "total size of the records in {unit}")
+    before: float = number(2.0, 0.0, 30.0, "s", "{unit} kept before the goal and before each event")
     charging_rate: float = number(1.0, 0.01, 100.0, "", "messages of each topic per second kept while charging")
-    scene: str = words("", "told in each record")
+    scene: str = words("", "written to each record")
 
 
 @dataclass(frozen=True)
 class RecordingPlayerNodeParameters(Bounded):
-    """What is played and how fast."""
+    """What is played, and how fast."""
 
-    file: str = words("", "record of a docking, or MCAP file of `ros2 bag record`, that is played")
-    charger: str = words("", "namespace that is played of a recording of several; '' = the only one")
+    file: str = words("", "record of a docking, or MCAP file of `ros2 bag record`, to play")
+    charger: str = words("", "namespace to play if the recording has several; '' = the only one")
     delay: float = number(
         3.5,
         0.0,
         600.0,
         "s",
-        "{unit} before it begins: meanwhile it looks for a charger, which may take 3 s to be seen, and readers find it",
+        "{unit} before playing: time to find a running charger, which may take 3 s, and for readers to connect",
     )
-    rate: float = number(1.0, 0.01, 100.0, "", "times as fast as it was")
-    loop: bool = flag(False, "begin again at the end")
+    rate: float = number(1.0, 0.01, 100.0, "", "playing speed relative to the recording")
+    loop: bool = flag(False, "restart at the end")
 
 
 @dataclass(frozen=True)
 class PassiveJointsNodeParameters(Bounded):
-    """How often the joints are told."""
+    """How often joint_states is published."""
 
-    rate: float = number(30.0, 0.1, 200.0, "Hz", "of joint_states at most")
+    rate: float = number(30.0, 0.1, 200.0, "Hz", "highest rate of joint_states")

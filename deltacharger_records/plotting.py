@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look for the pictures of all reports, that of the docking picture: white paper, grey frames, few colours.
+"""Common style of all reports' pictures: white paper, grey frames, few colours.
 
-Blue, orange, green and purple keep apart for colour-blind eyes in this order of use; maps use viridis.
+Blue, orange, green and purple, in this order, stay distinct for colour-blind readers; maps use viridis.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _REPORTS: Any = {
 
 @contextmanager
 def picture(path: Path, width: float, height: float, title: str, about: str) -> Iterator[Figure]:
-    """Give a figure of `width` × `height` inches with a title to draw on, lay it out, and write it to `path`.
+    """Yield a figure of `width` × `height` inches with a title, lay it out, and write it to `path`.
 
     Raises:
         ImportError: matplotlib is missing.
@@ -69,17 +69,17 @@ def picture(path: Path, width: float, height: float, title: str, about: str) -> 
 
 
 def top_legend(figure: Figure, handles: list[Any], columns: int = 3) -> None:
-    """Name what all panels have in common, in the corner that the title leaves."""
+    """Show the legend of all panels in the corner beside the title."""
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=columns)
 
 
 def note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **style: Any) -> None:
-    """Write beside a point, `shift` typographic points away from it."""
+    """Annotate a point, `shift` typographic points away."""
     axes.annotate(text, at, shift, textcoords="offset points", **{"fontsize": 8.5, "ha": "center", **style})
 
 
 def plain_ticks(axes: Axes) -> None:
-    """Write the ticks of a logarithmic y axis as plain numbers, 1, 2 and 5 of each decade."""
+    """Label a logarithmic y axis with plain numbers, 1, 2 and 5 of each decade."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

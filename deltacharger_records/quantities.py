@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as people read them."""
+"""Numbers with units, formatted for people."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 
 _UNITS: dict[str, tuple[float, str, int]] = {
+    "Nm_per_rad": (1.0, "N·m/rad", 1),
     "m": (1e3, "mm", 1),
     "rad": (180.0 / math.pi, "°", 1),
     "A": (1.0, "A", 2),
@@ -21,7 +22,7 @@ _STDDEV = "_stddev"
 
 
 def quantity(value: float, unit: str, digits: int | None = None) -> str:
-    """Return an SI value with its unit as people read it: 0.0059 m is '5.9 mm'; 'unknown' for NaN."""
+    """Return an SI value with its unit for people: 0.0059 m is '5.9 mm'; 'unknown' for NaN."""
     if not math.isfinite(value):
         return "unknown" if math.isnan(value) else "infinite"
     scale, name, usual = _UNITS[unit]
@@ -31,13 +32,14 @@ def quantity(value: float, unit: str, digits: int | None = None) -> str:
 
 
 def numbers(values: Mapping[str, float]) -> str:
-    """Return the numbers of a decision, each with its name and unit, a standard deviation behind its value."""
+    """Return the numbers of a decision, each with name, unit and, if known, standard deviation."""
     parts = []
     for name, value in values.items():
-        base, _, unit = name.rpartition("_")
+        unit = next((each for each in _UNITS if name.endswith(f"_{each}")), "")
+        base = name.removesuffix(f"_{unit}")
         if base.endswith(_STDDEV):
             continue
-        if unit not in _UNITS:
+        if not unit:
             parts.append(f"{name.replace('_', ' ')} {value:.3g}")
             continue
         text = f"{_label(base)} {quantity(value, unit)}"

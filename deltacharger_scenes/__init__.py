@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be started: scene files, the table of nodes, composition in one process."""
+"""Scene files, the table of nodes, and composition in one process."""

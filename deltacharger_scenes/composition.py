@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a scene in one process, each with its own executor and thread, started and ended in a safe order."""
+"""A scene's nodes in one process, each with its own executor and thread, started and closed in a safe order."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Running:
-    """A node of the composition by its executable's name."""
+    """A node of the composition, with its executable's name."""
 
     name: str
     spinner: Spinner
@@ -33,21 +33,21 @@ class Running:
 
 
 class Composition:
-    """Run a scene's nodes in this process, and its simulated charger where it has one.
+    """Runs a scene's nodes in this process, and its simulated charger if it has one.
 
-    They start so that whoever commands comes last, and close in the reverse order: docking_node first (it opens the
-    contactor and makes the arm safe while the others still serve it), the simulated charger at the very end. When one
-    part fails to start, those that run are closed and the error goes on.
+    Commanding nodes start last and close first: docking_node opens the contactor and makes the arm safe while the
+    others still serve it. The simulated charger closes last. If a part fails to start, the running parts are closed and
+    the error is raised.
 
     Args:
         scene: what to start.
         context: a running rclpy context.
-        namespace: for every node; empty for none.
-        held: let docking_node command nothing, and its goals wait, until `release`.
+        namespace: of all nodes; '' = none.
+        held: block docking_node's commands and let its goals wait, until `release`.
 
     Raises:
-        StartupError: a node refuses its parameters.
-        SceneError: the scene asks for something that this installation lacks.
+        StartupError: a node rejects its parameters.
+        SceneError: the scene needs something that is not installed.
     """
 
     def __init__(self, scene: Scene, context: Context, namespace: str = "", held: bool = False) -> None:
@@ -59,7 +59,7 @@ class Composition:
         self._held = held
 
     def start(self) -> Composition:
-        """Start the simulated charger, then the nodes; does nothing where they run."""
+        """Start the simulated charger, then the nodes; no effect if they run."""
         if self.nodes or self.charger is not None:
             return self
         try:
@@ -70,17 +70,17 @@ class Composition:
         return self
 
     def close(self) -> None:
-        """Close the nodes in the reverse order of their start, then the simulated charger. Safe to call twice."""
+        """Close the nodes in reverse order of their start, then the simulated charger. Safe to call twice."""
         nodes, self.nodes = self.nodes, []
         charger, self.charger = self.charger, None
-        with contextlib.ExitStack() as stack:  # one that fails to close never keeps the others open
+        with contextlib.ExitStack() as stack:  # an error in one must not keep the others open
             if charger is not None:
                 stack.callback(charger.stop)
             for running in nodes:
                 stack.callback(running.spinner.close)
 
     def release(self) -> None:
-        """Let docking_node work; only where it is held."""
+        """Let docking_node command; only if it is held."""
         self.node("docking_node").release()
 
     def __enter__(self) -> Composition:
@@ -90,10 +90,10 @@ class Composition:
         self.close()
 
     def node(self, name: str) -> Any:
-        """Return the running node that the executable `name` would run.
+        """Return the running node of an executable.
 
         Raises:
-            KeyError: the scene has none.
+            KeyError: it is not running.
         """
         for running in self.nodes:
             if running.name == name:
@@ -101,13 +101,13 @@ class Composition:
         raise KeyError(f"{name} is not running; running: {', '.join(r.name for r in self.nodes) or 'nothing'}")
 
     def ports(self) -> dict[str, str]:
-        """Return the ports of the simulated charger by name; empty where there is none."""
+        """Return the ports of the simulated charger by name; empty without one."""
         if self.charger is None:
             return {}
         return {"servo": self.charger.servo_port, "board": self.charger.board_port}
 
     def failed(self) -> list[str]:
-        """Return the nodes whose executor has ended and the emulators that broke; empty when all is well."""
+        """Return the nodes whose executor has ended and the emulators that failed; empty if there are none."""
         broken = [running.name for running in self.nodes if not running.spinner.is_alive()]
         if self.charger is not None:
             broken += [f"simulated charger ({error})" for error in self.charger.errors()]
@@ -133,14 +133,14 @@ class Composition:
 
 
 def load_nodes(scene: Scene) -> None:
-    """Import what the scene's nodes are made of; who starts them imports it again, and hears why it fails."""
+    """Import the modules of the scene's nodes; errors are ignored here, and raised when the nodes start."""
     with contextlib.suppress(Exception):
         for name in scene.start_order():
             load(NODES[name].path)
 
 
 def describe(composition: Composition) -> str:
-    """Return one line that says what runs."""
+    """Return a one-line description of the composition."""
     names = ", ".join(running.name for running in composition.nodes)
     if composition.charger is not None:
         kind = "simulated"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated scene's nodes take arm, gravity and power for: what its world has, unless the scene differs."""
+"""Parameters of a simulated scene's nodes that follow its world: arm, gravity, power, unless the scene sets them."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
         **{axis: (axis,) for axis in _GRAVITY},
     },
 }
-"""Of each node, its parameters with the keys of the world that they follow."""
+"""Of each node, its parameters, with the world's keys that they follow."""
 _TOLD_AS = {"circuit.wired": {False: "board", True: "none"}}
-"""Of a key, what the parameter that follows it is called for each of its values."""
+"""Of a key, the following parameter's value for each of the key's values."""
 
 
 def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the parameters of a node that follow from the world.
+    """Return the parameters of a node that follow the world.
 
-    A node with a `servos_file` takes its servos from there. A position gain that the scene gives to servo_node makes
-    them as much stiffer as it is larger.
+    A node with a `servos_file` takes its servos from that file. A position gain in servo_node's parameters scales their
+    stiffness.
 
     Args:
         node: its executable's name.
-        world: the scene's own.
-        parameters: of each node, as the scene gives them.
+        world: of the scene.
+        parameters: of each node, as the scene sets them.
     """
     found = {name: _value(world, keys) for name, keys in _FOLLOWS.get(node, {}).items()}
     if parameters.get(node, {}).get("servos_file"):
@@ -49,11 +49,11 @@ def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping
 
 
 def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldParameters) -> Iterator[tuple[str, str]]:
-    """Yield key and problem of each parameter that a scene sets otherwise than its own world is.
+    """Yield key and problem of each parameter whose value differs from the scene's own world.
 
     Args:
-        parameters: of each node by its executable's name, as the scene gives them.
-        world: the scene's own.
+        parameters: of each node by its executable's name, as the scene sets them.
+        world: of the scene.
     """
     for node, values in parameters.items():
         for name, true in followed(node, world, parameters).items():
@@ -61,18 +61,18 @@ def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldPara
                 keys = ", ".join(f"simulation.world.{key}" for key in _FOLLOWS[node][name])
                 yield (
                     f"parameters.{node}.{name}",
-                    f"is {brief(values[name])}, but {keys} is {true!r}; leave one of them out",
+                    f"is {brief(values[name])}, but {keys} is {true!r}: leave one of them out",
                 )
 
 
 def servos_apart(nodes: Collection[str], parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Yield key and problem of each node that takes its servos from elsewhere than the first that has a `servos_file`.
+    """Yield key and problem of each node whose `servos_file` differs from the first one.
 
-    Gains, stiffness and torque constant of one file belong together.
+    Gains, stiffness and torque constant must be from one file.
 
     Args:
         nodes: of the scene.
-        parameters: of each, as the scene gives them.
+        parameters: of each, as the scene sets them.
     """
     files = {node: parameters.get(node, {}).get("servos_file", "") for node in _FOLLOWS if node in nodes}
     first = next((node for node, file in files.items() if file), "")
@@ -80,14 +80,14 @@ def servos_apart(nodes: Collection[str], parameters: Mapping[str, Mapping[str, A
         if first and file != files[first]:
             yield (
                 f"parameters.{node}.servos_file",
-                f"is {brief(file)}, but that of {first} is {brief(files[first])}; give {', '.join(files)} one",
+                f"is {brief(file)}, but {first}'s is {brief(files[first])}: give {', '.join(files)} one",
             )
 
 
 def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:
-    values = [_told_as(key, operator.attrgetter(key)(world)) for key in keys]
+    values = [_parameter_value(key, operator.attrgetter(key)(world)) for key in keys]
     return values if len(values) > 1 else values[0]
 
 
-def _told_as(key: str, value: Any) -> Any:
+def _parameter_value(key: str, value: Any) -> Any:
     return _TOLD_AS.get(key, {}).get(value, value)

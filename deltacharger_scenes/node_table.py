@@ -9,29 +9,29 @@ from typing import Any
 
 
 def load(path: str) -> Any:
-    """Return what a dotted path names in a module."""
+    """Return the object with a dotted path."""
     module, _, name = path.rpartition(".")
     return getattr(importlib.import_module(module), name)
 
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """Where a node lives.
+    """Description of a node.
 
     Attributes:
         path: of its class, with the module.
         parameters: the classes that declare its parameters, with their modules.
-        port: which port of the scene is its parameter `port` ("servo", "board" or "" for none).
-        stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
-        plays: the nodes whose topics it publishes from a recording, and which cannot run beside it.
-        sees_target: whether it simulates what sees the target, so that a simulated world's target is its own, and
-            never stands beside real hardware.
-        told_scene: whether the scene's name is its parameter `scene`.
-        may_restart: whether it may be started again by itself beside the others: it moves nothing, carries no current,
-            and holds nothing that its end loses.
-        lacks: what a scene without it, and without one in its place, does without.
-        needs: libraries that its import loads besides messages, rclpy and what rclpy loads, such as numpy.
-        needs_when_used: libraries that some function of it loads; the parameters or the first use decide.
+        port: the scene's port for its parameter `port` ("servo", "board" or "" for none).
+        stands_in_for: the node whose topics and services it provides, if it is a mock or a simulation.
+        plays: the nodes whose topics it publishes from a recording; they cannot run beside it.
+        sees_target: whether it simulates what sees the target. A simulated world's target is then its own, and it never
+            runs beside real hardware.
+        told_scene: whether its parameter `scene` is the scene's name.
+        may_restart: whether it may restart alone beside the others: it moves nothing, carries no current,
+            and its end loses no state.
+        lacks: what is missing in a scene without it and without a substitute.
+        needs: libraries loaded by its import besides messages, rclpy and rclpy's own, such as numpy.
+        needs_when_used: libraries loaded by some of its functions, depending on parameters or use.
     """
 
     path: str
@@ -48,11 +48,11 @@ class NodeSpec:
 
     @property
     def module(self) -> str:
-        """Where its class and its main are."""
+        """Module with its class and its main."""
         return self.path.rpartition(".")[0]
 
     def replaces(self, name: str) -> bool:
-        """Return whether it serves the names of the node `name`."""
+        """Return whether it serves the names of another node."""
         return name == self.stands_in_for or name in self.plays
 
 
@@ -66,13 +66,13 @@ _FRAMES = "deltacharger_core.frames.FrameParameters"
 _JOINT_FRAMES = "deltacharger_core.frames.JointFrameParameters"
 _TRANSFORMS = "deltacharger_core.frames.TransformParameters"
 
-# In the order of their start: servos may hang on the board, so tactile_node is there first and ends last.
+# In start order: servos may be connected to the board, so tactile_node starts first and ends last.
 NODES: dict[str, NodeSpec] = {
     "tactile_node": NodeSpec(
         "deltacharger_driver.board.tactile_node.TactileNode",
         parameters=("deltacharger_driver.parameters.TactileNodeParameters", _FRAMES),
         port="board",
-        lacks="nothing is felt, nothing is charged",
+        lacks="no touch, no charging",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
@@ -112,7 +112,7 @@ NODES: dict[str, NodeSpec] = {
             _FRAMES,
         ),
         may_restart=True,
-        lacks="no images but those of a camera's own driver",
+        lacks="no images except from a camera's own driver",
         needs_when_used=("depthai", "lz4", "mcap", "zstandard"),
     ),
     "simulated_camera_node": NodeSpec(
@@ -186,7 +186,7 @@ NODES: dict[str, NodeSpec] = {
         needs_when_used=("nav2_msgs", "tf2_ros"),
     ),
 }
-"""In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""
+"""In start order; closing is the reverse, so commanding nodes close first: mission_node, docking_node."""
 
 CHARGER = NodeSpec("deltacharger_sim.charger.simulated_charger.SimulatedCharger", needs=("dynamixel_sdk", "serial"))
-"""What a scene with the key `simulation` starts before its nodes; no node."""
+"""Started before the nodes of a scene with the key `simulation`; not a node."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line and the launch file change of a scene: ports, camera, model, recording, prefixes, recorder.
+"""Changes of a scene by command line or launch file: ports, camera, model, recording, prefixes, recorder.
 
-Every argument is text; empty leaves the scene as it is. What does not fit the scene, or names nothing that exists, is
+Every argument is text; empty keeps the scene's value. Arguments that do not fit the scene or name missing files are
 refused before anything starts.
 """
 
@@ -28,32 +28,32 @@ _SEEING = ("camera_node", "electrode_detector_node")
 
 @dataclass(frozen=True)
 class Overrides:
-    """Arguments in place of what a scene says; the name of each is that of the launch argument."""
+    """Arguments that replace values of a scene; their names are the launch arguments' names."""
 
     servo_port: str = words("", "serial port of the servos, in place of the scene's")
     board_port: str = words("", "serial port of the board, in place of the scene's")
     camera: str = words(
-        "", "what finds electrodes: oak = an OAK-D, topics = a camera that others drive, none = nothing"
+        "", "source of electrode poses: oak = an OAK-D, topics = a camera with its own driver, none = no camera"
     )
     model: str = words("", "pose model (npz) of misalignment_node")
-    recording: str = words("", "file that the scene replays")
-    frame_prefix: str = words("", "put before every frame name of the charger, as robot_state_publisher's parameter")
-    joint_prefix: str = words("", "put before the names of joint_states: the prefix of the URDF's macro")
-    record: str = words("", "keep a record of each docking in this folder; true = the usual one, false = none")
+    recording: str = words("", "file to replay")
+    frame_prefix: str = words("", "prefix of every frame name of the charger, as robot_state_publisher's parameter")
+    joint_prefix: str = words("", "prefix of the names in joint_states: the prefix of the URDF's macro")
+    record: str = words("", "keep a record of each docking in this folder; true = default folder, false = none")
 
 
-def override(scene: Scene, told: Overrides) -> Scene:
-    """Return the scene with what was told in place of its own.
+def override(scene: Scene, arguments: Overrides) -> Scene:
+    """Return the scene with the given arguments in place of its own values.
 
     Raises:
-        SceneError: an argument does not fit the scene, or names nothing that exists; `key` is its name.
+        SceneError: an argument does not fit the scene, or names a missing file; `key` is its name.
     """
-    scene = _with_camera(scene, told.camera)
+    scene = _with_camera(scene, arguments.camera)
     for port in ("servo", "board"):
-        scene = _with_port(scene, port, getattr(told, f"{port}_port"))
-    scene = _with_file(scene, "model", told.model, "misalignment_node", "model")
-    scene = _with_file(scene, "recording", told.recording, "recording_player_node", "file")
-    return _with_prefixes(_with_record(scene, told.record), told)
+        scene = _with_port(scene, port, getattr(arguments, f"{port}_port"))
+    scene = _with_file(scene, "model", arguments.model, "misalignment_node", "model")
+    scene = _with_file(scene, "recording", arguments.recording, "recording_player_node", "file")
+    return _with_prefixes(_with_record(scene, arguments.record), arguments)
 
 
 def _with_port(scene: Scene, port: str, path: str) -> Scene:
@@ -62,17 +62,15 @@ def _with_port(scene: Scene, port: str, path: str) -> Scene:
     key = f"{port}_port"
     if scene.simulation is not None:
         raise SceneError(
-            scene.file, key, "a simulated scene brings its own ports; leave it out, or choose a scene on hardware"
+            scene.file, key, "a simulated scene has its own ports: leave it out, or choose a scene on hardware"
         )
     nodes = [name for name in scene.nodes if NODES[name].port == port]
     if not nodes:
-        raise SceneError(scene.file, key, f"no node of this scene opens it; it starts {', '.join(scene.nodes)}")
+        raise SceneError(scene.file, key, f"no node of this scene opens it; the scene starts {', '.join(scene.nodes)}")
     if not Path(path).exists():
-        raise SceneError(
-            scene.file, key, f"'{path}': there is no such port; `deltacharger doctor` lists those there are"
-        )
+        raise SceneError(scene.file, key, f"'{path}': there is no such port; `deltacharger doctor` lists all ports")
     parameters = dict(scene.parameters)
-    for name in nodes:  # a node's own parameter would win over the scene's ports
+    for name in nodes:  # a node's own parameter would override the scene's ports
         parameters[name] = {key: value for key, value in parameters.get(name, {}).items() if key != "port"}
     ports = dataclasses.replace(scene.ports, **{port: path})
     return dataclasses.replace(scene, ports=ports, parameters=parameters)
@@ -82,11 +80,11 @@ def _with_camera(scene: Scene, camera: str) -> Scene:
     if not camera:
         return scene
     if camera not in CAMERAS:
-        raise SceneError(scene.file, "camera", f"is '{camera}'; give {', '.join(CAMERAS)}, or leave it out")
+        raise SceneError(scene.file, "camera", f"is '{camera}': give {', '.join(CAMERAS)}, or leave it out")
     wanted = {"oak": _SEEING, "topics": _SEEING[1:], "none": ()}[camera]
     for name in scene.nodes:
         if set(NODES[name].plays) & set(wanted):
-            raise SceneError(scene.file, "camera", f"'{name}' plays what a camera found then; leave it out")
+            raise SceneError(scene.file, "camera", f"'{name}' plays recorded detections: leave it out")
     gone = {name for name in scene.nodes if {name, NODES[name].stands_in_for} & set(_SEEING)} - set(wanted)
     scene = _without(scene, gone)
     nodes = (*scene.nodes, *(name for name in wanted if name not in scene.nodes))
@@ -97,17 +95,17 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
     if not file:
         return scene
     if node not in scene.nodes:
-        raise SceneError(scene.file, key, f"this scene starts no {node}; leave it out, or choose a scene with one")
+        raise SceneError(scene.file, key, f"this scene starts no {node}: leave it out, or choose a scene with one")
     path = given_path(file).absolute()
     if not path.is_file():
         raise SceneError(scene.file, key, f"'{file}': there is no such file")
     return _with_parameter(scene, node, parameter, str(path))
 
 
-def _with_prefixes(scene: Scene, told: Overrides) -> Scene:
-    """Return the scene with the prefixes of frames and joints in every node that writes or reads them."""
+def _with_prefixes(scene: Scene, arguments: Overrides) -> Scene:
+    """Return the scene with the prefixes of frames and joints in every node that uses them."""
     try:
-        given = JointFrameParameters(told.frame_prefix, told.joint_prefix)
+        given = JointFrameParameters(arguments.frame_prefix, arguments.joint_prefix)
     except ParameterError as error:
         raise SceneError(scene.file, error.key, error.problem) from error
     for name in scene.nodes:
@@ -120,24 +118,24 @@ def _with_prefixes(scene: Scene, told: Overrides) -> Scene:
 
 def _with_record(scene: Scene, record: str) -> Scene:
     if record and given_path(record).is_file():
-        raise SceneError(scene.file, "record", f"'{record}' is a file; give a folder, true or false")
+        raise SceneError(scene.file, "record", f"'{record}' is a file: give a folder, true or false")
     if record and record.lower() not in (*_TRUE, *_FALSE):
         try:
             folder = given_path(record)
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
-            problem = f"'{record}' cannot be written ({error.strerror}); give another folder"
+            problem = f"'{record}' cannot be written ({error.strerror}): give another folder"
             raise SceneError(scene.file, "record", problem) from error
     return with_recorder(scene, record)
 
 
 def with_recorder(scene: Scene, folder: str | None) -> Scene:
-    """Return the scene with docking_recorder_node, or as it is where nothing is told.
+    """Return the scene with docking_recorder_node, or unchanged if `folder` is None.
 
     Args:
-        scene: to which it is added.
-        folder: where records go; "true" = where the scene or else the node says, "false" = no recorder at all.
+        scene: to extend.
+        folder: of the records; "true" = the scene's or the node's default, "false" = no recorder.
     """
     if not folder:
         return scene
@@ -151,7 +149,7 @@ def with_recorder(scene: Scene, folder: str | None) -> Scene:
 
 
 def recorder_alone(scene: Scene, folder: str) -> Scene:
-    """Return a scene that starts docking_recorder_node and nothing else, beside a charger of `scene` that runs."""
+    """Return a scene that starts docking_recorder_node only, beside a running charger of `scene`."""
     return with_recorder(dataclasses.replace(scene, nodes=(), simulation=None, parameters={}), folder)
 
 

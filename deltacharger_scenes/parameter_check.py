@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a scene's parameters are those of its nodes, told from their declarations: no node is started for it."""
+"""Check a scene's parameters against their declarations, without starting nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def tables(node: str) -> list[type[Any]]:
 
 
 def problems(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield key and problem of each parameter that its node would refuse, the first of each class of parameters."""
+    """Yield key and problem of each parameter that its node would reject, the first of each class of parameters."""
     for node, values in scene.parameters.items():
         known = {each.name: (each, table) for table in tables(node) for each in declared(table)}
         given: dict[type[Any], dict[str, Any]] = {}

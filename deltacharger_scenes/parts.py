@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene starts, which libraries that loads, what it computes, what it leaves out, and why.
+"""Parts of a scene: what it starts, loads and computes, what it leaves out, and why.
 
-All of it follows from the scene, the table of nodes and the parameters' own bounds.
+Everything is derived from the scene, the table of nodes and the parameters' bounds.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from deltacharger_scenes.scene import Scene
 
 _CHARGER_NAME = "simulated charger"
 _EVERYWHERE = ("numpy", "rclpy")
-_PLACES = ("target",)  # groups of the world whose zeros are places, not effects that are off
+_PLACES = ("target",)  # groups of the world whose zeros are positions, not disabled effects
 
 Entry = dict[str, Any]
 
 
 def describe_parts(scene: Scene) -> dict[str, Any]:
-    """Return what the scene is made of.
+    """Return the parts of the scene.
 
     Returns:
-        parts: what starts, in its order: name, module, imports, imports_when_used and why;
-        imports: libraries loaded at the start; imports_when_used: those that some function loads, with its parts;
-        computes: groups of the simulated world with what they are;
-        left_out: nodes, libraries and effects that this scene does without: kind, name and why.
+        parts: in start order: name, module, imports, imports_when_used and why;
+        imports: libraries loaded at the start; imports_when_used: those loaded by some functions, with the parts;
+        computes: groups of the simulated world with descriptions;
+        left_out: nodes, libraries and effects not in this scene: kind, name and why.
     """
     started = dict(_started(scene))
     at_once = set().union(*(spec.needs for spec in started.values()))
@@ -43,7 +43,7 @@ def describe_parts(scene: Scene) -> dict[str, Any]:
 
 
 def _started(scene: Scene) -> Iterator[tuple[str, NodeSpec]]:
-    """Yield every part with its name that the scene starts, in the order of starting."""
+    """Yield every started part with its name, in start order."""
     if scene.simulation is not None:
         yield _CHARGER_NAME, CHARGER
     for name in scene.start_order():
@@ -51,7 +51,7 @@ def _started(scene: Scene) -> Iterator[tuple[str, NodeSpec]]:
 
 
 def _users(parts: Mapping[str, NodeSpec], *, at_once: bool = True) -> dict[str, list[str]]:
-    """Return the libraries that parts need when used, or at once as well, each with the parts."""
+    """Return the libraries needed when used (and at once, if `at_once`), each with its parts."""
     users: dict[str, list[str]] = {}
     for name, spec in parts.items():
         for library in (*(spec.needs if at_once else ()), *spec.needs_when_used):
@@ -71,13 +71,13 @@ def _part(scene: Scene, name: str, spec: NodeSpec) -> Entry:
 
 def _why_started(scene: Scene, name: str) -> str:
     if name == _CHARGER_NAME:
-        return "the scene has the key 'simulation': emulated servos and board before one simulated world"
+        return "the scene has the key 'simulation': emulated servos and board with one simulated world"
     double = NODES[name].stands_in_for
     if NODES[name].port and scene.simulation is not None:
         return "listed in 'nodes'; its port is the simulated charger's"
     if NODES[name].plays:
-        return f"listed in 'nodes'; plays from a recording what {', '.join(NODES[name].plays)} said"
-    return f"listed in 'nodes'; stands in for {double}" if double else "listed in 'nodes'"
+        return f"listed in 'nodes'; plays the recorded topics of {', '.join(NODES[name].plays)}"
+    return f"listed in 'nodes'; replaces {double}" if double else "listed in 'nodes'"
 
 
 def _groups(scene: Scene) -> Iterator[tuple[str, Any]]:
@@ -90,14 +90,14 @@ def _groups(scene: Scene) -> Iterator[tuple[str, Any]]:
 
 
 def _computed(scene: Scene) -> Iterator[Entry]:
-    """Yield the groups, each with what it models."""
+    """Yield the groups, each with its description."""
     for name, group in _groups(scene):
         about = (type(group).__doc__ or "").strip().splitlines()[0]
         yield {"name": f"simulation.world.{name}", "doc": about, "off": [each for each, _ in _zeros(group, name)]}
 
 
 def _zeros(group: Any, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the numbers of a group that are 0 where 0 is the least that is allowed, with their descriptions."""
+    """Yield a group's numbers that are 0, with 0 as their lower bound, and their descriptions."""
     if name in _PLACES:
         return
     for item in dataclasses.fields(group):
@@ -114,17 +114,17 @@ def _left_out_nodes(scene: Scene) -> Iterator[Entry]:
         doubled = [other for other in scene.nodes if spec.replaces(other)]
         why = f"not listed in 'nodes': {spec.lacks}" if spec.lacks else "not listed in 'nodes'"
         if doubles:
-            how = "plays what it said" if name in NODES[doubles[0]].plays else "stands in for it"
+            how = "plays its recorded topics" if name in NODES[doubles[0]].plays else "replaces it"
             why = f"{doubles[0]} {how}"
         elif doubled:
-            why = f"{doubled[0]} itself is there"
+            why = f"{doubled[0]} itself is part of the scene"
         yield {"kind": "node", "name": name, "why": why}
     if scene.simulation is None:
         yield {"kind": "node", "name": _CHARGER_NAME, "why": "the scene has no key 'simulation'"}
 
 
 def _left_out_libraries(started: Mapping[str, NodeSpec]) -> Iterator[Entry]:
-    """Yield the libraries that only parts load which this scene does not start."""
+    """Yield the libraries loaded only by parts that this scene does not start."""
     there = _users(started)
     for library, users in _users({_CHARGER_NAME: CHARGER, **NODES}).items():
         if library not in there:
@@ -138,13 +138,13 @@ def _left_out_effects(scene: Scene) -> Iterator[Entry]:
     if scene.simulation is None:
         return
     if not scene.simulation.world.target.present:
-        yield {"kind": "effect", "name": "simulation.world.target", "why": "present is false: nothing to dock to"}
+        yield {"kind": "effect", "name": "simulation.world.target", "why": "present is false: no target"}
     if not scene.simulation.faults:
-        yield {"kind": "effect", "name": "simulation.faults", "why": "none is listed: the hardware stays healthy"}
+        yield {"kind": "effect", "name": "simulation.faults", "why": "none is listed"}
 
 
 def tell_parts(found: dict[str, Any]) -> str:
-    """Return what `describe_parts` found as lines for people."""
+    """Return the result of `describe_parts` as lines for people."""
     lines = ["starts, in this order:"]
     for part in found["parts"]:
         lines.append(f"  {part['name']}: {part['why']}")

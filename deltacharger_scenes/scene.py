@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: one YAML file says which parts of a charger exist and what their parameters are.
+"""Scenes: a YAML file defines the parts of a charger and their parameters.
 
-A scene without the key `simulation` runs on real hardware. Nothing that a scene does not need is started. Every key is
-checked when the scene is loaded: an unknown one is refused with the nearest known name, a value out of range with the
-range, always naming the file and the key.
+A scene without the key `simulation` runs on real hardware. Parts that a scene does not need are not started. Every key
+is checked on loading. An unknown key is refused with the nearest known name, a value out of range with the range; the
+message always names file and key.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from deltacharger_sim.charger.simulation import Simulation
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
 _SUFFIXES = (".yaml", ".yml")
-_SECTIONS = ("simulation", "ports", "goal", "parameters")  # an empty one says nothing, but it is there
+_SECTIONS = ("simulation", "ports", "goal", "parameters")  # an empty one is valid, and present
 
 T = TypeVar("T")
-Problems: TypeAlias = Iterator[tuple[str, str]]  # keys with what is wrong
+Problems: TypeAlias = Iterator[tuple[str, str]]  # keys with their problems
 
 
 class SceneError(Picklable, ValueError):
-    """A scene is refused.
+    """A scene is invalid.
 
     Attributes:
-        file: path of the scene, or the name that no scene has.
-        key: the offending key with dots, e.g. simulation.world.servo.stiffness; empty where it is the file as a whole.
-        problem: what is wrong and what to write instead.
+        file: path of the scene, or the unknown name.
+        key: the invalid key with dots, e.g. simulation.world.servo.stiffness; empty for the complete file.
+        problem: what is wrong and what to write.
     """
 
     def __init__(self, file: str, key: str, problem: str) -> None:
@@ -49,7 +49,7 @@ class SceneError(Picklable, ValueError):
 
 @dataclass(frozen=True)
 class SceneGoal(Bounded):
-    """Coordinates that stand in for the camera, in charger_base."""
+    """Coordinates in place of a camera, in charger_base."""
 
     x: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes")
     y: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes, +y up")
@@ -59,7 +59,7 @@ class SceneGoal(Bounded):
 
 @dataclass(frozen=True)
 class Ports(Bounded):
-    """Serial ports of a scene on real hardware; a simulated scene needs none."""
+    """Serial ports of a scene on real hardware; simulated scenes need none."""
 
     servo: str = words("", "of the servo adapter, e.g. /dev/ttyUSB0")
     board: str = words("", "of the board with pads and power stage, e.g. /dev/ttyACM0")
@@ -70,20 +70,20 @@ class SceneContent(Bounded):
     """The keys of a scene's file.
 
     Attributes:
-        simulation: the simulated charger; None = real hardware (or mocks, which need none).
+        simulation: the simulated charger; None = real hardware (or mocks, which need no simulation).
         ports: serial ports on real hardware.
-        goal: stands in for the camera; None = ask the camera.
+        goal: replaces the camera; None = use the camera.
         parameters: of each node by its executable's name.
     """
 
-    name: str = words("", "what it is called")
+    name: str = words("", "of the scene")
     description: str = words("", "one or two sentences for people")
     nodes: tuple[str, ...] = words(STANDARD_NODES, "executables to start")
     simulation: Simulation | None = None
     ports: Ports = field(default_factory=Ports)
     goal: SceneGoal | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    network: str = choice("localhost", ("localhost", "subnet"), "who reaches it: this computer, or its whole network")
+    network: str = choice("localhost", ("localhost", "subnet"), "range of its topics: this computer, or its network")
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,14 @@ class Scene(SceneContent):
     """One scene.
 
     Attributes:
-        file: where it was read from.
+        file: path of the source.
     """
 
     file: str = ""
 
     @property
     def touches_hardware(self) -> bool:
-        """Whether a node of it opens a port of real hardware."""
+        """Whether one of its nodes opens a port of real hardware."""
         return self.simulation is None and any(NODES[name].port for name in self.nodes)
 
     @property
@@ -107,7 +107,7 @@ class Scene(SceneContent):
         return "docking_node" in self.nodes
 
     def start_order(self) -> list[str]:
-        """Return the nodes in the order in which they start; who commands comes last, and closes first."""
+        """Return the nodes in start order; commanding nodes start last and close first."""
         return sorted(self.nodes, key=list(NODES).index)
 
     def node_parameters(self, name: str, ports: Mapping[str, str]) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Scene(SceneContent):
 
         Args:
             name: executable of the node.
-            ports: "servo" and "board" of a simulated charger; empty takes the scene's own.
+            ports: "servo" and "board" of a simulated charger; empty = the scene's own.
         """
         parameters = {key: _of_one_kind(value) for key, value in self.parameters.get(name, {}).items()}
         if self.simulation is not None:
@@ -131,9 +131,9 @@ class Scene(SceneContent):
 
 
 def packaged_files(kind: str) -> dict[str, Path]:
-    """Return every packaged file below config/ of a kind, "scenes" or "campaigns", by name.
+    """Return the packaged files below config/ of a kind, "scenes" or "campaigns", by name.
 
-    They are those of the source tree, then of each installation; the first folder that has a name wins.
+    Folders: the source tree, then each installation; the first one with a name counts.
     """
     found: dict[str, Path] = {}
     for folder in environment.config(kind):
@@ -149,10 +149,10 @@ def packaged_scenes() -> dict[str, Path]:
 
 
 def find_file(name_or_file: str | Path, kind: str) -> Path:
-    """Return a file given by the name of a packaged one, of a kind as in `packaged_files`, or by path.
+    """Return a file by path, or by the name of a packaged one of a kind as in `packaged_files`.
 
     Raises:
-        SceneError: there is none.
+        SceneError: there is no such file.
     """
     path = Path(name_or_file)
     if path.suffix in _SUFFIXES or len(path.parts) > 1:
@@ -163,7 +163,7 @@ def find_file(name_or_file: str | Path, kind: str) -> Path:
     if name not in found:
         near, there = did_you_mean(name, found), ", ".join(found) or "none"
         kind = kind.removesuffix("s")
-        raise SceneError(name, "", f"no packaged {kind} has this name{near}; there are {there}, or give a YAML file")
+        raise SceneError(name, "", f"no packaged {kind} has this name{near}: give one of {there}, or a YAML file")
     return found[name]
 
 
@@ -171,7 +171,7 @@ def read_file(path: Path, parse: Callable[[Any, str, str], T]) -> T:
     """Read a YAML file and build a scene from its content, its name and its path.
 
     Raises:
-        SceneError: it cannot be read, is not YAML, or `parse` refuses a key or value.
+        SceneError: it cannot be read, is not YAML, or `parse` rejects a key or value.
     """
     try:
         return parse(read_yaml(path), path.stem, str(path))
@@ -190,28 +190,28 @@ def load_scene(name_or_file: str | Path) -> Scene:
         name_or_file: name of a packaged scene, or path of a YAML file.
 
     Raises:
-        SceneError: it does not exist, is not YAML, or a key or value in it is refused.
+        SceneError: it does not exist, is not YAML, or has an invalid key or value.
     """
     return read_file(find_file(name_or_file, "scenes"), parse_scene)
 
 
 def parse_scene(content: Any, name: str, file: str = "") -> Scene:
-    """Build a scene from what a YAML file contains.
+    """Build a scene from the content of a YAML file.
 
     Args:
         content: the mapping.
-        name: taken where the mapping has no `name`.
+        name: used if the mapping has no `name`.
         file: for messages.
 
     Raises:
-        SceneError, ParameterError: a key or value is refused.
+        SceneError, ParameterError: a key or value is invalid.
     """
     if not isinstance(content, Mapping):
         kind = "empty" if content is None else f"a {type(content).__name__}"
-        raise SceneError(file, "", f"is {kind}; give keys and values")
+        raise SceneError(file, "", f"is {kind}: give keys and values")
     given = {key: {} if value is None and key in _SECTIONS else value for key, value in content.items()}
-    told = from_mapping({"name": name, **given}, SceneContent)
-    scene = Scene(**{**vars(told), "description": " ".join(told.description.split()), "file": file})
+    checked = from_mapping({"name": name, **given}, SceneContent)
+    scene = Scene(**{**vars(checked), "description": " ".join(checked.description.split()), "file": file})
     for check in (_nodes, _simulation, _parameters, _ports):
         for key, problem in check(scene):
             raise SceneError(file, key, problem)
@@ -227,11 +227,11 @@ def _nodes(scene: Scene) -> Problems:
             yield key, f"'{name}' is listed twice"
         for other in scene.nodes:
             if other in NODES and (NODES[name].replaces(other) or _are_doubles(name, other)):
-                yield key, f"'{name}' and '{other}' serve the same names; keep one of them"
+                yield key, f"'{name}' and '{other}' serve the same names: keep one of them"
 
 
 def _are_doubles(name: str, other: str) -> bool:
-    """Return whether one plays what the other stands in for."""
+    """Return whether one plays what the other replaces."""
     return bool(NODES[other].stands_in_for) and NODES[other].stands_in_for in NODES[name].plays
 
 
@@ -253,12 +253,12 @@ def _parameters(scene: Scene) -> Problems:
         key = f"parameters.{name}"
         if name not in scene.nodes:
             near = did_you_mean(name, scene.nodes)
-            yield key, f"this scene starts no such node{near}; it starts {', '.join(scene.nodes)}"
+            yield key, f"this scene starts no such node{near}: it starts {', '.join(scene.nodes)}"
         if not isinstance(values, Mapping):
             yield key, "give parameters and values"
         for each, value in values.items():
             if not _is_parameter(value):
-                yield f"{key}.{each}", f"is {brief(value)}; give a number, a truth value, text or a list of one kind"
+                yield f"{key}.{each}", f"is {brief(value)}: give a number, true or false, text, or a list of one type"
 
 
 def _is_parameter(value: Any) -> bool:
@@ -268,18 +268,18 @@ def _is_parameter(value: Any) -> bool:
 
 
 def _of_one_kind(value: Any) -> Any:
-    """Return a parameter as ROS takes it: of whole and other numbers in one list all become floats."""
+    """Return a parameter in ROS's types: a list of whole and other numbers becomes all floats."""
     mixed = isinstance(value, list) and {type(item) for item in value} == {int, float}
     return list(map(float, value)) if mixed else value
 
 
 def _ports(scene: Scene) -> Problems:
     if scene.simulation is not None and scene.ports != Ports():
-        yield "ports", "excludes 'simulation', which brings its own ports; keep one of them"
+        yield "ports", "excludes 'simulation', which has its own ports: keep one of them"
     for index, name in enumerate(scene.nodes):
         port, own = NODES[name].port, scene.parameters.get(name, {}).get("port")
         if NODES[name].sees_target and scene.touches_hardware:
-            there = f"'{name}' shows a simulated target, and real servos would go there; keep one of them"
+            there = f"'{name}' shows a simulated target, and real servos would move there: keep one of them"
             yield f"nodes[{index}]", there
         if port and scene.simulation is not None and own is not None:
             remedy = "remove it, or the key 'simulation'"

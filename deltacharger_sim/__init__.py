@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The world behind the emulated hardware: mechanics, contact, magnets and the charging circuit."""
+"""The simulated world behind the emulated hardware: mechanics, contact, magnets and the charging circuit."""

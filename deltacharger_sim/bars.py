@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each electrode of the charger bears."""
+"""Forces on the charger's two electrodes."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 
 class Bars(NamedTuple):
-    """What each of both electrodes bears.
+    """Forces on both electrodes.
 
     Attributes:
-        upper: normal force on the one at +y, N.
-        lower: the same of the one at −y.
-        upper_pressed: share of its overlap's length that presses, 0 to 1.
-        lower_pressed: the same of the one at −y.
+        upper: normal force on the electrode at +y, N.
+        lower: on the electrode at −y, N.
+        upper_pressed: share of the upper overlap's length that presses, 0 to 1.
+        lower_pressed: of the lower overlap's length.
     """
 
     upper: float
@@ -23,5 +23,5 @@ class Bars(NamedTuple):
 
     @staticmethod
     def flat(force: float) -> Bars:
-        """Return what they bear of `force` (N) where nothing leans."""
+        """Return the bars' shares of `force` (N) if nothing leans."""
         return Bars(0.5 * force, 0.5 * force)

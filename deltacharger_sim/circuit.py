@@ -11,18 +11,18 @@ from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import CircuitParameters
 
 NO_CHARGE_CURRENT, SHORT, REVERSE_POLARITY, VOLTAGE, REVERSE_CURRENT, WELDED, OVER_CURRENT = 1, 2, 4, 5, 6, 7, 9
-_NOMINAL_FORCE = 40.0  # N on one bar; magnets and push in the middle of the band
+_NOMINAL_FORCE = 40.0  # N on one bar; magnets, and push at the middle of the band
 _SHORT_CURRENT = 200.0  # A that a battery drives through shorted electrodes until the stage opens
 _DETECTION = 0.002  # s until the stage has measured a short and opened
 _OVER_CURRENT = 20.0  # A
-_OPEN_CURRENT = 1.0  # A, below which a ramped opening opens
-_IDLE_TIME = 3.0  # s closed until the stage reports that no current has come
-_LOST_TIME = 0.05  # s until it reports that current which flowed has gone
+_OPEN_CURRENT = 1.0  # A, at which a ramped opening opens the contactor
+_IDLE_TIME = 3.0  # s closed without any current until the stage reports it
+_LOST_TIME = 0.05  # s without current until it reports that charging has stopped
 _IDLE_CURRENT = 0.05  # A
 
 
 class StagePhase(Enum):
-    """What the power stage is doing."""
+    """Phase of the power stage."""
 
     OPEN = 0
     PRECHARGE = 1
@@ -30,18 +30,18 @@ class StagePhase(Enum):
     RAMP_DOWN = 3
 
 
-# An enumeration's members are looked up slowly, and a step asks for several.
+# Looking up an enumeration's members is slow, and a step needs several.
 _OPEN, _PRECHARGE, _CLOSED, _RAMP_DOWN = StagePhase.OPEN, StagePhase.PRECHARGE, StagePhase.CLOSED, StagePhase.RAMP_DOWN
 
 
 class Circuit:
-    """The electrical side. Faults that the stage detects stay until the next command to close or to open.
+    """The electrical side. Detected faults stay until the next command to close or open.
 
     Attributes:
         current: into the target, A.
-        fault: code that the stage has detected, 0 none.
-        broken_current: largest current that the contactor, or without one the electrodes, had to interrupt, A.
-        wired: whether the electrodes hang on the battery: no power stage opens, limits or measures.
+        fault: code detected by the stage, 0 = none.
+        broken_current: largest current interrupted by the contactor, or by the electrodes if there is none, A.
+        wired: whether the electrodes are wired to the battery: no power stage opens, limits or measures.
     """
 
     def __init__(self, parameters: CircuitParameters) -> None:
@@ -56,7 +56,7 @@ class Circuit:
         self._flowed = False
         self._overlap: Overlap | None = None
         self._bars = Bars.flat(0.0)
-        self._known_contacts: tuple[float, float] | None = None  # Ω of the upper and the lower bar, once asked for
+        self._known_contacts: tuple[float, float] | None = None  # Ω of the upper and the lower bar, computed on demand
         self._voltage = parameters.target_voltage  # of the target's battery without load
         self.current = 0.0
         self.fault = 0
@@ -64,7 +64,7 @@ class Circuit:
 
     @property
     def closed(self) -> bool:
-        """Whether the contactor's contacts touch."""
+        """Whether the contactor is closed."""
         return self._stuck or self._phase is _CLOSED or self._phase is _RAMP_DOWN
 
     def close(self) -> None:
@@ -74,7 +74,7 @@ class Circuit:
             self._enter(_PRECHARGE)
 
     def open(self, ramp: bool) -> None:
-        """Open: after ramping the current down, or at once."""
+        """Open, after ramping down the current or at once."""
         self.fault = 0
         if self._phase is _CLOSED and ramp:
             self._enter(_RAMP_DOWN)
@@ -82,7 +82,7 @@ class Circuit:
             self._break()
 
     def step(self, dt: float, overlap: Overlap | None, bars: Bars) -> None:
-        """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart), pressed as `bars`."""
+        """Advance by `dt` s; the terminals overlap as `overlap` (None = apart) and press as `bars`."""
         self._since += dt
         if bars is not self._bars or overlap is not self._overlap:
             self._overlap, self._bars, self._known_contacts = overlap, bars, None
@@ -92,7 +92,7 @@ class Circuit:
         if self._phase is _OPEN and not self._stuck:
             self.current = self._shorted_for = 0.0
             return
-        # What was shorted when this step began has now been so for its length.
+        # A short that existed when this step began has now lasted one step.
         self._shorted_for = self._shorted_for + dt if self.current >= _SHORT_CURRENT and self._shorted else 0.0
         if self._phase is _PRECHARGE and self._since >= self._parameters.precharge_time:
             self._leave_precharge()
@@ -115,7 +115,7 @@ class Circuit:
             self._detect()
 
     def _step_wired(self, dt: float) -> None:
-        """Let flow what the two batteries drive, either way; where the electrodes part, they interrupt it."""
+        """Let the batteries drive the current, in either direction; parting electrodes interrupt it."""
         before, self.current = self.current, self._driven()
         if self._parameters.target_capacity and not self._shorted:
             self._voltage += self.current * dt / self._parameters.target_capacity
@@ -132,9 +132,9 @@ class Circuit:
         return (parameters.battery_voltage - self._voltage) / loop
 
     def measured(self) -> tuple[float, float, float, bool, int]:
-        """Return battery and target voltage (V), current (A), contactor closed, and fault, as a board tells them.
+        """Return battery and target voltage (V), current (A), contactor closed, and fault, as the board reports them.
 
-        NaN where nothing measures.
+        NaN if not measured.
         """
         if self.wired:
             return math.nan, math.nan, math.nan, False, 0
@@ -151,7 +151,7 @@ class Circuit:
         return parameters.battery_voltage, self._voltage + self.current * parameters.target_resistance
 
     def probe(self) -> tuple[float, float]:
-        """Return resistance (Ω; inf = open) and target voltage (V) at low voltage; NaN where there is no probe."""
+        """Return resistance (Ω; inf = open) and target voltage (V) at low voltage; NaN without a probe."""
         if self.wired:
             return math.nan, math.nan
         if math.isinf(self._resistance):
@@ -174,21 +174,21 @@ class Circuit:
 
     @property
     def heat(self) -> float:
-        """In the contact of the bar that is worse off (W); of a short, which lies elsewhere, none is known here."""
+        """Return the heat (W) in the hotter bar's contact; the heat of a short, which is elsewhere, is not modelled."""
         if self.current == 0.0 or self._shorted or math.isinf(self._resistance):
             return 0.0
         return self.current * self.current * max(self._contacts)
 
     @property
     def _resistance(self) -> float:
-        """Of both contacts in series (Ω)."""
+        """Of both contacts in series, Ω."""
         upper, lower = self._contacts
         return upper + lower
 
     @property
     def _contacts(self) -> tuple[float, float]:
-        """Of each bar (Ω): falls with what of its overlap presses (area) and with the square root of force, as spots
-        of contact grow; inf where it does not press."""
+        """Of each bar, Ω: falls with the pressed area and with the square root of force, as contact spots grow; inf if
+        it does not press."""
         if self._known_contacts is None:
             bars = self._bars
             self._known_contacts = (
@@ -241,7 +241,7 @@ class Circuit:
         self._break()
 
     def _break(self) -> None:
-        """Tell the contactor to open; one that is welded stays closed and is found out, unless something worse was."""
+        """Command the contactor to open; a welded one stays closed and is detected, unless a worse fault was."""
         self._enter(_OPEN)
         if self._stuck:
             self.fault = self.fault or WELDED

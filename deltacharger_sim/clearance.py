@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which charger bar touches which target bar, exactly: rectangles, not the formula that docking decides by."""
+"""Exact contact of charger bars with target bars, as rectangles; independent of docking's clearance formula."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ Polygon = list[tuple[float, float]]
 
 
 class Overlap:
-    """How two terminals lie on each other; each attribute is worked out when it is first asked for.
+    """Overlap of two terminals; attributes are computed when first used.
 
     Args:
-        terminal: size of the bars, the same on both sides.
-        x: place of the target in end_effector, m.
-        y: likewise.
+        terminal: size of the bars, equal on both sides.
+        x: position of the target in end_effector, m.
+        y: along y, m.
         angle: of the target, rad.
     """
 
     def __init__(self, terminal: TerminalParameters, x: float, y: float, angle: float) -> None:
         self._terminal, self._cosine, self._sine = terminal, math.cos(angle), math.sin(angle)
-        # From one bar's centre to the wrong one's; the target's bars lie along its own turned y.
+        # From one bar's centre to the wrong bar's; the target's bars are offset along its own turned y.
         pitch = 0.5 * (terminal.gap + terminal.height)
         across_x, across_y = self._sine * pitch, -pitch - self._cosine * pitch
         self._down, self._up = (x + across_x, y + across_y), (x - across_x, y - across_y)
-        # The same from one bar's centre to that of its mate: upper from upper, lower from lower.
+        # From one bar's centre to its mate's: upper to upper, lower to lower.
         aside_x, aside_y = -self._sine * pitch, self._cosine * pitch - pitch
         self._mates = (x + aside_x, y + aside_y), (x - aside_x, y - aside_y)
 
     @cached_property
     def area(self) -> float:
-        """Overlap of the right pairs (upper on upper, lower on lower), m²."""
+        """Overlap of the matching pairs (upper on upper, lower on lower), m²."""
         return sum(self._common(mate) for mate in self._mates)
 
     @property
     def fraction(self) -> float:
-        """The same relative to full overlap."""
+        """The overlap relative to full overlap."""
         return self.area / (2.0 * self._terminal.length * self._terminal.height)
 
     @cached_property
     def clearance(self) -> float:
-        """Distance (m) of the nearest wrong pair; negative = how deep they overlap."""
+        """Distance (m) of the nearest mismatched pair; negative = depth of overlap."""
         return min(self._separation(self._down), self._separation(self._up))
 
     @cached_property
@@ -62,7 +62,7 @@ class Overlap:
 def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
     """Return the common area (m²) of two bars, the second's centre at (x, y) m from the first's, turned.
 
-    The second is cut at the first's four sides (Sutherland–Hodgman).
+    The second is clipped at the first's four sides (Sutherland–Hodgman).
     """
     if sine == 0.0 and cosine > 0.0:
         return max(terminal.length - abs(x), 0.0) * max(terminal.height - abs(y), 0.0)
@@ -89,7 +89,7 @@ def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sin
 
 
 def _cut(polygon: Polygon, inside: list[float]) -> Polygon:
-    """Return the part of a convex polygon whose distances inside of a line (m) are not negative."""
+    """Return the part of a convex polygon with non-negative distances (m) to the inside of a line."""
     kept = []
     (before_x, before_y), before = polygon[-1], inside[-1]
     for (corner_x, corner_y), here in zip(polygon, inside, strict=True):

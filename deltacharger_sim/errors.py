@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulation can fail with beside wrong parameters, which are ParameterErrors."""
+"""Errors of the simulation, except wrong parameters, which are ParameterErrors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from deltacharger_core.picklable import Picklable
 
 
 class SimulationError(Picklable):
-    """Root of every error of deltacharger_sim's own."""
+    """Base class of deltacharger_sim's own errors."""
 
 
 class TargetFixed(SimulationError, RuntimeError):
@@ -20,6 +20,6 @@ class TargetFixed(SimulationError, RuntimeError):
     def __init__(self, model: str) -> None:
         self.model = model
         super().__init__(
-            f"the target cannot move while the arm is moved by {model}; use a World of the light model, or put the "
-            "target elsewhere by the parameters of a new world"
+            f"the target cannot move while {model} moves the arm: use a World of the light model, or place the "
+            "target by the parameters of a new world"
         )

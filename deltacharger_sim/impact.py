@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The peak contact force of an impact, by sub-steps of the motion along z within a long step of the light model.
+"""Peak contact force of an impact, from sub-steps of the motion along z within a long step of the light model.
 
-A step of milliseconds ends before or after an impact and never at its peak, and backward Euler damps the rebound. So,
-from shortly before contact, the motion along z is integrated a second time beside the steps, in sub-steps, with
-Jacobian, mass, goals and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets −
-contact force, the lateral motion being that of the step. The sub-steps follow the trapezoidal rule, which conserves
-the energy of a rebound, are short beside the period of the contact's oscillation, and end where contact begins or is
-lost and where the hard stop is reached. Their largest force is the step's, once the step itself has contact. The light
-model's own motion does not use it.
+A step of milliseconds ends before or after an impact, never at its peak, and backward Euler damps the rebound.
+Therefore, from shortly before contact, the motion along z is integrated again in sub-steps, with Jacobian, mass, goals
+and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets − contact force. The
+lateral motion is the step's. The trapezoidal rule conserves the energy of a rebound. Sub-steps are short against the
+contact's oscillation period. They end where contact begins or is lost, and at the hard stop. Their largest force is
+the step's, once the step itself has contact. The light model's own motion does not use it.
 
-Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's, and ends when the
-contact has settled or the sub-steps are spent: a rebound that nothing drives never hits harder than the first impact.
-Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos and gears damp.
-Play is left out.
+Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's. It ends when the
+contact has settled or the sub-steps are used up: a rebound that nothing drives never exceeds the first impact.
+Electrodes and stop are undamped springs, so that stiff ones rebound; only servos and gears damp. Play is ignored.
 """
 
 from __future__ import annotations
@@ -27,23 +25,23 @@ from deltacharger_sim.touch import TargetTouch
 _PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turning point is then within 2 %
 _LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
 _FLIGHT_SHARE = 0.15  # of the distance over which the magnets' pull changes, travelled in a sub-step of flight
-_MOST = 160  # sub-steps after first contact; full ones, of contacts too soft to need shorter ones, do not count
+_MOST = 160  # sub-steps after first contact; full-length ones (soft contacts) do not count
 _MOST_IN_STEP = 80  # sub-steps in one step
-_LONGEST_MISMATCH = 0.06  # s that one of the two motions may be in contact without the other
+_LONGEST_MISMATCH = 0.06  # s that only one of the two motions may be in contact
 _SHORTEST_FLIGHT = 1e-5  # s of a sub-step of flight that ends at first contact
-_MISFIT = 0.1  # relative, and N: by how much the force of a leaning contact may differ from its linear prediction
+_MISFIT = 0.1  # relative, and N: allowed difference of a leaning contact's force from its linear prediction
 _AT_REST = 2e-4  # m/s, below which there is no impact
-_LEAD_STEPS = 2.0  # steps at the approach speed before contact, when sub-stepping begins at the latest
-_LONGEST_MOVE = 0.005  # m that a step of the light model moves the platform at most
+_LEAD_STEPS = 2.0  # steps at the approach speed before contact, at which sub-stepping begins at the latest
+_LONGEST_MOVE = 0.005  # m, largest move of the platform in a step of the light model
 _SEPARATED, _ON_SPRINGS, _ON_STOP = 0, 1, 2
 
 Drive = tuple[float, float, float, float]
-"""Of a powered servo: θ′ along z (rad/m), torque of its spring at the step's start, less what the lateral motion takes
-of it on average (N·m), torque limit (N·m), its stiffness as a share of the parameter."""
+"""Of a powered servo: θ′ along z (rad/m), torque of its spring at the step's start, less the mean effect of the
+lateral motion (N·m), torque limit (N·m), its stiffness as a share of the parameter."""
 
 
 class StepForces(NamedTuple):
-    """What a step of the light model gives to its sub-steps.
+    """Inputs of the sub-steps from a step of the light model.
 
     Attributes:
         drives: of the powered servos.
@@ -51,8 +49,8 @@ class StepForces(NamedTuple):
         friction: of all gears along z, N.
         carried: weight along z, N.
         mass: effective, along z, kg.
-        x: place of the target's centre in end_effector, m.
-        y: likewise.
+        x: position of the target's centre in end_effector, m.
+        y: along y, m.
     """
 
     drives: list[Drive]
@@ -83,15 +81,15 @@ class Impact:
         self._onset = 0.0  # m of gap at which the faces first touch
         self._placed_at, self._pull = (math.nan, math.nan), 0.0
         target, terminal = parameters.target, parameters.terminal
-        # Leaning faces touch first away from their centres, at no larger gap than this.
+        # Leaning faces touch first away from their centres, at this gap at most.
         self._onset_bound = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
         self.reach = self._near + self._onset_bound + _LEAD_STEPS * _LONGEST_MOVE
         self.follows = self._spent = self._touched = False
         self._gap = self._speed = self._gear = self._peak = self._mismatch = 0.0
-        self._left, self._regime = 0, _SEPARATED  # sub-steps that may still follow
+        self._left, self._regime = 0, _SEPARATED  # remaining sub-steps
 
     def concerns(self, gap: float, speed: float, dt: float, onset: float) -> bool:
-        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may have an impact.
+        """Return whether a step of `dt` s from a `gap` (m), closing at `speed` (m/s), may have an impact.
 
         The faces first touch at a gap of `onset` m.
         """
@@ -110,7 +108,7 @@ class Impact:
         Args:
             dt: s.
             gap: of the light model at the step's start, m; its `forces` hold there.
-            speed: at which it closes, m/s.
+            speed: of closing, m/s.
             gear: friction of the gears along z, N.
             forces: of the step.
             pressed: whether the light model has contact at its end.
@@ -139,7 +137,7 @@ class Impact:
         self._pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
 
     def _advance(self, dt: float, at: float, forces: StepForces) -> None:
-        """Advance by `dt` s in sub-steps, or until the contact has settled or they are spent."""
+        """Advance by `dt` s in sub-steps, until the contact has settled or they are used up."""
         low, high, push, gain = _linear(forces.drives)
         k, d, mass, most = self._stiffness, self._damping, forces.mass, forces.friction
         pull, uneven = self._pull, any(drive[3] != 1.0 for drive in forces.drives)
@@ -174,7 +172,7 @@ class Impact:
             self._peak = max(self._peak, self._normal(self._gap)[0])
 
     def _longest_sub_step(self, gap: float, speed: float, mass: float) -> float:
-        """Return the longest sub-step from here (s)."""
+        """Return the longest permitted sub-step (s)."""
         if self._regime:
             return min(_LONGEST, _PHASE * math.sqrt(mass / self._stiffnesses[self._regime]))
         return min(_LONGEST, _FLIGHT_SHARE * (gap + self._range) / max(abs(speed), _AT_REST))
@@ -187,7 +185,7 @@ class Impact:
         return -first * gap - (both - first) * (gap + self._stop), both
 
     def _move(self, h: float, force: float, mass: float, damping: float, tangent: float) -> tuple[float, float]:
-        """Move by `h` s, or up to where contact or stop is reached or lost; return time taken (s) and speed (m/s) then.
+        """Move by `h` s, or until contact or stop is reached or lost; return time taken (s) and speed (m/s) then.
 
         Args:
             h: s.
@@ -219,9 +217,9 @@ class Impact:
 
 
 class LeaningImpact(Impact):
-    """The same where target or platform may lean: stiffness grows with the length of the bars that is in contact.
+    """Impact with a leaning target or platform: stiffness grows with the length of the bars in contact.
 
-    A sub-step is short enough for the tangent at its start to predict the force at its end.
+    Sub-steps are short enough for the tangent at the start to predict the force at the end.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
@@ -290,7 +288,7 @@ def _trapezoid(h: float, speed: float, force: float, mass: float, damping: float
 
 
 def _linear(drives: list[Drive]) -> tuple[float, float, float, float]:
-    """Return the range of k Δz + d v (N·m/m) where no servo saturates, and there Σ θ′ torque (N) and Σ θ′² (1/m²)."""
+    """Return the range of k Δz + d v (N·m/m) without saturated servos, and there Σ θ′ torque (N) and Σ θ′² (1/m²)."""
     low, high, push, gain = -math.inf, math.inf, 0.0, 0.0
     for slope, lead, limit, _ in drives:
         push += slope * lead

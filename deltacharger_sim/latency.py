@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that reach a servo late and readings that are old; a world without either never makes one of these."""
+"""Delayed commands and readings of the servos; not created if there is no delay."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ _ROUNDING = 1e-9  # s; sums of steps differ from their product by less
 
 
 def delays(servo: ServoParameters) -> bool:
-    """Return whether anything is late; if not, none of this module runs."""
+    """Return whether there is any delay; if not, this module is not used."""
     return servo.command_latency > 0.0 or servo.reading_latency > 0.0
 
 
 class Latency:
-    """What is under way to and from the servos, in whole steps of the world: a delay ends with the step that reaches
-    it."""
+    """Commands and readings in transit, in whole steps of the world: a delay ends with the step that reaches it."""
 
     def __init__(self, servo: ServoParameters) -> None:
         self._servo = servo
@@ -29,21 +28,21 @@ class Latency:
         self._states: deque[tuple[float, list[State]]] = deque()
 
     def command(self, now: float, command: Command) -> None:
-        """Send a command off at `now` s."""
+        """Send a command at `now` s."""
         self._commands.append((now + self._servo.command_latency, command))
 
     def due(self, now: float) -> Iterator[Command]:
-        """Yield the commands that have arrived, in their order."""
+        """Yield the arrived commands in order."""
         while self._commands and self._commands[0][0] <= now + _ROUNDING:
             yield self._commands.popleft()[1]
 
     def keep(self, now: float, states: list[State]) -> None:
-        """Remember the servos' state at `now` s as long as somebody may still read it."""
+        """Store the servos' state at `now` s while it may still be read."""
         latest = now - self._servo.reading_latency + _ROUNDING
         self._states.append((now, states))
         while len(self._states) > 1 and self._states[1][0] <= latest:
             self._states.popleft()
 
     def state(self, index: int) -> State | None:
-        """Return what servo `index` tells: its newest state that is old enough; None before the first step."""
+        """Return the reading of servo `index`: its newest state that is old enough; None before the first step."""
         return self._states[0][1][index] if self._states else None

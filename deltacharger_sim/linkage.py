@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm's angles and how they turn with the platform, from one pass over the limbs: what a step of mechanics needs.
+"""Inverse kinematics and its gradient from one pass over the limbs, for a step of mechanics.
 
 With u, v, w the elbow-free coordinates of a limb (see `deltacharger_kinematics.delta`), a its arm, K = u² + v² + w² +
-a² − L² and Q = 4a²(u² + w²) − K², the angle is that of the single arc tangent, and its gradient is dθ = −2 [(u − a
-cos θ) du + v dv + (w − a sin θ) dw] / (σ√Q): no matrix is inverted, so that it stays finite where the rods lie in one
-plane. `ScalarDelta` answers near the edge of a limb's reach, where √Q loses its digits.
+a² − L² and Q = 4a²(u² + w²) − K², one arc tangent gives the angle, and its gradient is dθ = −2 [(u − a
+cos θ) du + v dv + (w − a sin θ) dw] / (σ√Q). No matrix is inverted, so it stays finite if the rods lie in one
+plane. Near the edge of a limb's reach, where √Q loses its digits, `ScalarDelta` is used.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from deltacharger_kinematics.scalar import ScalarDelta
 Rows = tuple[Vector, Vector, Vector]
 Turns = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
-_PLAIN = 1e-4  # of √Q to its largest; below it, an angle from plain doubles is worse than 1e-11 rad
-_STEEPEST = 1e-3  # of the same; the gradient is bounded there, so that a step at the edge of reach stays finite
+_PLAIN = 1e-4  # √Q relative to its largest value; below it, an angle from plain doubles is worse than 1e-11 rad
+_STEEPEST = 1e-3  # as above; bounds the gradient, so that a step at the edge of reach stays finite
 
 
 class Linkage:
@@ -40,11 +40,11 @@ class Linkage:
         self._limbs = tuple(numbers)
 
     def linearise(self, x: float, y: float, z: float) -> tuple[Vector, Rows, Turns] | None:
-        """Return what the arms do where the platform is at a point (m).
+        """Return angles and gradient for a position of the platform (m).
 
         Returns:
-            The commanded angles (rad), the rows dθ/dp (rad/m), and cosine and sine of each arm's true angle; None where
-            a limb does not reach the point.
+            The commanded angles (rad), the rows dθ/dp (rad/m), and cosine and sine of each arm's true angle; None if
+            a limb does not reach it.
         """
         angles, rows, turns = [], [], []
         for cosine, sine, difference, tangential, height, four, constant, size, knee, zero, per_arm in self._limbs:
@@ -70,7 +70,7 @@ class Linkage:
         return (angles[0], angles[1], angles[2]), (rows[0], rows[1], rows[2]), (turns[0], turns[1], turns[2])
 
     def _at_the_edge(self, x: float, y: float, z: float) -> tuple[Vector, Rows, Turns] | None:
-        """Return the same near the edge of reach, with exact angles and a gradient that is bounded."""
+        """As `linearise`, near the edge of reach: exact angles and a bounded gradient."""
         angles = self._edge.inverse(x, y, z)
         if angles[0] != angles[0]:
             return None

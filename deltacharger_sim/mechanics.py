@@ -2,16 +2,16 @@
 """Platform, servos, electrodes and magnets as one implicit step in plain Python floats.
 
 The unknown of a step is the platform's displacement δ (3). Servos are springs and dampers behind a torque limit, τ =
-clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + (dθ/dp) δ; gears and electrodes rub by radial return (an elastic
-bristle whose force is cut back to the friction limit), which has no smoothing speed and so stays right at any step;
-electrodes are springs with a hard stop; magnets pull across the gap. Backward Euler on their balance, m δ̈ = Σ
-forces, is solved by a damped Newton iteration, each part giving its own tangent. The magnets' negative stiffness
-counts in the tangent only while it is less than half of the rest, so that the iteration moves on to the stable side
-of a snap instead of diverging.
+clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + (dθ/dp) δ. Friction of gears and electrodes uses radial return:
+an elastic bristle whose force is cut back to the friction limit. It has no smoothing speed and so stays right at any
+step. Electrodes are springs with a hard stop; magnets pull across the gap. A damped Newton iteration solves backward
+Euler of their balance, m δ̈ = Σ forces, with a tangent from each part. The magnets' negative stiffness counts in the
+tangent only while it is less than half of the rest, so that the iteration moves on to the stable side of a snap
+instead of diverging.
 
 Within a step the kinematics are linear. A step that would move the platform by more than 5 mm, or that finds no
-balance, is taken in two halves. At rest nothing is computed: once a step has moved nothing and its inputs stay, the
-next ones would move nothing either.
+balance, is halved. At rest nothing is computed: if a step moved nothing and its inputs stay, the next one moves
+nothing either.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from deltacharger_sim.touch import TargetTouch
 GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
 END_STOP = 2000.0  # N·m/rad behind a joint limit
 _ITERATIONS = 60
-_FULL_STEPS = 20  # later ones are halved: piecewise-linear parts can make full Newton steps go back and forth
-_SHORTEST = 1e-12**2  # m² of a Newton step, below which nothing changes any more
-_LONGEST = 0.004**2  # m² that one Newton step may move the platform
+_FULL_STEPS = 20  # later ones are halved: piecewise-linear parts can make full Newton steps oscillate
+_SHORTEST = 1e-12**2  # m² of a Newton step, below which the result no longer changes
+_LONGEST = 0.004**2  # m², largest move of the platform in one Newton step
 _ENOUGH = 1e-5**2  # N² of imbalance that ends the iteration
-_ENOUGH_IN_MOTION = 3.0**2  # (N/m)² of imbalance over the way of a step: 3e-4 of it, as the servos yield at 1e4 N/m
-_FARTHEST = 0.005**2  # m² that a step may move the platform; one that would go further is taken in halves
-_UNSOLVED = 0.01  # N of imbalance above which a step is taken in halves
-_FINEST = 0.001  # s of a step that is not halved any more
-_ASIDE = 1e-6  # m sideways that change neither the magnets' pull nor what overlaps
-_REST = 1e-10  # m in a step, below which it is tried to stand still
-_REST_ENOUGH = 1e-6**2  # N² of imbalance that lets it
+_ENOUGH_IN_MOTION = 3.0**2  # (N/m)² of imbalance per displacement in a step: 3e-4 of it, as the servos have 1e4 N/m
+_FARTHEST = 0.005**2  # m², largest move of the platform in a step; a larger one is halved
+_UNSOLVED = 0.01  # N of imbalance above which a step is halved
+_FINEST = 0.001  # s, step that is not halved further
+_ASIDE = 1e-6  # m, lateral move with no effect on the magnets' pull and the overlap
+_REST = 1e-10  # m in a step, below which rest is tried
+_REST_ENOUGH = 1e-6**2  # N² of imbalance that permits rest
 
-# Of one joint in a step: the row dθ/dp, spring torque before it turns, spring and damper against turning, torque limit,
-# gear bristle's torque, its friction, turns to the lower and upper joint limit, and torque of weight and inertia.
+# Of one joint in a step: the row dθ/dp, spring torque at the start, stiffness of spring and damper, torque limit,
+# gear bristle's torque, its friction, angles to the lower and upper joint limit, and torque of weight and inertia.
 _Joint = tuple[float, float, float, float, float, float, float, float, float, float, float]
 # Imbalance (N) and the positive-definite tangent (N/m): xx, xy, xz, yy, yz, zz.
 _Balance = tuple[float, float, float, float, float, float, float, float, float]
@@ -74,12 +74,12 @@ class Mechanics(Motion):
         self._play = 0.5 * parameters.servo.backlash
         here = self._linkage.linearise(*start)
         if here is None:
-            raise ValueError(f"start {start!r} is out of the arm's reach: give a point of its workspace (m)")
+            raise ValueError(f"start {start!r} is out of the arm's reach: give a point in its workspace (m)")
         self.angles, self._rows, self._turns = here
         self.gear: Vector = (0.0, 0.0, 0.0)
         self.rub: tuple[float, float] = (0.0, 0.0)
-        # Rates by the rows that the step began with. The next step's are by its own, and the difference of the two
-        # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
+        # Rates by the rows at the step's start; the next step's use its own rows. The difference of both contains all
+        # of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; exact rates would lose half of the second term.
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._velocity_before: Vector = (0.0, 0.0, 0.0)
         self._aside = (math.inf, math.inf)
@@ -89,7 +89,7 @@ class Mechanics(Motion):
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s; arguments as those of `Motion.step`."""
+        """Advance by `dt` s; arguments as of `Motion.step`."""
         inputs = (dt, enabled, reference, limit, x, y)
         if inputs == self._inputs:
             if self.still:
@@ -113,7 +113,7 @@ class Mechanics(Motion):
         self.peak_force = struck if struck > self.contact_force else self.contact_force
 
     def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
-        """Return the largest force (N) of a strike within a step from `gap` (m) on that goes dx, dy (m) sideways."""
+        """Return the largest force (N) of a strike within a step from `gap` (m), with a lateral move dx, dy (m)."""
         damper, momentum = self._parameters.servo.damping / dt, self._inertia * dt
         drives, squares, friction, gear, carried = [], 0.0, 0.0, 0.0, self._mass * self._gravity[2]
         for joint, spin, share, servo in zip(joints, self._spin, self.gains, self._servos, strict=True):
@@ -132,11 +132,11 @@ class Mechanics(Motion):
 
     @property
     def onset(self) -> float:
-        """Gap at which the first end of the faces touches, m."""
+        """Gap at which the faces first touch, m."""
         return self._touch.onset
 
     def servo_push(self) -> float:
-        """Return the force (N), Rᵀ τ, of motors and gears on the platform along z, less what holds the arm's weight."""
+        """Return the force (N), Rᵀ τ, of motors and gears on the platform along z, without the arm's weight."""
         push = self._mass * self._gravity[2]
         for row, motor, gear, (cosine, sine), (up, out) in zip(
             self._rows, self.torques, self.gear, self._turns, self._elbows, strict=True
@@ -145,7 +145,7 @@ class Mechanics(Motion):
         return push
 
     def carry(self, dx: float, dy: float) -> None:
-        """Stretch the electrodes' bristle by the target's move (m), as the platform's own moves relax it."""
+        """Stretch the electrodes' bristle by the target's move (m); the platform's own moves relax it."""
         if self.contact_force > 0.0:
             self.rub = self.rub[0] + self._touch.side * dx, self.rub[1] + self._touch.side * dy
 
@@ -159,7 +159,7 @@ class Mechanics(Motion):
         x: float,
         y: float,
     ) -> None:
-        """Keep what of the inputs stays through the iterations and through steps with the same inputs."""
+        """Store what stays constant through the iterations and through steps with equal inputs."""
         servo = self._parameters.servo
         known = self._inputs[:4]
         self._inputs = inputs
@@ -196,11 +196,11 @@ class Mechanics(Motion):
         return joints
 
     def _solve(self, joints: list[_Joint], dt: float) -> Vector:
-        """Return the displacement (m) at which the forces balance, or the best found."""
+        """Return the displacement (m) of balanced forces, or the best approximation found."""
         (vx, vy, vz), (before_x, before_y, before_z) = self.velocity, self._velocity_before
         way, square = dt, before_x * before_x + before_y * before_y + before_z * before_z
         if square > 0.0:
-            # Servos brake like a first-order lag: each step's way is the same share of the one before.
+            # Servos brake like a first-order lag: each step's displacement is a constant share of the previous one.
             share = (vx * before_x + vy * before_y + vz * before_z) / square
             if 0.0 < share < 1.0:
                 way *= share
@@ -239,7 +239,7 @@ class Mechanics(Motion):
         return best
 
     def _evaluate(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> _Balance:
-        """Return imbalance (N) and tangent (N/m) at a displacement (m), and keep the parts' forces in `_found`."""
+        """Return imbalance (N) and tangent (N/m) at a displacement (m), and store the parts' forces in `_found`."""
         mass, inertia, play = self._mass_rate, self._inertia, self._play
         vx, vy, vz = self.velocity
         gravity_x, gravity_y, gravity_z = self._gravity
@@ -298,7 +298,7 @@ class Mechanics(Motion):
         return fx, fy, fz, xx + side, xy, xz, yy + side, yz, zz
 
     def _through_play(self, lead: float, slope: float, turn: float, stiffness: float) -> tuple[float, float]:
-        """Return spring torque and slope with play: within it the arm feels the damper alone."""
+        """Return spring torque and slope with play: within it only the damper acts on the arm."""
         if slope == 0.0:
             return lead, slope
         error, play = lead - stiffness * turn, stiffness * self._play
@@ -307,7 +307,7 @@ class Mechanics(Motion):
         return lead - math.copysign(play, error), slope
 
     def _accept(self, dx: float, dy: float, dz: float, dt: float) -> None:
-        """Take the displacement (m) over, or as much of it as the arm reaches."""
+        """Apply the displacement (m), or as much of it as the arm reaches."""
         before, angles, (first, second, third) = self.position, self.angles, self._rows
         at_rest = self.velocity == self.rates == (0.0, 0.0, 0.0)
         share = 1.0
@@ -340,7 +340,7 @@ class Mechanics(Motion):
             self.tilt, self._bars = tilt.keep()
 
     def _take_up_play(self) -> None:
-        """Let each powered encoder run ahead of its arm toward its goal, as far as the play allows."""
+        """Let each powered encoder run ahead of its arm toward its goal, within the play."""
         play, ahead = self._play, list(self.slack)
         for index, (drive, angle) in enumerate(zip(self._servos, self.angles, strict=True)):
             if drive[0] > 0.0:

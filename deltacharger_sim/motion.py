@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a world asks of whatever moves its arm: the light model, or MuJoCo."""
+"""Interface of a world to the model that moves its arm: the light model, or MuJoCo."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _UNTOUCHED = Bars.flat(0.0)
 
 
 class Motion(ABC):
-    """State of the arm and one step of it.
+    """State of the arm, and its step.
 
     Args:
         parameters: of the world.
-        start: where the platform begins, m, charger_base.
+        start: of the platform, m, charger_base.
 
     Attributes:
         position: of the platform, m, charger_base.
@@ -31,14 +31,14 @@ class Motion(ABC):
         angles: of the arms, rad.
         rates: rad/s.
         torques: of the motors, N·m, before gear friction.
-        slack: how far play lets each encoder run ahead of its arm, rad.
+        slack: by which play lets each encoder run ahead of its arm, rad.
         tilt: of the platform about x and y, rad; 0 without compliance.
-        contact_force: normal force on the electrodes together, N.
-        peak_force: the largest within the last step, N; of MuJoCo that at its end.
+        contact_force: total normal force on the electrodes, N.
+        peak_force: largest one within the last step, N; in MuJoCo, at its end.
         magnet_force: pull of the magnets, N.
-        gains: what each servo's stiffness is of the parameter, as its gain register says; 1 = what servo_node writes.
-        imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
-        still: whether the last step moved nothing, so that the next one with the same inputs will not either.
+        gains: each servo's stiffness relative to the parameter, by its gain register; 1 = as servo_node sets it.
+        imbalance: residual force of the last step's solution, N; small unless the step is long and friction slips.
+        still: whether the last step moved nothing, so that the next one with equal inputs will not either.
     """
 
     def __init__(self, parameters: WorldParameters, start: Vector) -> None:
@@ -47,7 +47,7 @@ class Motion(ABC):
         self.position = start
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.gains: Vector = (1.0, 1.0, 1.0)
-        self._inputs: tuple[object, ...] = ()  # of the last step, as the model keeps them
+        self._inputs: tuple[object, ...] = ()  # of the last step, in the model's form
         self.tilt = (0.0, 0.0)
         self._leans = tilts(parameters)
         self._bars = _UNTOUCHED
@@ -55,18 +55,18 @@ class Motion(ABC):
         self.still = False
 
     def set_gains(self, gains: Vector) -> None:
-        """Take over another stiffness of each servo, as a share of the parameter."""
+        """Set each servo's stiffness, as a share of the parameter."""
         self.gains = gains
         self._inputs = ()
 
     @property
     def gap(self) -> float:
-        """Distance between the touched faces (m); negative = springs compressed, inf = there is no target."""
+        """Distance between the contact faces (m); negative = springs compressed, inf = no target."""
         return self._target_z - self.position[2]
 
     @property
     def lean(self) -> Lean | None:
-        """Of the platform against the target; None where neither the platform yields nor the target leans."""
+        """Lean of the platform against the target; None if the platform is rigid and the target does not lean."""
         if not self._leans:
             return None
         (alpha, beta), target = self.tilt, self._parameters.target
@@ -74,19 +74,19 @@ class Motion(ABC):
 
     @property
     def bars(self) -> Bars:
-        """What each bar bears."""
+        """Forces on the bars."""
         if not self._leans and self._bars.upper != 0.5 * self.contact_force:
             self._bars = Bars.flat(self.contact_force)
         return self._bars
 
     @property
     def onset(self) -> float:
-        """Gap at which the first end of the faces touches, m; 0 where nothing leans."""
+        """Gap at which the faces first touch, m; 0 if nothing leans."""
         return 0.0
 
     @property
     def voltage(self) -> float:
-        """Of the servos' supply under what they draw (V)."""
+        """Voltage of the servos' supply under load, V."""
         servo, torques = self._parameters.servo, self.torques
         drawn = (abs(torques[0]) + abs(torques[1]) + abs(torques[2])) / servo.torque_constant
         return servo.supply_voltage - servo.supply_resistance * drawn
@@ -102,18 +102,18 @@ class Motion(ABC):
             enabled: whether each servo's torque is on.
             reference: goal angle of each servo, rad.
             limit: current bound of each servo, A.
-            x: centre of the target's terminal in end_effector, m; its distance weakens the magnets.
-            y: the same along y, m.
+            x: centre of the target's terminal in end_effector, m; a lateral offset weakens the magnets.
+            y: along y, m.
         """
 
     def carry(self, dx: float, dy: float) -> None:
-        """Let the target move on by (dx, dy), m, before the next step: where it touches, its friction takes hold.
+        """Let the target move by (dx, dy), m, before the next step; in contact, friction acts.
 
         Raises:
-            TargetFixed: this model's target stays where it is.
+            TargetFixed: this model's target cannot move.
         """
         raise TargetFixed(type(self).__name__)
 
 
 MakeMotion = Callable[[WorldParameters, DeltaGeometry, Vector], Motion]
-"""Makes the motion of an arm that stands at a point (m)."""
+"""Creates the motion of an arm that starts at a point (m)."""

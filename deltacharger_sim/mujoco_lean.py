@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A leaning contact in MuJoCo: a target whose face is tilted, a platform that yields about x and y, bars that may lift.
+"""A leaning contact in MuJoCo: tilted target face, platform that yields about x and y, bars that may lift.
 
-The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical damping
-and an inertia of their own; without compliance there are none. The pads are one more spring of the hinge about y, at
-rest where both bear alike (`tilt.level_yaw`); once one pad is empty, a moment of the whole force at the other takes its
-place. Each bar touches by points along the line in which it overlaps its mate, each with its share of the bar's
-stiffness and of the stop behind it. No angle is taken to be small, the target's force is normal to its own face, and
-friction at the face bends the hinges.
+Two hinges hold the platform's face, `platform.lever` behind it, with springs of 1/compliance, critical damping and an
+inertia; without compliance there are no hinges. The pads add a spring to the hinge about y, at rest if both bear
+equally (`tilt.level_yaw`). Once one pad is empty, a moment of the total force at the other pad replaces it. Each bar
+touches by points along its overlap with its mate, each with its share of the bar's stiffness and of the stop behind it.
+Angles are not assumed small, the target's force is normal to its own face, and friction at the face bends the hinges.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance, s
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.tilt import PAD, level_yaw, pads_turn
 
-POINTS = 24  # of each bar; with 8 a contact of which one end lifts presses up to 1 % less
+POINTS = 24  # of each bar; with 8, a contact with one lifted end presses up to 1 % less
 INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
 _RADIUS = 1e-5  # m of a point; on a tilted face a larger one would touch too early
-_SPECK = 1e-6  # kg of the face, whose mass is the platform's
-# At equal distances, and a little further apart than the middles of equal pieces: with the line's own ∫ w² dw.
+_SPECK = 1e-6  # kg of the face; its mass belongs to the platform
+# Equidistant, slightly wider than the middles of equal pieces: with the line's own ∫ w² dw.
 _PLACES = tuple(
     (2 * index + 1 - POINTS) / (POINTS * math.sqrt(1.0 - 1.0 / POINTS**2)) for index in range(POINTS)
 )  # of half the overlap
@@ -38,7 +37,7 @@ def face(parameters: WorldParameters) -> str:
     platform, joints = parameters.platform, ""
     if platform.compliance > 0.0:
         joints = '<joint name="lean_x" axis="1 0 0"/><joint name="lean_y" axis="0 1 0"/>'
-    # A body that a spring of impedance d holds moves as one of 1/(1 − d) of its inertia.
+    # A body held by a spring of impedance d moves like one with 1/(1 − d) of its inertia.
     inertia = (1.0 - IMPEDANCE) * INERTIA
     points = "".join(
         f'<geom name="{layer}{side}_{index}" type="sphere" size="{_RADIUS}" pos="{u!r} {v!r} {w!r}" mass="0" '
@@ -54,7 +53,7 @@ def face(parameters: WorldParameters) -> str:
 def hinges(parameters: WorldParameters) -> str:
     """Return the XML of the springs of the hinges.
 
-    They are constraints: with springs and dampers of the joints themselves MuJoCo's integrator `discrete` makes the
+    They are constraints: with springs and dampers of the joints themselves, MuJoCo's integrator `discrete` makes the
     contacts softer, by 5 % at 0.2 ms.
     """
     if parameters.platform.compliance == 0.0:
@@ -67,7 +66,7 @@ def hinges(parameters: WorldParameters) -> str:
 
 
 def places(parameters: WorldParameters, x: float, y: float) -> list[tuple[float, float, float]]:
-    """Return every point's place in the face (m) while the target's centre is at (x, y) in end_effector, m."""
+    """Return every point's position in the face (m) with the target's centre at (x, y) in end_effector, m."""
     terminal = parameters.terminal
     half, up = 0.5 * max(terminal.length - abs(x), 0.0), 0.5 * (terminal.gap + terminal.height)
     front = parameters.platform.lever - _RADIUS
@@ -79,22 +78,22 @@ def places(parameters: WorldParameters, x: float, y: float) -> list[tuple[float,
 
 
 def plane_turn(parameters: WorldParameters) -> tuple[float, float, float, float]:
-    """Return the quaternion (w, x, y, z) that turns a plane's normal from +z to the target's, which looks along −z."""
+    """Return the quaternion (w, x, y, z) that turns a plane's normal from +z to the target's, which points along −z."""
     half_x, half_y = 0.5 * parameters.target.tilt_x, 0.5 * parameters.target.tilt_y
     sine_x, cosine_x, sine_y, cosine_y = math.sin(half_x), math.cos(half_x), math.sin(half_y), math.cos(half_y)
-    # About y, then about x, of a plane that was turned by π about x.
+    # About y, then about x, of a plane turned by π about x.
     return -sine_x * cosine_y, cosine_x * cosine_y, -sine_x * sine_y, -cosine_x * sine_y
 
 
 def pairs(friction: float) -> str:
-    """Return the XML of the contacts with the target, at a coefficient of friction."""
+    """Return the XML of the contacts with the target, with a coefficient of friction."""
     d = share_impedance(2 * POINTS)
     how = f'condim="3" friction="{friction!r} {friction!r}" solimp="{d!r} {d!r} 0.001"'
     return "".join(f'<pair geom1="target" geom2="{layer}{side}_{index}" {how}/>' for layer, side, index in _NAMES)
 
 
 def set_springs(model: Any, parameters: WorldParameters) -> None:
-    """Give every contact of a compiled model its share of the stiffness, and the hinges theirs."""
+    """Set the stiffness of a compiled model's contacts and hinges."""
     contact, inverse = parameters.contact, float(model.body_invweight0[model.body("face").id, 0])
     for index in range(model.npair):
         stiffness = 2.0 * contact.stiffness if index < 2 * POINTS else contact.hard_stop_stiffness
@@ -110,7 +109,7 @@ def set_springs(model: Any, parameters: WorldParameters) -> None:
 
 
 class MujocoLean:
-    """Places the points of a model that leans, and reads what it does.
+    """Places the points of a leaning model, and reads its state.
 
     Args:
         model: of `mujoco_model.build`.
@@ -128,10 +127,10 @@ class MujocoLean:
         self._tip, self._yaw = pads_turn(parameters), level_yaw(parameters)
 
     def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
-        """Put the points where the bars overlap with the target's centre at (x, y) in end_effector, m.
+        """Place the points on the bars' overlap with the target's centre at (x, y) in end_effector, m.
 
         Args:
-            position: of the platform, m; the target's face goes where it leaves the centre.
+            position: of the platform, m; the target's face stays where it leaves the centre.
             x: m.
             y: m.
         """
@@ -140,7 +139,7 @@ class MujocoLean:
         self._model.geom_pos[self._plane] = (position[0] + x, position[1] + y, self._parameters.target.z)
 
     def turn_back(self, data: Any) -> None:
-        """Let the pads act in the next step of MuJoCo by the force and the tilt that the last one left."""
+        """Set the pads' effect in MuJoCo's next step from force and tilt of the last one."""
         if not self._hinges:
             return
         moment = self._tip * (float(data.qpos[self._hinges[1]]) - self._yaw)
@@ -155,12 +154,12 @@ class MujocoLean:
         for index in range(data.ncon):
             row = int(contacts.efc_address[index])
             if row >= 0:
-                # The rows of the contact's frame are its axes; the third column holds their z components.
+                # The rows of the contact's frame are its axes; the third column has their z components.
                 pressed = -float(contacts.frame[index].reshape(3, 3)[:, 2] @ data.efc_force[row : row + 3])
                 yield max(contacts.geom[index]) - self._points, pressed
 
     def read(self, data: Any) -> tuple[float, tuple[float, float], Bars]:
-        """Return force along z (N), tilt about x and y (rad), and what the bars bear."""
+        """Return force along z (N), tilt about x and y (rad), and forces on the bars."""
         forces, points = {1: 0.0, -1: 0.0}, {1: 0, -1: 0}
         for number, force in self._pressed(data):
             layer, side, _ = _NAMES[number]

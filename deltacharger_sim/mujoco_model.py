@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger as a MuJoCo model, from the same parameters as the light one.
+"""The charger as a MuJoCo model, from the light model's parameters.
 
-Every limb is a driven arm on a hinge and a rod on a universal joint; the platform slides along x, y and z, as the
-parallelograms force it to; the rods' ends are tied to it by equality constraints, so that the loops are closed by the
-solver and no formula of the light model is used. The touched faces are a sphere and a plane, the stop behind the
-electrodes' springs a second sphere further back.
+Every limb is a driven arm on a hinge and a rod on a universal joint. The platform slides along x, y and z, as the
+parallelograms enforce. Equality constraints tie the rods' ends to it, so that the solver closes the loops and no
+formula of the light model is used. The contact faces are a sphere and a plane; the stop behind the electrodes' springs
+is a second sphere further back.
 
-Stiffnesses are set as mujoco_springs.py says. Where target or platform lean, the face is that of mujoco_lean.py.
+Stiffnesses are set by mujoco_springs.py. If target or platform lean, mujoco_lean.py replaces the face.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from deltacharger_sim.mujoco_springs import IMPEDANCE, spring
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.tilt import tilts
 
-TIGHT = 0.9999  # d of what must not give: closed loops and dry friction
-STICTION = 1e4  # how much stiffer friction is than the contact's normal; with 1 a pressed contact creeps by cm/s
+TIGHT = 0.9999  # d of stiff constraints: closed loops and dry friction
+STICTION = 1e4  # stiffness of friction relative to the contact's normal; with 1, a pressed contact creeps by cm/s
 END_STOP = 2000.0  # N·m/rad behind a joint limit, as in the light model
-_RADIUS = 0.005  # m of the spheres that stand for the electrodes
+_RADIUS = 0.005  # m of the spheres that model the electrodes
 _SPECK = 1e-6  # kg of an arm; its inertia is the rotor's, as in the light model
 INTEGRATORS = ("discrete", "implicitfast", "implicit", "Euler")
 
@@ -33,25 +33,25 @@ def load() -> Any:
     """Import MuJoCo.
 
     Raises:
-        ModuleNotFoundError: it is not installed; says what to install.
+        ModuleNotFoundError: it is not installed; the message states what to install.
     """
     try:
         import mujoco
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "MuJoCo, the reference of the simulation, is not installed; install deltacharger[sim]", name="mujoco"
+            "MuJoCo, the reference of the simulation, is not installed: install deltacharger[sim]", name="mujoco"
         ) from error
     return mujoco
 
 
 def integrators() -> tuple[str, ...]:
-    """Return the integrators that the installed MuJoCo has, best first; `discrete` came with 3.13."""
+    """Return the integrators of the installed MuJoCo, best first; `discrete` needs 3.13."""
     known = load().mjtIntegrator
     return tuple(name for name in INTEGRATORS if hasattr(known, f"mjINT_{name.upper()}"))
 
 
 def refuse(parameters: WorldParameters) -> None:
-    """Refuse what the reference does not have.
+    """Refuse parameters that the reference does not support.
 
     Raises:
         ParameterError: names the key.
@@ -63,22 +63,22 @@ def refuse(parameters: WorldParameters) -> None:
     for key, value, what in without:
         if value != 0.0:
             raise ParameterError(
-                key, value, f"{value!r}: the MuJoCo reference has no {what}; give 0 or the light model"
+                key, value, f"{value!r}: the MuJoCo reference has no {what}: give 0 or use the light model"
             )
 
 
 def build(parameters: WorldParameters, geometry: DeltaGeometry, step: float, integrator: str) -> Any:
-    """Return the mujoco.MjModel with time step `step` (s), its contact and stop stiffnesses set.
+    """Return the mujoco.MjModel with time step `step` (s), with contact and stop stiffnesses set.
 
     Raises:
         ModuleNotFoundError: MuJoCo is not installed.
-        ParameterError: the reference does not have something that the parameters ask for.
-        ValueError: no such integrator in the installed MuJoCo.
+        ParameterError: the reference does not support a parameter.
+        ValueError: the installed MuJoCo lacks the integrator.
     """
     mujoco = load()
     refuse(parameters)
     if integrator not in integrators():
-        raise ValueError(f"integrator {integrator!r}: the installed MuJoCo has {', '.join(integrators())}")
+        raise ValueError(f"unknown integrator {integrator!r}: give one of {', '.join(integrators())}")
     model = mujoco.MjModel.from_xml_string(_xml(parameters, geometry, step, integrator))
     if tilts(parameters):
         mujoco_lean.set_springs(model, parameters)
@@ -107,7 +107,7 @@ def rod_angles(geometry: DeltaGeometry, index: int, position: Vector, angle: flo
 
 
 def _xml(parameters: WorldParameters, geometry: DeltaGeometry, step: float, integrator: str) -> str:
-    # Closed loops and friction give way by less than a micrometre when their time constant is two steps.
+    # Closed loops and friction yield by less than a micrometre with a time constant of two steps.
     tie = f'solref="{2.0 * step!r} 1" solimp="{TIGHT} {TIGHT} 0.001"'
     gravity = f"{parameters.gravity_x!r} {parameters.gravity_y!r} {parameters.gravity_z!r}"
     limbs = range(LIMB_COUNT)
@@ -188,7 +188,7 @@ def _platform(parameters: WorldParameters, geometry: DeltaGeometry) -> str:
 def _pairs(parameters: WorldParameters) -> str:
     if not parameters.target.present:
         return ""
-    rub = max(parameters.contact.friction, 1e-5)  # MuJoCo takes none below
+    rub = max(parameters.contact.friction, 1e-5)  # MuJoCo's minimum
     if tilts(parameters):
         return mujoco_lean.pairs(rub)
     how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'

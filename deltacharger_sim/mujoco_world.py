@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world whose arm is moved by MuJoCo: the yardstick of the light model, on the same parameters. Never a requirement.
+"""A world moved by MuJoCo: the optional reference for the light model, with the same parameters.
 
-`mujoco_world(...)` is a World: circuit, jitter, record and readings are those of the light one; only what moves
-differs.
+`mujoco_world(...)` is a World: circuit, jitter, record and readings are the light model's; only the motion differs.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.tilt import tilts
 from deltacharger_sim.world import TactileSource, World
 
-STEP = 0.001  # s; with `discrete` the settled force is as right as at a tenth of it
+STEP = 0.001  # s; with `discrete`, the settled force is as accurate as at a tenth of it
 
 _LOG = logging.getLogger(__name__)
-_DEAD = 1e-12  # N·m that a servo without power may give; MuJoCo wants a range
+_DEAD = 1e-12  # N·m, torque range of an unpowered servo; MuJoCo needs a range
 
 
 class MujocoMechanics(Motion):
@@ -33,14 +32,14 @@ class MujocoMechanics(Motion):
     Args:
         parameters: of the world.
         geometry: of the delta.
-        start: where the platform begins, m, charger_base.
-        step: of MuJoCo, s; a world's step is made of as many of them as it needs.
+        start: of the platform, m, charger_base.
+        step: of MuJoCo, s; a world's step consists of several.
         integrator: one of `mujoco_model.integrators()`; "" = the best of them.
 
     Raises:
         ModuleNotFoundError: MuJoCo is not installed.
-        ParameterError: the reference does not have something that the parameters ask for.
-        ValueError: there is no such integrator.
+        ParameterError: the reference does not support a parameter.
+        ValueError: the integrator is unknown.
     """
 
     def __init__(
@@ -53,7 +52,7 @@ class MujocoMechanics(Motion):
     ) -> None:
         super().__init__(parameters, start)
         self._mujoco = mujoco_model.load()
-        # Otherwise MuJoCo writes a file into the current folder when it diverges.
+        # Otherwise MuJoCo writes a file to the current folder when it diverges.
         self._mujoco.set_mju_user_warning(_LOG.warning)
         self._step = step
         self.model: Any = mujoco_model.build(parameters, geometry, step, integrator or mujoco_model.integrators()[0])
@@ -66,10 +65,10 @@ class MujocoMechanics(Motion):
         self._read()
 
     def _begin(self, geometry: DeltaGeometry, start: Vector) -> None:
-        """Put arms, rods and platform where the loops are closed."""
+        """Place arms, rods and platform so that the loops are closed."""
         angles = ScalarDelta(geometry).inverse(*start)
         if math.isnan(angles[0]):
-            raise ValueError(f"start {start!r} is out of the arm's reach: give a point of its workspace (m)")
+            raise ValueError(f"start {start!r} is out of the arm's reach: give a point in its workspace (m)")
         for index, angle in enumerate(angles):
             pitch, swing = mujoco_model.rod_angles(geometry, index, start, angle)
             for name, value in (("arm", angle), ("pitch", pitch), ("swing", swing)):
@@ -80,7 +79,7 @@ class MujocoMechanics(Motion):
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s, which is rounded to whole steps of MuJoCo; arguments as those of `Motion.step`."""
+        """Advance by `dt` s, rounded to whole steps of MuJoCo; arguments as of `Motion.step`."""
         inputs = (enabled, reference, limit)
         if inputs != self._inputs:
             self._inputs = inputs
@@ -136,12 +135,12 @@ def mujoco_world(
     step: float = STEP,
     integrator: str = "",
 ) -> World:
-    """Return a World moved by MuJoCo in steps of `step` s; arguments as those of World and MujocoMechanics.
+    """Return a World moved by MuJoCo in steps of `step` s; arguments as of World and MujocoMechanics.
 
     Raises:
         ModuleNotFoundError: MuJoCo is not installed.
-        ParameterError: the reference does not have something that the parameters ask for.
-        ValueError: there is no such integrator.
+        ParameterError: the reference does not support a parameter.
+        ValueError: the integrator is unknown.
     """
 
     moved = functools.partial(MujocoMechanics, step=step, integrator=integrator)

@@ -26,14 +26,14 @@ from deltacharger_core.machine import (
 )
 from deltacharger_core.parameters import Bounded, ParameterError, flag, number
 
-SOFT = 1e4  # N/m per electrode; softer springs let the magnets pull the electrodes in by more than their travel
-DEEPEST_SOFT_STOP = 0.002  # m of travel that soft springs may have before their stop
-LEVER = 0.038  # m of dz/dθ at the dock: what a servo's torque presses with
+SOFT = 1e4  # N/m per electrode; with softer springs, the magnets pull the electrodes in by more than their travel
+DEEPEST_SOFT_STOP = 0.002  # m, largest travel of soft springs before their stop
+LEVER = 0.038  # m, dz/dθ at the dock: lever of a servo's torque
 
 
 @dataclass(frozen=True)
 class ServoParameters(Bounded):
-    """MX-64 at 12 V in position mode, seen at its horn."""
+    """MX-64 at 12 V in position mode, at its horn."""
 
     stiffness: float = number(SERVO_STIFFNESS, 2.0, 40.0, "N·m/rad", "position loop as a spring")
     damping: float = number(SERVO_DAMPING, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
@@ -92,7 +92,7 @@ class TerminalParameters(Bounded):
 
 @dataclass(frozen=True)
 class PlatformParameters(Bounded):
-    """How the platform yields to an off-centre or tilted contact; rigid by default."""
+    """Tilting of the platform under an off-centre or tilted contact; rigid by default."""
 
     compliance: float = number(0.0, 0.0, 0.1, "rad/(N·m)", "tilt about x and y per moment; 0 = rigid")
     lever: float = number(0.02, 0.0, 0.1, "m", "distance from the point it tilts about to its contact faces")
@@ -100,7 +100,7 @@ class PlatformParameters(Bounded):
 
 @dataclass(frozen=True)
 class TargetParameters(Bounded):
-    """Where the target's electrodes are, in charger_base."""
+    """Pose of the target's electrodes in charger_base."""
 
     present: bool = flag(True, "false = no target to dock to")
     x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the target's electrodes, along x of charger_base")
@@ -146,7 +146,7 @@ class CircuitParameters(Bounded):
 
 @dataclass(frozen=True)
 class WorldParameters(Bounded):
-    """Everything about the simulated world; one whose parts contradict each other is refused by key."""
+    """All parameters of the simulated world; contradictory ones are refused by key."""
 
     servo: ServoParameters = field(default_factory=ServoParameters)
     contact: ContactParameters = field(default_factory=ContactParameters)
@@ -167,7 +167,7 @@ class WorldParameters(Bounded):
 
 
 def contradictions(world: WorldParameters) -> Iterator[tuple[str, str]]:
-    """Yield (key, problem) of everything in a world that cannot be together; nothing where all is well."""
+    """Yield (key, problem) of each contradiction in a world."""
     yield from _servo(world)
     yield from _contact(world)
     yield from _circuit(world)
@@ -178,14 +178,14 @@ def _servo(world: WorldParameters) -> Iterator[tuple[str, str]]:
     if servo.friction >= servo.stall_torque:
         yield (
             "servo.friction",
-            f"{servo.friction!r} N·m is not below servo.stall_torque ({servo.stall_torque!r} N·m): no servo could turn",
+            f"{servo.friction!r} N·m is not below servo.stall_torque ({servo.stall_torque!r} N·m): no servo could move",
         )
     drop = servo.supply_resistance * 3.0 * servo.stall_torque / servo.torque_constant
     if drop >= servo.supply_voltage:
         yield (
             "servo.supply_resistance",
             f"{servo.supply_resistance!r} Ω lets the supply fall by {drop:.1f} V when all servos stall, "
-            f"more than servo.supply_voltage ({servo.supply_voltage!r} V) has; give a smaller one",
+            f"more than servo.supply_voltage ({servo.supply_voltage!r} V): give a smaller one",
         )
 
 
@@ -195,7 +195,7 @@ def _contact(world: WorldParameters) -> Iterator[tuple[str, str]]:
         yield (
             "contact.hard_stop",
             f"{contact.hard_stop!r} m is too deep for contact.stiffness {contact.stiffness:g} N/m: below {SOFT:g} N/m "
-            f"the magnets pull the electrodes in until they stop; give at most {DEEPEST_SOFT_STOP} m",
+            f"the magnets pull the electrodes in to their stop: give at most {DEEPEST_SOFT_STOP} m",
         )
     strongest = world.magnets.force + 3.0 * world.servo.stall_torque / LEVER
     bottoms = 2.0 * contact.stiffness * contact.hard_stop < strongest
@@ -203,7 +203,7 @@ def _contact(world: WorldParameters) -> Iterator[tuple[str, str]]:
         yield (
             "contact.hard_stop_stiffness",
             f"{contact.hard_stop_stiffness:g} N/m is softer than the springs that bottom on it "
-            f"(contact.stiffness {contact.stiffness:g} N/m each); give at least {2.0 * contact.stiffness:g} N/m",
+            f"(contact.stiffness {contact.stiffness:g} N/m each): give at least {2.0 * contact.stiffness:g} N/m",
         )
 
 

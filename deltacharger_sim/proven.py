@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the light model has been shown to be right, and what to say of a world outside."""
+"""Check whether the light model has been verified for a world's step and stiffnesses."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from deltacharger_sim.stability_map import CELLS, CONTACT_STIFFNESSES, PROVEN, S
 
 
 class UnprovenWarning(UserWarning):
-    """Step and stiffnesses lie where the simulation has not been shown to be right."""
+    """The simulation has not been verified for this step and these stiffnesses."""
 
 
 def doubts(parameters: WorldParameters) -> tuple[str, ...]:
-    """Return what is to be said of a world's step and stiffnesses, empty where they are proven.
+    """Return the doubts about a world's step and stiffnesses; empty if they are verified.
 
-    Between the map's points, the points around must all be proven. The map is that of `deltacharger report simulation`:
-    nothing diverged, the settled force within 0.5 % of a bisection, path and peak force within 0.3 mm rms and 15 % of
-    the converged course of the charger on its axis.
+    Between points of the map, all neighbours must be verified. The map comes from `deltacharger report simulation`:
+    nothing diverged, the settled force is within 0.5 % of a bisection, path and peak force are within 0.3 mm rms and
+    15 % of the converged reference on the axis.
     """
     asked = parameters.servo.stiffness, parameters.contact.stiffness, parameters.step
     axes = (SERVO_STIFFNESSES, CONTACT_STIFFNESSES, STEPS)
@@ -28,19 +28,19 @@ def doubts(parameters: WorldParameters) -> tuple[str, ...]:
         return ()
     servo, contact, step = nearest(*asked)
     return (
-        f"step {asked[2]:g} s with contact.stiffness {asked[1]:g} N/m and servo.stiffness {asked[0]:g} N·m/rad has not "
-        f"been shown to be right; the nearest that has: step {step:g} s, contact.stiffness {contact:g} N/m, "
+        f"step {asked[2]:g} s with contact.stiffness {asked[1]:g} N/m and servo.stiffness {asked[0]:g} N·m/rad has "
+        f"not been verified; the nearest verified point: step {step:g} s, contact.stiffness {contact:g} N/m, "
         f"servo.stiffness {servo:g} N·m/rad",
     )
 
 
 def proven(servo: int, contact: int, step: int) -> bool:
-    """Return whether the map's point with these indices is proven."""
+    """Return whether the map's point with these indices is verified."""
     return CELLS[servo][contact][step] == PROVEN
 
 
 def nearest(servo: float, contact: float, step: float) -> tuple[float, float, float]:
-    """Return servo stiffness (N·m/rad), contact stiffness (N/m) and step (s) of the proven point nearest by ratio."""
+    """Return servo stiffness (N·m/rad), contact stiffness (N/m) and step (s) of the nearest verified point by ratio."""
     points = [
         (SERVO_STIFFNESSES[i], CONTACT_STIFFNESSES[j], STEPS[k])
         for i in range(len(SERVO_STIFFNESSES))
@@ -53,7 +53,7 @@ def nearest(servo: float, contact: float, step: float) -> tuple[float, float, fl
 
 
 def _around(axis: Sequence[float], value: float) -> list[int]:
-    """Return the indices of the one or two points of an axis that hold `value` between them; none outside."""
+    """Return the indices of the one or two points of an axis around `value`; none outside."""
     same = [index for index, point in enumerate(axis) if math.isclose(point, value, rel_tol=1e-9)]
     if same:
         return same

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a world keeps and shows for tests and reports, never for docking."""
+"""Records of a world for tests and reports, never for docking."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from deltacharger_tactile.pad_source import Pose
 
 @dataclass
 class Record:
-    """What really happened; for tests and reports, never for docking.
+    """True events; for tests and reports, never for docking.
 
     Attributes:
-        energised_shorts: times that live electrodes were shorted.
+        energised_shorts: number of shorts of live electrodes.
         energised_unsafe: s that the electrodes were live with negative clearance.
-        energised: s that the electrodes were live: the contactor was closed, or without one they lay on the target,
-            whether or not current flowed.
-        parted_live: times that live electrodes left the target.
-        unpowered_live: times that a servo lost its torque while the electrodes were live.
-        broken_current: largest current that the contactor, or without one the electrodes, had to interrupt, A.
-        contacts: dockings, bounces not counted.
-        peak_force: largest normal force, that of impacts within a step included, N.
-        peak_push: largest force on the target along z without that of the magnets, N: of the servos and of impacts.
-        lifted_live: times that live electrodes stood with a bar that carried nothing while the other pressed.
-        bar_heat: largest heat in the contact of one bar, W.
+        energised: s that the electrodes were live: with closed contactor, or without contactor on the target;
+            current is not needed.
+        parted_live: number of times that live electrodes left the target.
+        unpowered_live: number of times that a servo lost its torque while the electrodes were live.
+        broken_current: largest current interrupted by the contactor, or by the electrodes if there is none, A.
+        contacts: dockings, without bounces.
+        peak_force: largest normal force, including impacts within a step, N.
+        peak_push: largest force on the target along z without the magnets', N: of servos and impacts.
+        lifted_live: number of times that one bar of live electrodes carried nothing while the other pressed.
+        bar_heat: largest heat in one bar's contact, W.
     """
 
     energised_shorts: int = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One world behind several emulated devices, each asking from its own thread, in real time."""
+"""One world behind several emulated devices that access it from their own threads, in real time."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from collections.abc import Callable
 from deltacharger_core.arrays import Array
 from deltacharger_sim.world import World
 
-_CATCH_UP = 0.5  # s; a longer pause of the process is skipped rather than computed
+_CATCH_UP = 0.5  # s; a longer pause of the process is skipped, not computed
 
 
 class SharedWorld:
-    """Advances a world to `clock` whenever somebody asks it something; idle, it computes nothing.
+    """Advances a world to `clock` at each access; computes nothing in between.
 
-    It is the plant of the servo and board emulators: they know these methods and not the world.
+    It is the plant of the servo and board emulators, which use only these methods.
 
     Args:
         world: advanced in steps of its parameter `step`.
@@ -41,7 +41,7 @@ class SharedWorld:
     def command_servo(
         self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
     ) -> None:
-        """Set torque, goal angle (rad), current bound (A) and gain (of the world's stiffness) of a servo."""
+        """Set torque, goal angle (rad), current bound (A) and gain (relative to the world's stiffness) of a servo."""
         with self._lock:
             self._advance().command(index, torque_enabled, reference, current_limit, gain)
 
@@ -56,9 +56,9 @@ class SharedWorld:
             return self._advance().taxels()
 
     def read_power(self) -> tuple[float, float, float, bool, int]:
-        """Return battery and target voltage (V), charge current (A), contactor closed, fault found by the stage.
+        """Return battery and target voltage (V), charge current (A), contactor closed, and the stage's fault.
 
-        NaN where nothing measures.
+        NaN if not measured.
         """
         with self._lock:
             return self._advance().circuit.measured()
@@ -69,11 +69,11 @@ class SharedWorld:
             self._advance().circuit.close()
 
     def open_contactor(self, ramp: bool) -> None:
-        """Let the stage open: after ramping down, or at once."""
+        """Let the stage open, after ramping down or at once."""
         with self._lock:
             self._advance().circuit.open(ramp)
 
     def probe(self) -> tuple[float, float]:
-        """Return what the probe measures: Ω (inf = open circuit) and V."""
+        """Return the probe's measurement: Ω (inf = open circuit) and V."""
         with self._lock:
             return self._advance().circuit.probe()

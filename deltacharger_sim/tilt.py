@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The platform's tilt under an off-centre or leaning contact: small angles, at rest in every step, plain floats.
+"""Tilt of the platform under an off-centre or leaning contact: small angles, static in every step, plain floats.
 
 Each electrode presses along the line of length l in which it overlaps its mate, with 1/l of its stiffness per length:
-the contact of a spring bed, integrated exactly. A point at (u, v) of the platform is compressed by D + a v − b u, with
-D the compression on the platform's axis and (a, b) the platform's tilt less the target's; springs cannot pull, so that
-an end or a whole bar lifts. The tactile pads, springs K at ±s along x, bear on the target's ridges, at ±s (1, t) where
-they are rolled by an angle of the tangent t. They turn the platform back by M = 2 K s² (b − t a) about y, until one of
-them is empty and the other bears all: |M| ≤ N s. (For a stands a constant, the pitch that the bars alone leave of the
-target's: with the tilt of the moment, M would drive itself up on stiff springs.) They add no normal force of their own:
-the electrodes' stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, and
-turn by −t M; both are left out.
+the contact of a spring bed, integrated exactly. A point (u, v) of the platform is compressed by D + a v − b u. D is the
+compression on the platform's axis, (a, b) the platform's tilt less the target's. Springs cannot pull, so an end or a
+complete bar may lift. The tactile pads, springs K at ±s along x, bear on the target's ridges, at ±s (1, t) if these are
+rolled by an angle with tangent t. They turn the platform back by M = 2 K s² (b − t a) about y, until one is empty and
+the other bears all: |M| ≤ N s. (For a, a constant is used: the target's pitch that the bars alone leave. With the tilt
+of the moment, M would drive itself up on stiff springs.) The pads add no normal force: the electrodes' stiffness
+represents bars and pads together. About x they resist a thirtieth of the bars' moment, and turn by −t M; both are
+neglected.
 
-The platform yields by its compliance, α = −c Σ v N and β = c (Σ u N − M). While both pads press that is the minimum of
-a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the moment
-follows the normal force at once: with that of the step before, force and moment would take turns wherever inertia holds
+The platform yields by its compliance, α = −c Σ v N and β = c (Σ u N − M). While both pads press, that is the minimum of
+a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². With one pad alone, the moment
+follows the normal force at once: with the previous step's moment, force and moment would oscillate where inertia holds
 the depth.
 
-Where both bars press along their whole length and off their stops, it is a 2 × 2 linear system, with both pads pressed
-or one of them empty, solved once for every place of the target. Elsewhere it is Newton's iteration over the pressed
-lengths, each step of it cut back where it overshoots. Without compliance nothing is solved.
+If both bars press along their complete length and off their stops, it is a 2 × 2 linear system, with both pads pressed
+or one of them empty, solved once for every position of the target. Otherwise, Newton's iteration over the pressed
+lengths is used, with each step cut back if it overshoots. Without compliance nothing is solved.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from deltacharger_tactile.pad_source import Turn
 
 PAD = PAD_DISTANCE
 _ITERATIONS, _HALVINGS = 40, 8
-_ENOUGH = 1e-3  # of the largest compression that a last Newton step may change; its error is about the square of that
-_SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
-_OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
-_WEAKEST = 0.1  # of a force that one pad's own moment takes away; beyond, bars that lie far aside would snap
+_ENOUGH = 1e-3  # of the largest compression, change in the last Newton step; the error is about its square
+_SHORTEST = 1e-6  # m of half an overlap; with less, bars press as on one spot
+_OVERSHOT = -0.5  # of the slope along a Newton step; a step that ends beyond is cut back
+_WEAKEST = 0.1  # of the force, share that one pad's moment may remove; beyond, bars with a large offset would snap
 
 _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0)
-# Over what presses: Σ k, Σ k u, Σ k v, Σ k u², Σ k u v, Σ k v² of its stiffness, Σ N, Σ u N, Σ v N of its force,
+# Over the pressed parts: Σ k, Σ k u, Σ k v, Σ k u², Σ k u v, Σ k v² of stiffness, Σ N, Σ u N, Σ v N of force,
 # and the largest and the least compression (m).
 _Sums = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 
 def tilts(parameters: WorldParameters) -> bool:
-    """Return whether anything tilts; if not, none of this module runs."""
+    """Return whether anything tilts; if not, this module is not used."""
     target = parameters.target
     return parameters.platform.compliance > 0.0 or target.tilt_x != 0.0 or target.tilt_y != 0.0
 
@@ -55,7 +55,7 @@ def pads_turn(parameters: WorldParameters) -> float:
 
 
 def level_yaw(parameters: WorldParameters) -> float:
-    """Return the platform's tilt about y (rad) where both pads bear alike: on rolled ridges a pitch acts as a yaw."""
+    """Return the platform's tilt about y (rad) at which both pads bear equally: on rolled ridges pitch acts as yaw."""
     target, terminal = parameters.target, parameters.terminal
     up = 0.5 * (terminal.gap + terminal.height)
     held = 2.0 * parameters.contact.stiffness * up * up
@@ -64,12 +64,12 @@ def level_yaw(parameters: WorldParameters) -> float:
 
 
 class PlatformTilt:
-    """Contact of two electrodes that need not lie flat.
+    """Contact of two electrodes that need not be parallel to the target's.
 
     Attributes:
         angles: of the platform about x and y, rad, of the last `press`.
-        swing: how far the face swung aside along x and y by its tilt in the last step, m. The electrodes feel it in the
-            next one: friction within a step then hangs on no tilt, and each costs no iteration more.
+        swing: lateral move of the face along x and y by its tilt in the last step, m. It acts on the electrodes in the
+            next step, so that friction within a step does not depend on the tilt and needs no further iteration.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
@@ -91,25 +91,25 @@ class PlatformTilt:
         self.lie(0.0, 0.0)
 
     def lie(self, x: float, y: float) -> None:
-        """Put the target's centre to (x, y) in end_effector, m."""
+        """Set the target's centre to (x, y) in end_effector, m."""
         tilt_x, tilt_y = self._target
         self._middle = middle_x, middle_y = 0.5 * x, 0.5 * y  # of what overlaps
         half = 0.5 * (self._length - abs(x))
         self._half = half = half if half > _SHORTEST else _SHORTEST
-        # The target leans about its own centre; what that adds to the compression on the platform's axis.
+        # The target leans about its own centre; the resulting compression on the platform's axis.
         self._lift = tilt_x * y - tilt_y * x
-        # What the most compressed end has more than the axis while the platform is level.
+        # Extra compression of the most compressed end against the axis while the platform is level.
         self._reach = tilt_y * middle_x - tilt_x * middle_y + abs(tilt_x) * self._up + abs(tilt_y) * half
         self._flat: tuple[float, ...] = ()  # of `_lie_flat` with both pads pressed
         self._empty: tuple[float, ...] = ()  # the same with one of them empty
 
     @property
     def onset(self) -> float:
-        """Gap (m) between platform and target's centre at which the first end touches while the platform is level."""
+        """Gap (m) between platform and target's centre at which a level platform first touches."""
         return self._lift + self._reach
 
     def press(self, depth: float) -> tuple[float, float]:
-        """Return normal force (N) and stiffness (N/m) at a compression (m) of the target's centre by the platform."""
+        """Return normal force (N) and stiffness (N/m) for a compression (m) of the target's centre by the platform."""
         depth += self._lift
         if depth + self._reach <= 0.0:
             self.angles, self._load, self._tangent = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0)
@@ -135,21 +135,21 @@ class PlatformTilt:
         return force, n1
 
     def _is_lifting(self, depth: float, alpha: float, beta: float) -> bool:
-        """Return whether not all of both bars presses, or any of it on its stop."""
+        """Return whether part of a bar does not press, or presses on its stop."""
         a, b = alpha - self._target[0], beta - self._target[1]
         middle = depth + a * self._middle[1] - b * self._middle[0]
         spread = abs(a) * self._up + abs(b) * self._half
         return not spread <= middle <= self._travel - spread
 
     def keep(self) -> tuple[Turn, Bars]:
-        """Take the last `press` as a step's end; return its tilt (rad) and what the bars bear."""
+        """Take the last `press` as a step's end; return tilt (rad) and forces on the bars."""
         (alpha, beta), (before_a, before_b), lever = self.angles, self._kept, self._lever
         self.swing = (lever * (beta - before_b), lever * (before_a - alpha)) if alpha or beta else (0.0, 0.0)
         self._kept = self.angles
         return self.angles, self._bars()
 
     def _bars(self) -> Bars:
-        """Return what each bar bears after the last `press`."""
+        """Return the forces on the bars after the last `press`."""
         (force, depth), (mx, my), (alpha, beta) = self._load, self._middle, self.angles
         if force <= 0.0:
             return Bars(0.0, 0.0, 0.0, 0.0)
@@ -164,9 +164,9 @@ class PlatformTilt:
         return Bars(forces[0], forces[1], shares[0], shares[1])
 
     def _lie_flat(self, pads: float) -> tuple[float, ...]:
-        """Return α, β and Σ N while all of both bars presses: constants, slopes over D and over a moment of the pads.
+        """Return α, β and Σ N while both bars press completely: constants, slopes over D and over a moment of the pads.
 
-        The pads resist by `pads` N·m/rad besides.
+        The pads' resistance is `pads` N·m/rad.
         """
         (mx, my), (tx, ty), up, half = self._middle, self._target, self._up, self._half
         stiff = 2.0 * self._stiffness
@@ -187,14 +187,14 @@ class PlatformTilt:
         return tuple(found)
 
     def _settle(self, depth: float) -> tuple[float, float]:
-        """Return force and stiffness where an end lifts or a stop is reached, by iteration from the last angles."""
+        """Return force and stiffness if an end lifts or a stop is reached, by iteration from the last angles."""
         c, half, up = self._compliance, self._half, self._up
         if c == 0.0:
             stiff, _, _, _, _, _, force, _, _, most, least = self._sums(depth, 0.0, 0.0)
             self._load, self._lifts = (force, depth), least < 0.0 or most > self._travel
             return force, stiff
         (last, turn_a, turn_b), (alpha, beta) = self._tangent, self.angles
-        # From where the last solution's tangent leads.
+        # Start from the last solution's tangent.
         alpha, beta = alpha + (depth - last) * turn_a, beta + (depth - last) * turn_b
         da = db = slope = 0.0
         tip, yaw = self._pads, self._yaw
@@ -214,16 +214,16 @@ class PlatformTilt:
             aa, ab = 1.0 + c * kvv, -c * kuv
             ba, bb = ab + c * arm * kv, 1.0 + c * (kuu + held - arm * ku)
             determinant = aa * bb - ab * ba
-            if not left:  # about the kink where a pad empties steps may take turns: what bears here, not quite balanced
+            if not left:  # steps may oscillate around the kink at which a pad empties: keep this, not quite balanced
                 break
             da, db = (bb * ra - ab * rb) / determinant, (aa * rb - ba * ra) / determinant
             alpha, beta, slope = alpha - da, beta - db, ra * da + rb * db
             if abs(da) * up + abs(db) * half <= _ENOUGH * most:
-                # What is left is linear: not worth another sum.
+                # The rest is linear: not worth another sum.
                 force = force - kv * da + ku * db
                 if (-PAD * force <= tip * (beta - yaw) <= PAD * force) == (held > 0.0):
                     break
-        # What the tilt gives way as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
+        # Change of tilt as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
         wa, wb = -c * kv, c * (ku - arm * stiff)
         da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ba * wa) / determinant
         self.angles, self._load, self._tangent = (alpha, beta), (force, depth), (depth, da, db)
@@ -233,10 +233,10 @@ class PlatformTilt:
     def _cut_back(
         self, depth: float, there: tuple[float, float], step: tuple[float, float], slope: float, ends: float
     ) -> tuple[float, float]:
-        """Return the tilt (rad) on a step that ended at `there` where the moments along the step are in balance.
+        """Return the tilt (rad) at which the moments along a step ending at `there` are in balance.
 
-        They are `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose far end counts half,
-        after the Illinois rule.
+        Moments are `slope` at the start and `ends` < 0 at the end. Uses a secant in a bracket whose far end counts half
+        (Illinois rule).
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
         low, high, at_low, at_high, back = 0.0, 1.0, ends, slope, 0.0  # shares of the step, from its end
@@ -258,12 +258,12 @@ class PlatformTilt:
         return alpha + back * da, beta + back * db
 
     def _sums(self, depth: float, alpha: float, beta: float) -> _Sums:
-        """Return the sums over what presses at a compression (m) of the axis and a tilt (rad)."""
+        """Return the sums over the pressed parts for a compression (m) of the axis and a tilt (rad)."""
         (mx, my), up, k = self._middle, self._up, self._stiffness
         a, b = alpha - self._target[0], beta - self._target[1]
         middle = depth + a * my - b * mx
         lean = a * up
-        # Of the upper and the lower bar, about the middle of what overlaps, u = mx + w: Σ k, Σ k w, Σ k w², Σ N, Σ w N.
+        # Of the upper and the lower bar, about the middle of the overlap, u = mx + w: Σ k, Σ k w, Σ k w², Σ N, Σ w N.
         upper, lower, spread = middle + lean, middle - lean, abs(b) * self._half
         p0, p1, p2, pn, pm = self._line(upper, b, k, spread)
         q0, q1, q2, qn, qm = self._line(lower, b, k, spread)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the target does to the platform: pull of the magnets, electrodes with their stop, lateral friction."""
+"""Forces of the target on the platform: magnets, electrodes with their stop, lateral friction."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from math import hypot
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.tilt import PlatformTilt, tilts
 
-LATERAL_MOST = 1e6  # N/m; stiffer bristles would give less than 20 µm and only make stick and slip hard to solve
+LATERAL_MOST = 1e6  # N/m; stiffer bristles would yield less than 20 µm, but make stick and slip hard to solve
 
 
 class TargetTouch:
-    """Magnets and electrodes against a target whose terminal lies aside by `lie`.
+    """Magnets and electrodes against a target whose lateral offset is set by `lie`.
 
     Attributes:
-        tilt: of the platform in contact; None where nothing tilts.
-        side: stiffness of the electrodes against moving sideways before they slide, N/m.
+        tilt: of the platform in contact; None if nothing tilts.
+        side: lateral stiffness of the electrodes before they slide, N/m.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
@@ -26,7 +26,7 @@ class TargetTouch:
         self._pull = 0.0
 
     def lie(self, x: float, y: float) -> None:
-        """Put the target's centre to (x, y) in end_effector, m."""
+        """Set the target's centre to (x, y) in end_effector, m."""
         distance = hypot(x, y) / self._magnets.width
         self._pull = self._magnets.force * max(self._magnets.floor, 1.0 / (1.0 + distance * distance))
         if self.tilt is not None:
@@ -34,7 +34,7 @@ class TargetTouch:
 
     @property
     def onset(self) -> float:
-        """Gap of the faces (m) at which the first of them touches."""
+        """Gap of the faces (m) at which they first touch."""
         return 0.0 if self.tilt is None else self.tilt.onset
 
     def forces(
@@ -45,12 +45,12 @@ class TargetTouch:
         Args:
             gap: of the faces, m; negative = compression.
             dx: lateral displacement in this step, m.
-            dy: the same along y, m.
+            dy: along y, m.
             rub: lateral friction at the step's start, N.
-            before: tangent along z of everything else, N/m.
+            before: tangent along z of all other parts, N/m.
 
         Returns:
-            The tangents are the lateral one and what the normal one gains. The magnets' own, which is negative, counts
+            The tangents are the lateral one and the increase of the normal one. The magnets' negative one counts
             only while it is less than half of the others'.
         """
         if self.tilt is not None:
@@ -61,7 +61,7 @@ class TargetTouch:
             normal = stiffer = 0.0
         magnet = self._pull
         if gap > 0.0:
-            # With a lean, an end may press while the middle is still apart.
+            # With a lean, an end may press while the middle does not touch yet.
             reach = self._magnets.range
             ratio = 1.0 + gap / reach
             magnet /= ratio * ratio

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm in virtual time as servo_node shows it: goals in whole ticks, angles and currents as the registers tell them.
+"""An arm in virtual time with servo_node's behaviour: goals in whole ticks, angles and currents as in the registers.
 
-It is there because calibrations of hundreds of drawn arms cannot wait for real seconds; it has servos and a world and
-none of docking.
+Calibrations of hundreds of random arms need it: real time is too slow. It has servos and a world, but no docking.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ class VirtualArm:
     """A `ServoArm` in virtual time with its torque on.
 
     Args:
-        parameters: of its world; a target in it is in the way.
+        parameters: of its world; a target in it would be in the way.
         seed: of the current noise.
-        geometry: as it truly is.
+        geometry: true dimensions.
         gains: of each servo's stiffness.
-        told_constant: N·m/A by which torque bounds become current bounds.
+        told_constant: assumed torque constant, N·m/A; converts torque bounds to current bounds.
 
     Attributes:
-        now: s that have passed.
+        now: elapsed time, s.
     """
 
     def __init__(
@@ -59,7 +58,7 @@ class VirtualArm:
         return self._goals
 
     def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
-        """Lead the goals straight from point to point (s from now, rad), torque bounded (N·m)."""
+        """Move the goals linearly from point to point (s from now, rad), with bounded torque (N·m)."""
         begin, start, since = self.now, self._goals, 0.0
         self._bound = (bound[0] / self._constant, bound[1] / self._constant, bound[2] / self._constant)
         for time, goals in line:
@@ -72,13 +71,13 @@ class VirtualArm:
         self._cycle(self._goals)
 
     def read(self, seconds: float) -> ArmReadings:
-        """Return what the servos tell in the next `seconds`."""
+        """Return the servos' readings in the next `seconds`."""
         rows = []
         for _ in range(round(seconds / PERIOD)):
             self._cycle(self._goals)
             rows.append([self.world.servo(index) for index in range(3)])
-        told = np.array(rows)
-        angles, currents = told[:, :, 0], told[:, :, 2]
+        states = np.array(rows)
+        angles, currents = states[:, :, 0], states[:, :, 2]
         return ArmReadings(np.round(angles / TICK) * TICK, np.round(currents / CURRENT_UNIT) * CURRENT_UNIT)
 
     def _let(self, seconds: float) -> None:

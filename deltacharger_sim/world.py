@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps of simulated time."""
+"""A simulated world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from deltacharger_sim.proven import UnprovenWarning, doubts
 from deltacharger_sim.record import Record, Snapshot
 from deltacharger_tactile.pad_source import Lean, Pose
 
-_APART = 0.001  # m of gap that ends a docking; less is a bounce
+_APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
 T = TypeVar("T")
 
 
 class TactileSource(Protocol):
-    """What the world asks of the tactile arrays' model."""
+    """Interface of a world to the tactile arrays' model."""
 
     def begin_docking(self) -> Pose:
         """Draw a new docking and return its displacement (x m, y m, angle rad)."""
@@ -37,23 +37,23 @@ class TactileSource(Protocol):
     def sample(self, time: float, pose: Pose | None, force: float, lean: Lean | None) -> tuple[Array, Array]:
         """Return left and right (10, 10) N, raw, for the target's pose in end_effector (None = no contact).
 
-        `lean` is of the platform against the target; None = they lie flat.
+        `lean` is of the platform against the target; None = they are parallel.
         """
 
 
 class World:
-    """The simulated surroundings of one charger.
+    """The simulated environment of one charger.
 
     Args:
-        parameters: everything about it; the attribute has the target where it stands now.
+        parameters: all of them; the attribute has the target's present pose.
         tactile: model of the arrays; None = pads that read nothing.
         seed: of the current noise.
         geometry: of the delta.
-        start: where the platform begins, m, charger_base.
-        mechanics: what moves the arm; `deltacharger_sim.mujoco_world` has another one.
+        start: of the platform, m, charger_base.
+        mechanics: model of the arm's motion; `deltacharger_sim.mujoco_world` has another one.
 
     Warns:
-        UnprovenWarning: step and stiffnesses are outside of what the report of the simulation has shown to be right.
+        UnprovenWarning: the simulation report has not verified the model for this step and these stiffnesses.
 
     Raises:
         ValueError: the arm does not reach `start`.
@@ -85,16 +85,16 @@ class World:
         self._overlap: Overlap | None = None
         self._overlap_pose: Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
-        self._lay_wired = False  # electrodes without a contactor lay on the target
+        self._lay_wired = False  # electrodes without a contactor were on the target
         self._temperature = [parameters.servo.ambient_temperature] * 3
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
-        self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, s left
+        self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, remaining s
         for warning in doubts(parameters):
             warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
     def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
-        """Set what servo `index` does: torque on, goal angle (rad), current bound (A), gain by which it is stiffer."""
+        """Command servo `index`: torque on, goal angle (rad), current bound (A), gain of its stiffness."""
         if self._late is not None:
             self._late.command(self.time, (index, enabled, reference, current_limit, gain))
             return
@@ -134,40 +134,40 @@ class World:
         self._take_record(dt)
 
     def move_target(self, dx: float, dy: float, roll: float, seconds: float) -> None:
-        """Move the target from where it stands, steadily for `seconds` from now on; a move under way ends.
+        """Move the target from its present pose at constant speed for `seconds`; this replaces an active move.
 
-        In contact the electrodes' friction drags the platform along, as far as it and the arm's stiffness go; beyond
-        they slide. The platform cannot turn, so that a turned target slides under it.
+        In contact, friction of the electrodes drags the platform, up to its limit and against the arm's stiffness;
+        beyond, they slide. The platform cannot rotate, so a rotating target slides under it.
 
         Args:
             dx: m, charger_base.
-            dy: the same along y, m.
+            dy: along y, m.
             roll: about z through the target's centre, rad.
-            seconds: that it takes, above 0.
+            seconds: duration, above 0.
 
         Raises:
             ParameterError: the target would leave the bounds of its parameters.
-            TargetFixed: the arm is moved by a model whose target stays where it is.
-            ValueError: a number is not finite, or the time not above 0.
+            TargetFixed: the model of the arm's motion cannot move the target.
+            ValueError: a number is not finite, or the duration is not above 0.
         """
         if not (0.0 < seconds < math.inf and all(map(math.isfinite, (dx, dy, roll)))):
-            raise ValueError(f"a move by ({dx!r}, {dy!r}) m and {roll!r} rad in {seconds!r} s is none")
+            raise ValueError(f"move ({dx!r}, {dy!r}) m, {roll!r} rad in {seconds!r} s: give finite numbers, time > 0")
         self.mechanics.carry(0.0, 0.0)
         target = self.parameters.target
-        dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + roll)  # within its bounds
+        dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + roll)  # checks its bounds
         self._moving = dx / seconds, dy / seconds, roll / seconds, seconds
 
     @property
     def target_moves(self) -> bool:
-        """Whether the target is under way."""
+        """Whether the target is moving."""
         return self._moving is not None
 
     def _move(self, dt: float) -> None:
-        """Take the target along for a step."""
+        """Move the target by a step."""
         assert self._moving is not None
         vx, vy, turn, left = self._moving
         now = dt if dt < left else left
-        # What is left is no sum of steps: a rest of a nanosecond would be a step of its own.
+        # The remaining time is not an exact sum of steps: a remainder below 1 ns must not cost a step.
         self._moving = (vx, vy, turn, left - now) if left - now > _NOTHING else None
         target, dx, dy = self.parameters.target, vx * now, vy * now
         moved = dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + turn * now)
@@ -184,7 +184,7 @@ class World:
         return self.mechanics.contact_force - self.mechanics.magnet_force if self._docked else 0.0
 
     def snapshot(self) -> Snapshot:
-        """Return the truth now."""
+        """Return the true state now."""
         return Snapshot(
             self.time,
             self.mechanics.position,
@@ -208,7 +208,7 @@ class World:
         return angle, rate, current, voltage, temperature
 
     def _state(self, index: int) -> tuple[float, float, float, float, float]:
-        """Return what servo `index` would tell without noise and delay."""
+        """Return the reading of servo `index` without noise and delay."""
         mechanics = self.mechanics
         current = mechanics.torques[index] / self.parameters.servo.torque_constant
         angle = mechanics.angles[index] + mechanics.slack[index]
@@ -232,7 +232,7 @@ class World:
         return x, y, target.roll + turn
 
     def _follow_contact(self) -> None:
-        """Draw a new docking's jitter at first touch; judge the overlap anew when the pose has changed."""
+        """Draw a new docking's jitter at first touch; update the overlap if the pose has changed."""
         if self.mechanics.contact_force > 0.0:
             if not self._docked:
                 self._docked = True
@@ -300,7 +300,7 @@ class World:
 
 
 def _differs(pose: Pose, known: Pose | None) -> bool:
-    """Return whether a pose is not as good as the known one: by more than 1 µm or 1 µrad."""
+    """Return whether a pose differs from the known one by more than 1 µm or 1 µrad."""
     if known is None:
         return True
     x, y, turn = pose[0] - known[0], pose[1] - known[1], pose[2] - known[2]

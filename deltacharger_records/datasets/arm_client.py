@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client that moves the arm of a running charger itself, beside docking_node: for measuring, not for docking.
+"""Move the arm of a running charger without docking_node: for measurements, not for docking.
 
-It subscribes to servo_state and docking_state, publishes on joint_trajectory, and calls set_torque. While docking_node
-serves a goal, or has docked, the arm is left alone.
+The client subscribes to servo_state and docking_state, publishes joint_trajectory, and calls set_torque. It never moves
+the arm while docking_node serves a goal or is docked.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_ros import qos
 
-SPEED = 0.06  # m/s, peak; a person stands beside
-STILL = 2.5 * TICK  # rad; what an angle may vary while the arm counts as still
-_WINDOW = 0.5  # s over which it must be still, and over which its angles are averaged
+SPEED = 0.06  # m/s, peak; a person may stand close by
+STILL = 2.5 * TICK  # rad; an arm whose angles vary by less is at rest
+_WINDOW = 0.5  # s over which it must be at rest, and over which its angles are averaged
 _FEWEST = 10  # messages in that window
 _SILENCE = 1.0  # s without servo_state
 _STANDSTILL = 5.0  # s after the end of a motion
@@ -40,16 +40,16 @@ _ANSWER = 5.0  # s for a service
 
 
 class ArmClient(ArmGuest):
-    """Moves the platform from pose to pose and tells the arm's angles at rest.
+    """Moves the platform from pose to pose and reads the arm's angles at rest.
 
     Args:
         context: a running rclpy context.
-        geometry: by which positions become angles.
+        geometry: converts positions to angles.
         namespace: of the charger.
         stop: ends every wait with ArmError when set.
 
     Attributes:
-        is_released: whether servo_node has switched off the torque that this program had switched on.
+        is_released: whether servo_node has switched off the torque that this program switched on.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ArmClient(ArmGuest):
         self._planner = Planner(DockingParameters(), geometry)
         self._kinematics = ScalarDelta(geometry)
         self._commanded: Vector | None = None
-        self._secret = secrets.token_hex(16)  # by which servo_node knows who leads the arm
+        self._secret = secrets.token_hex(16)  # identifies this program to servo_node
         self._switched_on = self.is_released = False
         self._lock = threading.Lock()
         self._state: ServoState | None = None
@@ -69,50 +69,50 @@ class ArmClient(ArmGuest):
         self.serve()
 
     def wait_until_ready(self, timeout: float) -> None:
-        """Wait until servo_node is heard and serves, and docking_node has told its state where there is one.
+        """Wait for servo_state, servo_node's service and, if docking_node runs, its state.
 
         Raises:
-            ArmError: it is not there in time.
+            ArmError: one of them is missing after `timeout` s.
         """
 
         def ready() -> bool:
             heard = self._publisher.get_subscription_count() > 0 and self._torque.service_is_ready()
-            return self._told() and heard and len(self._window()) >= _FEWEST
+            return self._is_docking_known() and heard and len(self._window()) >= _FEWEST
 
         if not self._wait(ready, timeout):
-            raise ArmError("no servo_node answers: start the charger with `deltacharger up`, in this ROS domain")
+            raise ArmError("servo_node does not answer: start the charger with `deltacharger up`, in this ROS domain")
 
     def encoder(self) -> Encoder | None:
-        """Return how servo_node's parameters place the encoders; None where it does not tell."""
-        told = self._ask("servo_node")
-        values = tuple(told.get(name, ()) for name in ("zero_ticks", "direction"))
+        """Return servo_node's encoder parameters; None if it does not answer."""
+        parameters = self._ask("servo_node")
+        values = tuple(parameters.get(name, ()) for name in ("zero_ticks", "direction"))
         return Encoder(*values) if [len(value) for value in values] == [3, 3] else None
 
     def start(self) -> None:
         """Switch the torque on, holding the present position.
 
         Raises:
-            ArmError: another program moves the arm, or the servos refuse.
+            ArmError: another program moves the arm, or the servos refuse the torque.
         """
         self._check_free()
         if any(self._servo_state().torque_enabled):
             raise ArmError(
-                "the torque is on already, so another program moves the arm: end it, or `deltacharger undock`"
+                "torque is already on, so another program moves the arm: stop that program, or `deltacharger undock`"
             )
         self._switched_on = True
         problem = self._call_torque(True)
         if problem:
-            raise ArmError(f"the servos were not enabled: {problem}")
+            raise ArmError(f"servo_node did not switch the torque on: {problem}")
         if not self._wait(lambda: all(self._servo_state().torque_enabled), _ANSWER):
-            raise ArmError("the servos did not switch their torque on; look at the diagnostics of servo_node")
+            raise ArmError("the servos did not switch their torque on: check servo_node's diagnostics")
         self.rest()
         self._commanded = self.position()
 
     def move(self, goal: Vector) -> None:
-        """Go to `goal` (m, charger_base) on a straight line and wait until the arm stands still.
+        """Move to `goal` (m, charger_base) on a straight line and wait until the arm is at rest.
 
         Raises:
-            ArmError: the way leads out of reach, the arm does not come to rest, or it may not be moved any more.
+            ArmError: the line leaves the workspace, the arm does not come to rest, or it may no longer be moved.
         """
         self.check()
         try:
@@ -126,43 +126,43 @@ class ArmClient(ArmGuest):
         self.rest()
 
     def rest(self) -> None:
-        """Wait until no angle has moved by more than `STILL` in the last half second.
+        """Wait until no angle has moved by more than `STILL` for half a second.
 
         Raises:
-            ArmError: it does not come to rest, or may not be moved any more.
+            ArmError: it does not come to rest, or may no longer be moved.
         """
         if not self._wait(self._is_still, _STANDSTILL, self.check):
-            raise ArmError("the arm does not come to rest; is something pushing it, or its stiffness set too high?")
+            raise ArmError("the arm does not come to rest: remove what pushes it, or reduce the servos' stiffness")
 
     def go_home(self) -> None:
-        """Go where docking rests the arm; errors as in `move`."""
+        """Move to the rest position of docking; errors as in `move`."""
         self.move(DockingParameters().home)
 
     def check(self) -> None:
-        """Raise ArmError where the arm may not be moved any more."""
+        """Raise ArmError if the arm may no longer be moved."""
         self._check_free()
         state = self._servo_state()
         if time.monotonic() - self._heard > _SILENCE:
-            raise ArmError("servo_state has stopped; look at servo_node and its cable")
+            raise ArmError("servo_state has stopped: check servo_node and its cable")
         if any(state.hardware_error):
             raise ArmError(f"a servo reports hardware error {list(state.hardware_error)}; see `reboot_servos`")
         if self._commanded is not None and not all(state.torque_enabled):
-            raise ArmError("the servos lost their torque; look at the diagnostics of servo_node")
+            raise ArmError("the servos lost their torque: check servo_node's diagnostics")
 
     def angles(self) -> Vector:
-        """Return the arm angles (rad), averaged over the last half second; meant for an arm that has come to `rest`."""
+        """Return the arm angles (rad), averaged over the last half second; call it after `rest`."""
         first, second, third = np.mean(self._window(), axis=0)
         return float(first), float(second), float(third)
 
     def position(self) -> Vector:
-        """Return the platform's position (m) by the geometry; NaN where the angles have none."""
+        """Return the platform's position (m) by forward kinematics; NaN if the angles have no solution."""
         return self._kinematics.forward(*self.angles())
 
     def _is_still(self) -> bool:
         angles = self._window()
         return len(angles) >= _FEWEST and float(np.ptp(angles, axis=0).max()) <= STILL
 
-    def _let_go(self) -> None:
+    def _release_arm(self) -> None:
         if self._switched_on:
             self._publish(())
             self.is_released = not self._call_torque(False)
@@ -174,7 +174,7 @@ class ArmClient(ArmGuest):
 
     def _servo_state(self) -> ServoState:
         if self._state is None:
-            raise ArmError("no servo_state was heard; is servo_node running?")
+            raise ArmError("no servo_state received: start servo_node")
         return self._state
 
     def _on_servo_state(self, message: ServoState) -> None:
@@ -195,9 +195,9 @@ class ArmClient(ArmGuest):
         self._publisher.publish(trajectory(waypoints, self.node.get_clock().now().to_msg(), self._secret))
 
     def _call_torque(self, on: bool) -> str:
-        """Return '' where servo_node switched the torque, else why not."""
+        """Return '' if servo_node switched the torque, else the reason."""
         future = self._torque.call_async(SetBool.Request(data=on))
-        if not self._wait(future.done, _ANSWER, patient=True):  # the torque goes off even where everything is to stop
+        if not self._wait(future.done, _ANSWER, patient=True):  # switch the torque off even when `stop` is set
             return "servo_node does not answer set_torque"
         reply = future.result()
         return "" if reply.success else str(reply.message)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every program shares that moves a charger's arm itself, beside docking_node."""
+"""Base class of programs that move a charger's arm without docking_node."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ANSWER = 5.0  # s for a service
 
 
 class ArmError(RuntimeError):
-    """The arm cannot be moved, or not any more; the message says why and what to do."""
+    """The arm cannot be moved, or no longer; the message states why and what to do."""
 
 
 class ArmGuest(Guest, ABC):
-    """Hears docking_state; may publish joint_trajectory and call set_torque while docking_node does not need the arm.
+    """Reads docking_state; publishes joint_trajectory and calls set_torque while docking_node does not use the arm.
 
     Args:
-        name: what the node's name begins with.
+        name: prefix of the node's name.
         context: a running rclpy context.
         namespace: of the charger.
         stop: ends every wait when set.
@@ -43,28 +43,28 @@ class ArmGuest(Guest, ABC):
         self._torque: Any = self.node.create_client(SetBool, "set_torque", qos_profile=qos.SERVICE)
 
     def close(self) -> None:
-        """Stop the arm, switch off the torque that this program switched on, and leave the graph. Safe to call twice.
+        """Stop the arm, switch off the torque that this program switched on, and destroy the node. Safe to call twice.
 
-        Where docking_node has begun to serve a goal meanwhile, arm and torque are its own and stay as they are.
+        If docking_node has started a goal, it controls arm and torque, and they stay as they are.
         """
         if not self._open:
             return
         try:
             if not self._is_taken():
-                self._let_go()
+                self._release_arm()
         finally:
             super().close()
 
     @abstractmethod
-    def _let_go(self) -> None:
-        """Stop the arm and switch off the torque, where this program drives it."""
+    def _release_arm(self) -> None:
+        """Stop the arm and switch off the torque if this program drives it."""
 
-    def _told(self) -> bool:
-        """Whether docking_node has told its state, or there is none."""
+    def _is_docking_known(self) -> bool:
+        """Whether docking_node has published its state, or no docking_node runs."""
         return self._docking is not None or not self.node.count_publishers("docking_state")
 
     def _ask(self, name: str) -> dict[str, Any]:
-        """Return a node's parameters; empty where it does not answer."""
+        """Return a node's parameters; empty if it does not answer."""
         reader, answers = ParameterReader(self.node, name), list[dict[str, Any]]()
         if self._wait(reader.is_ready, _ANSWER):
             reader.ask(answers.append)
@@ -78,7 +78,7 @@ class ArmGuest(Guest, ABC):
     def _check_free(self) -> None:
         if self._is_taken():
             raise ArmError(
-                "docking_node is at work or docked, and the arm is its own: let it end, or `deltacharger undock`"
+                "docking_node is at work or docked and controls the arm: wait for its end, or `deltacharger undock`"
             )
 
     def _on_docking_state(self, message: DockingState) -> None:
@@ -91,5 +91,5 @@ class ArmGuest(Guest, ABC):
         check: Callable[[], None] | None = None,
         patient: bool = False,
     ) -> bool:
-        """Wait for `condition`, asking `check` meanwhile; unless `patient`, no longer than until `stop` is set."""
+        """Wait for `condition` and call `check` at each poll; unless `patient`, stop waiting when `stop` is set."""
         return self.wait(condition, timeout, check, None if patient else self._stop)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A running charger as a recording sees it: what docking_node is set to, whether the arm is free, and driving it.
+"""Drive a running charger through a recording, and read docking_node's parameters and state.
 
-It subscribes to what docking_node does, publishes joint_trajectory, and calls set_torque and tare; nothing else, so the
-contactor stays open. While docking_node serves a goal, or has docked, the arm is left alone.
+It subscribes to docking_node's topics, publishes joint_trajectory, and calls set_torque and tare. It calls nothing
+else, so the contactor stays open. It never moves the arm while docking_node serves a goal or is docked.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import listen
 
-_TICK = 0.02  # s; pace where servo_state does not come
+_TICK = 0.02  # s; loop period while servo_state is missing
 _ANSWER = 5.0  # s for a service
-_SETTLED = 2.0  # s that the names of other nodes may take to become known
-_LATE = 3.0  # s after the other nodes that docking_node may be found
+_SETTLED = 2.0  # s until discovery knows the names of other nodes
+_LATE = 3.0  # s that discovery of docking_node may take beyond the other nodes
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _TERMINALS = "/dev/pts/"
 
@@ -47,12 +47,12 @@ class RecordingCharger(ArmGuest):
     Args:
         context: a running rclpy context.
         namespace: of the charger.
-        stop: ends a session, and every wait, when set; the arm is taken back first.
+        stop: ends a session, and every wait, when set; the arm is retracted first.
 
     Attributes:
-        tape: on which all topics of `names` come.
+        tape: receives all topics of `names`.
         names: full name of each topic by its relative one.
-        is_driving: whether the torque may be on by this program's doing.
+        is_driving: whether this program may have switched the torque on.
     """
 
     def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
@@ -74,7 +74,7 @@ class RecordingCharger(ArmGuest):
 
     @property
     def has_docking_node(self) -> bool:
-        """Whether somebody publishes docking_state."""
+        """Whether docking_state has a publisher."""
         return bool(self.node.count_publishers("docking_state"))
 
     def now(self) -> int:
@@ -82,69 +82,69 @@ class RecordingCharger(ArmGuest):
         return int(self.node.get_clock().now().nanoseconds)
 
     def wait_until_ready(self, timeout: float) -> None:
-        """Wait until the charger is heard and serves, and docking_node has told its state where there is one.
+        """Wait for the charger's topics and services and, if docking_node runs, its state.
 
         Raises:
-            ArmError: something of it is not there in time; names what.
+            ArmError: names what is missing after `timeout` s.
         """
         needs: dict[str, Callable[[], bool]] = {
             "servo_node": lambda: self._torque.service_is_ready() and math.isfinite(self._observe().servo_age),
             "tactile_node": lambda: self._tare.service_is_ready() and math.isfinite(self._observe().tactile_age),
             "a subscriber of joint_trajectory": lambda: self._publisher.get_subscription_count() > 0,
-            "docking_state": self._told,
+            "docking_state": self._is_docking_known,
         }
         if not self._wait(lambda: all(is_there() for is_there in needs.values()), timeout):
             if self._stop.is_set():
                 raise ArmError("interrupted")
             missing = ", ".join(name for name, is_there in needs.items() if not is_there())
             raise ArmError(
-                f"no charger answers (missing: {missing}): start one with `deltacharger up`, in this ROS domain"
+                f"charger does not answer (missing: {missing}): start one with `deltacharger up`, in this ROS domain"
             )
         self._wait(lambda: self._docking is not None, _LATE)
 
     def settings(self) -> tuple[DockingParameters, DeltaGeometry]:
-        """Return what docking_node is set to; the defaults where there is none. Once it is ready.
+        """Return docking_node's parameters, or the defaults without docking_node; call `wait_until_ready` first.
 
         Raises:
-            ArmError: it is set to what this version does not know.
+            ArmError: a parameter is unknown to this version.
         """
         if not self.has_docking_node:
             return DockingParameters(), DeltaGeometry()
-        told = self._ask("docking_node")
-        if not told:
-            raise ArmError("docking_node does not tell its parameters; is it of this version? look at its log")
+        values = self._ask("docking_node")
+        if not values:
+            raise ArmError("docking_node does not report its parameters: check its log and its version")
         try:
-            return docking_settings(told)
+            return docking_settings(values)
         except (OSError, ValueError, TypeError) as error:
-            raise ArmError(f"docking_node's parameters cannot be followed here: {error}") from error
+            raise ArmError(f"this version does not accept docking_node's parameters: {error}") from error
 
     def simulated(self) -> bool | None:
-        """Whether the charger is simulated: its ports are pseudo-terminals, or its nodes mocks without any.
+        """Whether the charger is simulated: its ports are pseudo-terminals, or its nodes are mocks without ports.
 
-        None where it cannot be told: the ports are not on this computer, or their nodes do not tell.
+        None if unknown: the ports are on another computer, or their nodes do not answer.
         """
         found: list[bool | None] = []
         for name in ("servo_node", "tactile_node"):
-            told = self._ask(name)
-            if not told:
+            values = self._ask(name)
+            if not values:
                 found.append(None)
-            elif "port" not in told:
+            elif "port" not in values:
                 found.append(True)
             else:
-                path = os.path.realpath(str(told["port"]))
+                path = os.path.realpath(str(values["port"]))
                 found.append(path.startswith(_TERMINALS) if os.path.exists(path) else None)
         return True if True in found else None if None in found else False
 
     def claim(self, previous: str) -> bool:
-        """Refuse an arm that somebody moves; return whether its torque is on already, left so by `previous`.
+        """Refuse an arm that another program moves; return whether `previous` left the torque on.
 
-        That torque is this program's to switch off.
+        This program must then switch that torque off.
 
         Args:
             previous: name of the node that was killed while it drove the arm; '' = none.
 
         Raises:
-            ArmError: docking_node is at work or docked, another program moves the arm, or its torque is on.
+            ArmError: docking_node is at work or docked, or another program moves the arm or switched its torque on.
         """
         self._check_free()
         topic = self.node.resolve_topic_name("joint_trajectory")
@@ -153,14 +153,14 @@ class RecordingCharger(ArmGuest):
             return {info.node_name for info in self.node.get_publishers_info_by_topic(topic)}
 
         self._wait(lambda: _UNKNOWN not in others(), _SETTLED)
-        # A name that stays unknown is that of a program which has died; those alive tell theirs.
+        # Discovery lists a dead program without a name; live ones have names.
         unwanted = others() - {"docking_node", self.name, previous, _UNKNOWN}
         if unwanted:
-            raise ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): let it end")
+            raise ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): stop it")
         if not self._observe().torque_enabled:
             return False
         if not previous:
-            raise ArmError("the torque is on already, so another program moves the arm: end it")
+            raise ArmError("torque is already on, so another program moves the arm: stop that program")
         self.is_driving = True
         return True
 
@@ -168,14 +168,14 @@ class RecordingCharger(ArmGuest):
         """Run a session to its end.
 
         Args:
-            machine: of the arm, which serves nothing else.
-            session: what it does.
+            machine: of the arm, without a goal.
+            session: to run.
 
         Returns:
-            How it ended; the arm is home and its torque off, as far as the charger still lets it.
+            The outcome; the arm is home and its torque off, if the charger still permits it.
 
         Raises:
-            ArmError: docking_node took the arm over meanwhile.
+            ArmError: docking_node took control of the arm.
         """
         self._machine = machine
         self._check_free()
@@ -183,7 +183,7 @@ class RecordingCharger(ArmGuest):
         while machine.outcome is None:
             self._inputs.wait(_TICK)
             if self._is_taken():
-                machine.emergency()  # its command is not carried out: the arm is docking_node's
+                machine.emergency()  # its command is not executed: docking_node controls the arm
                 self._machine, self.is_driving = None, False
                 self._check_free()
             if self._stop.is_set():
@@ -207,8 +207,8 @@ class RecordingCharger(ArmGuest):
             self.is_driving = self.is_driving or request.service is Service.TORQUE_ON
             self._calls.call(request)
 
-    def _let_go(self) -> None:
-        """Stop the arm where it is and switch its torque off, unless electrodes are live: that would draw an arc."""
+    def _release_arm(self) -> None:
+        """Stop the arm and switch its torque off, unless electrodes are live: retracting would draw an arc."""
         if not self.is_driving:
             return
         observation = self._observe()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One recorded docking, what the dockings of a file share, and the data set made of them."""
+"""Recorded dockings, their common settings, and the data set made from them."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _AS_KEPT = ("angle", "vertical", "horizontal", "current")
 
 @dataclass(frozen=True)
 class Settings:
-    """What all rows of a file share.
+    """Values common to all rows of a file.
 
     Attributes:
         rig: number of the device.
-        sensor: its pads, as a person names them.
+        sensor: name of its pads.
         frames: averaged in each row.
         rows: of each docking.
         threshold: readings below it become 0, N.
@@ -45,17 +45,17 @@ class Settings:
 
 @dataclass(frozen=True)
 class Docking:
-    """One docking as it is kept.
+    """One docking in the recording.
 
     Attributes:
         attempt: its number, unique in the file.
-        session: of the tare that it was felt with, unique in the file.
+        session: number of the tare that its frames use, unique in the file.
         part: name of the part of the recording.
-        number: in the order of the part's poses.
+        number: index in the part's poses.
         horizontal, vertical, angle: commanded pose of the target in end_effector, m, m, rad.
         x, y: the same offsets by the arm's joints in contact, m.
         current: contact current, A.
-        time: when it was felt, s since 1970.
+        time: when it was measured, s since 1970.
         frames: (rows, 2, 10, 10) float32 N, left and right, tared, not thresholded; NaN where dead.
     """
 
@@ -76,22 +76,22 @@ class Docking:
 def dataset(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Settings) -> Dataset:
     """Return the rows of all dockings, in their order.
 
-    The board does not tell its tare, and nobody the whole contact force: both are NaN. So is the angle in contact; x
-    and y in contact are those of the arm's joints, nearer to the truth than the command by what friction holds back.
+    Board tare and total contact force are unknown: both are NaN. So is the angle in contact. x and y in contact come
+    from the arm's joints: more accurate than the command, by the offset that friction holds back.
     """
     rows = np.array([len(docking.frames) for docking in dockings])
-    felt = np.concatenate([docking.frames for docking in dockings])
-    dead = np.isnan(felt)
-    felt = np.where(dead | (felt < settings.threshold), 0.0, felt).astype(np.float32)
+    frames = np.concatenate([docking.frames for docking in dockings])
+    dead = np.isnan(frames)
+    frames = np.where(dead | (frames < settings.threshold), 0.0, frames).astype(np.float32)
 
     def column(values: Iterable[Any], kind: Any = float) -> NDArray[Any]:
         return np.repeat(np.array(list(values), dtype=kind), rows, axis=0)
 
-    count = len(felt)
+    count = len(frames)
     return Dataset(
-        left=felt[:, 0],
-        right=felt[:, 1],
-        tare=np.full(felt.shape, np.nan, dtype=np.float32),
+        left=frames[:, 0],
+        right=frames[:, 1],
+        tare=np.full(frames.shape, np.nan, dtype=np.float32),
         dead=dead,
         contact_pose=column((docking.x, docking.y, math.nan) for docking in dockings),
         attempt=column((docking.attempt for docking in dockings), np.int64),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded dockings: a folder that every docking reaches whole or not at all, and the data set made from it.
+"""Recorded dockings: a folder with one file per docking, written completely or not at all, and the data set from it.
 
-Beside F.npz lies F.recording: recording.json says what is recorded, and each docking-*.mcap holds one docking, its raw
-messages and what its rows are made of. F.npz is composed from them and can be composed again at any time.
+F.recording is beside F.npz. Its recording.json describes the recording. Each docking-*.mcap holds one docking: its raw
+messages and the inputs of its rows. F.npz is composed from these files and can be composed again at any time.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ _RECORD, _FRAMES = "docking", "frames.npy"
 
 
 class Mismatch(RecordingError):
-    """What is asked for differs from what the recording holds."""
+    """The request differs from the recording's content."""
 
 
 class Journal:
-    """The folder beside a data set. One process at a time has it open.
+    """The folder beside a data set; open in one process at a time.
 
     Args:
         out: of the data set, F.npz.
 
     Attributes:
-        dockings: all that it holds, by attempt.
-        parts: those of which it holds dockings, by name, in the order of their beginning.
-        settings: what they share; None before the first docking.
+        dockings: all recorded ones, by attempt.
+        parts: those with dockings, by name, in the order of their beginning.
+        settings: common to all dockings; None before the first one.
 
     Raises:
-        Mismatch: it is open in another process, or F.npz is there and was not made from a recording.
-        RecordingError: something in it is damaged, or mcap is not installed.
+        Mismatch: another process has it open, or F.npz exists and was not made from a recording.
+        RecordingError: a file in it is damaged, or mcap is not installed.
     """
 
     def __init__(self, out: Path) -> None:
@@ -59,7 +59,7 @@ class Journal:
         self.parts: dict[str, Part] = {}
         self.settings: Settings | None = None
         if out.exists() and not self.folder.is_dir():
-            raise Mismatch(f"{out} is there and has no {self.folder.name} beside it: give another --out")
+            raise Mismatch(f"{out} exists without {self.folder.name}: give another --out")
         make_folder(self.folder)
         self._lock = os.open(self.folder, os.O_RDONLY)
         try:
@@ -68,7 +68,7 @@ class Journal:
             self._read()
         except BlockingIOError as error:
             os.close(self._lock)
-            raise Mismatch(f"another process records into {self.folder}: let it end, or give another --out") from error
+            raise Mismatch(f"another process records into {self.folder}: stop it, or give another --out") from error
         except BaseException:
             os.close(self._lock)
             raise
@@ -82,24 +82,24 @@ class Journal:
         os.close(self._lock)
 
     def check(self, part: Part, settings: Settings) -> None:
-        """Refuse arguments that differ from those the recording was begun with.
+        """Refuse arguments that differ from the recording's first ones.
 
         Raises:
             Mismatch: names what differs.
         """
         pairs: list[tuple[Any, Any]] = [(self.settings, settings), (self.parts.get(part.name), part)]
         differing = [
-            f"{_flag(item.name)} {_shown(getattr(held, item.name))} and not {_shown(asked)}"
+            f"{_flag(item.name)} {_shown(getattr(held, item.name))} (not {_shown(asked)})"
             for held, wanted in pairs
             if held is not None
             for item in fields(wanted)
             if (asked := getattr(wanted, item.name)) != getattr(held, item.name) and asked is not None
         ]
         if differing:
-            raise Mismatch(f"{self.folder} was recorded with {', '.join(differing)}: give the same, or another --out")
+            raise Mismatch(f"{self.folder} was recorded with {', '.join(differing)}: use these, or give another --out")
 
     def done(self, part: Part) -> set[int]:
-        """Return the numbers of a part's dockings that it holds."""
+        """Return the numbers of a part's recorded dockings."""
         return {docking.number for docking in self.dockings if docking.part == part.name}
 
     @property
@@ -113,7 +113,7 @@ class Journal:
         return 1 + max((docking.session for docking in self.dockings), default=-1)
 
     def _begin(self, part: Part, settings: Settings) -> None:
-        """Write down what is recorded from now on."""
+        """Add the part and the settings to recording.json."""
         self.settings, self.parts[part.name] = settings, part
         content = {
             "version": _JOURNAL_VERSION,
@@ -125,17 +125,17 @@ class Journal:
     def store(
         self, docking: Docking, part: Part, settings: Settings, kinds: Mapping[str, Any], messages: Iterable[Raw]
     ) -> None:
-        """Write a docking; when this returns, it is on the disk.
+        """Write a docking durably; it is on the disk when this returns.
 
         Args:
             docking: to write.
-            part: of which it is one.
-            settings: as `check` took them.
+            part: that it belongs to.
+            settings: as passed to `check`.
             kinds: message class of each topic.
-            messages: of the whole docking.
+            messages: of the complete docking.
 
         Raises:
-            OSError: the disk does not take it; nothing of it is kept.
+            OSError: the disk does not accept it; nothing of it is kept.
         """
         if part.name not in self.parts:
             self._begin(part, settings)
@@ -150,7 +150,7 @@ class Journal:
         self.dockings.append(docking)
 
     def compose(self) -> Dataset | None:
-        """Write F.npz from all dockings and return what stands in it; None where there are none."""
+        """Write F.npz from all dockings and return its content; None without dockings."""
         if not self.dockings or self.settings is None:
             return None
         data = dataset(self.dockings, self.parts, self.settings)
@@ -159,12 +159,12 @@ class Journal:
         return data
 
     def driver(self) -> str:
-        """Return the name of the node that drove the arm for this recording and did not end it; '' = none."""
+        """Return the name of the node that drove the arm for this recording and did not finish; '' = none."""
         path = self.folder / _DRIVER
         return read_text(path) if path.is_file() else ""
 
     def set_driver(self, name: str) -> None:
-        """Write down which node drives the arm; '' = none any more."""
+        """Record which node drives the arm; '' = none."""
         path = self.folder / _DRIVER
         if not name:
             path.unlink(missing_ok=True)
@@ -178,18 +178,18 @@ class Journal:
         try:
             content = parse_json(read_text(path))
             if content["version"] != _JOURNAL_VERSION:
-                raise RecordingError(f"{path} is of version {content['version']}: give another --out")
+                raise RecordingError(f"{path} has version {content['version']}: give another --out")
             settings = Settings(**_plain(Settings, content["settings"]))
             parts = {part.name: part for part in (Part.from_dict(_plain(Part, each)) for each in content["parts"])}
             if not all(part.set in SETS for part in parts.values()):
-                raise ValueError("a part is of no known set")
+                raise ValueError("a part has an unknown set")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} is damaged ({error}): restore it, or give another --out") from error
         for file in sorted(self.folder.glob("docking-*.mcap")):
             self.dockings.append(_docking(file))
         names = {docking.part for docking in self.dockings}
         if names - set(parts):
-            raise RecordingError(f"{path} knows nothing of {', '.join(sorted(names - set(parts)))}: restore it")
+            raise RecordingError(f"{path} does not list {', '.join(sorted(names - set(parts)))}: restore it")
         self.parts = {name: part for name, part in parts.items() if name in names}
         self.settings = settings if self.parts else None
 
@@ -205,7 +205,7 @@ def _shown(value: Any) -> str:
 
 
 def _plain(kind: Any, values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the fields of a class as JSON has them; ValueError where one is of another type."""
+    """Return the fields of a class from JSON values; ValueError if one has another type."""
     allowed: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,)}
     for item in fields(kind):
         value, types = values.get(item.name), allowed.get(str(item.type))
@@ -231,4 +231,4 @@ def _docking(path: Path) -> Docking:
             raise ValueError(f"frames of shape {frames.shape}, {frames.dtype}")
         return Docking(frames=frames, **_plain(Docking, values))
     except (ValueError, LookupError, TypeError) as error:
-        raise RecordingError(f"{path} holds no docking ({error}): remove it, and it is recorded again") from error
+        raise RecordingError(f"{path} holds no docking ({error}): remove it to record this docking again") from error

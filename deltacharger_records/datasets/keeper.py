@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the topics of a running charger to dockings in a journal, while the arm is on its way."""
+"""Make dockings in a journal from the topics of a running charger while its arm moves."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ TOPICS = (
     Topic("charger_power", ChargerPower, qos.LATEST),
     Topic("docking_state", DockingState, qos.STATE),
 )
-"""What is kept of each docking, as it came."""
+"""Topics recorded of each docking, as received."""
 _SIDE = 10  # taxels
 
 
 class Tape:
-    """Messages of one docking after the other. `take` may be called from any thread.
+    """Collects the messages of one docking at a time. `take` may be called from any thread.
 
     Args:
-        latched: topic that tells changes alone; its last message before a docking belongs to it.
+        latched: topic that publishes changes only; its last message before a docking belongs to it.
     """
 
     def __init__(self, latched: str) -> None:
@@ -48,7 +48,7 @@ class Tape:
         self._lock = threading.Lock()
 
     def take(self, message: Raw) -> None:
-        """Append a message, where a docking is under way."""
+        """Append a message during a docking."""
         with self._lock:
             if message.topic == self._latched:
                 self._last = message
@@ -56,13 +56,13 @@ class Tape:
                 self.messages.append(message)
 
     def start(self) -> None:
-        """Begin anew."""
+        """Begin a docking."""
         with self._lock:
             self.messages = [] if self._last is None else [self._last]
             self._rolling = True
 
     def stop(self) -> list[Raw]:
-        """Return what was taken since `start`."""
+        """Return the messages since `start`."""
         with self._lock:
             self._rolling = False
             return self.messages
@@ -74,12 +74,12 @@ class SessionKeeper:
     Args:
         journal: to write into.
         part: of the recording.
-        settings: as the journal's `check` took them.
-        numbers: of the part's poses, as the session meets them.
-        tape: on which the topics come.
+        settings: as passed to the journal's `check`.
+        numbers: of the part's poses, in the session's order.
+        tape: that receives the topics.
         names: full name of each topic by its relative one.
         now: the ROS clock, ns.
-        report: called with each docking that is on the disk.
+        report: called with each docking after it is on the disk.
 
     Attributes:
         count: dockings on the disk.
@@ -116,11 +116,11 @@ class SessionKeeper:
         self._tape.start()
 
     def listen(self) -> None:
-        """Count only frames that are sampled from now on."""
+        """Count only frames sampled from now on."""
         self._since, self._looked, self._frames = self._now(), len(self._tape.messages), []
 
     def heard(self) -> bool:
-        """Take the new frames; TactileStale where they are of no use."""
+        """Take the new frames; TactileStale if they are unusable."""
         messages, wanted = self._tape.messages, self._settings.frames * self._settings.rows
         while self._looked < len(messages) and len(self._frames) < wanted:
             message = messages[self._looked]
@@ -133,7 +133,7 @@ class SessionKeeper:
         return len(self._frames) >= wanted
 
     def keep(self, touch: Rested) -> None:
-        """Write the docking in a thread of its own."""
+        """Write the docking in a separate thread."""
         pose, target = self._poses[self._number], self._part.target
         shape = (self._settings.rows, self._settings.frames, 2, _SIDE, _SIDE)
         docking = Docking(
@@ -153,7 +153,7 @@ class SessionKeeper:
         self._writing = self._writer.submit(self._write, docking, self._tape.stop())
 
     def kept(self) -> bool:
-        """Whether it is on the disk; NotKept where it cannot be."""
+        """Whether it is on the disk; NotKept if it cannot be written."""
         if self._writing is None:
             return True
         if not self._writing.done():
@@ -168,7 +168,7 @@ class SessionKeeper:
         return True
 
     def close(self) -> None:
-        """Wait for what is being written; NotKept as in `kept`."""
+        """Wait for the writing thread; NotKept as in `kept`."""
         self._writer.shutdown()
         self.kept()
 
@@ -181,11 +181,11 @@ def _pads(frame: TactileFrame) -> NDArray[np.float32]:
     """Return both pads (2, 10, 10), N.
 
     Raises:
-        TactileStale: they have another shape, or are not tared any more.
+        TactileStale: they have another shape, or are no longer tared.
     """
     pads = (frame.left, frame.right)
     if (frame.rows, frame.columns) != (_SIDE, _SIDE) or {len(pad) for pad in pads} != {_SIDE * _SIDE}:
         raise TactileStale(f"tactile_frame is {frame.rows} × {frame.columns}; data sets hold {_SIDE} × {_SIDE}")
     if not frame.tared:
-        raise TactileStale("the frames are not tared any more: the board has restarted; look at its supply")
+        raise TactileStale("the frames are no longer tared because the board has restarted: check its supply")
     return np.array(pads, dtype=np.float32).reshape(2, _SIDE, _SIDE)

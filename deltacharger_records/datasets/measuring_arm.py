@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm of a running charger for measuring its servos: goals in whole ticks, angles and currents as they come."""
+"""The arm of a running charger for measuring its servos: goals in whole ticks, unfiltered angles and currents."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_records.datasets.arm_client import ArmClient
 
-_LATE = 0.03  # s from a goal's sending to the servos' having it: a bus cycle and the way there
-_SILENCE = 2.0  # s beyond a reading, after which servo_state has stopped
+_LATE = 0.03  # s until a goal reaches the servos: transport and one bus cycle
+_SILENCE = 2.0  # s beyond a reading without servo_state that count as its end
 
 
 class MeasuringArm(ArmClient):
-    """An `ArmClient` that is a `ServoArm`, too."""
+    """An `ArmClient` that also implements `ServoArm`."""
 
     _goals: Vector | None = None
     _log: tuple[list[Vector], list[Vector]] = ([], [])  # angles (rad) and currents (A) since a reading began
 
     def told(self, name: str) -> dict[str, Any]:
-        """Return a node's parameters; empty where it does not answer."""
+        """Return a node's parameters; empty if it does not answer."""
         return self._ask(name)
 
     def start(self) -> None:
-        """Switch the torque on as `ArmClient.start` does, and hold where the arm stands by goals that are known."""
+        """Switch the torque on as `ArmClient.start` does, and hold the position by known goals."""
         here = whole_ticks(self.angles())
         super().start()
         self._goals = here
@@ -50,10 +50,10 @@ class MeasuringArm(ArmClient):
         return self._goals or whole_ticks(self.angles())
 
     def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
-        """Lead the goals along a line, see `ServoArm`.
+        """Move the goals along a line, see `ServoArm`.
 
         Raises:
-            ArmError: the arm may not be moved any more.
+            ArmError: the arm may no longer be moved.
         """
         self.check()
         self._publish([Waypoint(at, whole_ticks(goals), bound) for at, goals in line])
@@ -62,10 +62,10 @@ class MeasuringArm(ArmClient):
         self._wait(lambda: time.monotonic() >= over, math.inf, self.check)
 
     def read(self, seconds: float) -> ArmReadings:
-        """Return what servo_state tells in the next `seconds`, at least one message.
+        """Return the servo_state readings of the next `seconds`, at least one message.
 
         Raises:
-            ArmError: the arm may not be moved any more.
+            ArmError: the arm may no longer be moved.
         """
         with self._lock:
             self._log = [], []
@@ -77,7 +77,7 @@ class MeasuringArm(ArmClient):
             return ArmReadings(np.array(angles).reshape(-1, 3), np.array(currents).reshape(-1, 3))
 
     def retire(self, stiffness: float) -> None:
-        """Go where docking rests the arm, its weight led by a stiffness (N·m/rad); errors as in `move`."""
+        """Move to docking's rest position; `stiffness` (N·m/rad) compensates the weight; errors as in `move`."""
         known = min(max(stiffness, STIFFNESS_MIN), STIFFNESS_MAX)
         self._planner = Planner(
             dataclasses.replace(DockingParameters(), servo_stiffness=known), self._kinematics.geometry

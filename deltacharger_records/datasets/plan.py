@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which dockings make up a recorded data set: the paper's two, reference dockings and signed poses."""
+"""The dockings of a recorded data set: the paper's two sets, reference dockings and signed poses."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from deltacharger_tactile.dataset import (
 SETS = ("position", "angle", "reference", "sweep")
 SUBSETS = dict(zip(SETS, (SUBSET_POSITION, SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_CONTINUOUS), strict=True))
 REPEATS = {"position": 20, "angle": 100, "reference": 10, "sweep": 100}
-"""Dockings at each offset (position), else in all (paper; reference and sweep are ours)."""
+"""Dockings at each offset (position), else in total (paper; reference and sweep are ours)."""
 TILTED = {"angle": 5.0, "sweep": 20.0}
-"""Sets whose target is turned, and by how much at most, degrees."""
+"""Sets with a turned target, and the largest angle, degrees."""
 OFFSETS_MM = tuple(1e3 * value for value in POSITION_CLASSES)
-_LEFT_BY_VISION = 0.1  # of the start's offset (assumed; the paper tells the starts alone)
+_LEFT_BY_VISION = 0.1  # of the start's offset (assumed; the paper states only the starts)
 _START_STEP, _START_STEPS = 0.004, 5  # m; the start varies by ±20 mm in steps of 4 mm (paper)
 
 
 @dataclass(frozen=True)
 class CommandedPose:
-    """Where the target shall be in end_effector: m, m, rad, signed as in Dataset."""
+    """Desired pose of the target in end_effector: m, m, rad, signed as in Dataset."""
 
     horizontal: float
     vertical: float
@@ -41,14 +41,14 @@ class CommandedPose:
 
 @dataclass(frozen=True)
 class Part:
-    """What one call records, in the units of the command line.
+    """What one command records, in the units of the command line.
 
     Attributes:
         set: one of SETS.
-        angle_deg: by which the target is turned about +z of charger_base, from +x to +y.
-        repeat: dockings at each offset of the position set, of other sets in all.
+        angle_deg: of the target about +z of charger_base, from +x to +y.
+        repeat: dockings at each offset of the position set, in total for other sets.
         seed: of order and offsets.
-        x_mm, y_mm, z_mm: where the target's electrodes stand in charger_base.
+        x_mm, y_mm, z_mm: position of the target's electrodes in charger_base.
         offsets_mm: of the position set, along each axis.
     """
 
@@ -63,23 +63,23 @@ class Part:
 
     @property
     def name(self) -> str:
-        """What tells it from the other parts of a file: the set, and the angle where it has one."""
+        """Unique name in a file: the set, and its angle if it has one."""
         return f"{self.set} {self.angle_deg:g}°" if self.set in TILTED else self.set
 
     @property
     def target(self) -> tuple[float, float, float]:
-        """Where the target's electrodes stand, m, charger_base."""
+        """Position of the target's electrodes, m, charger_base."""
         return 1e-3 * self.x_mm, 1e-3 * self.y_mm, 1e-3 * self.z_mm
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> Part:
-        """Return a part by its fields as JSON has them; TypeError or KeyError where one is wrong."""
+        """Return a part from its fields in JSON; TypeError or KeyError if one is wrong."""
         return Part(**{**values, "offsets_mm": tuple(values["offsets_mm"])})
 
     def poses(self) -> list[CommandedPose]:
-        """Return every docking's pose, in the order of recording; the same arguments give the same.
+        """Return every docking's pose in the order of recording; equal arguments give equal poses.
 
-        Offsets of the position set come in a new order at each repetition, so that no drift looks like an offset.
+        Each repetition of the position set has a new order of offsets, so that drift does not look like an offset.
         """
         angle, random = math.radians(self.angle_deg), self._random()
         if self.set == "position":
@@ -94,7 +94,7 @@ class Part:
         return [CommandedPose(float(x), float(y), angle) for x, y in offsets]
 
     def starts(self) -> Array:
-        """Return (repeat, 2) m, how far beside the target the arm starts in each docking of the angle set."""
+        """Return (repeat, 2) m: the arm's start offset from the target in each docking of the angle set."""
         return np.asarray(_START_STEP * self._random().integers(-_START_STEPS, _START_STEPS + 1, (self.repeat, 2)))
 
     def _random(self) -> np.random.Generator:

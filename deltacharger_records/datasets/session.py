@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking for its own sake: touch, hold still, let frames be taken, let go; again and again, never energised.
+"""Repeated dockings for recording, never energised: touch, hold still, take frames, release.
 
-The steps of docking are those of docking_node, and so is what happens when something goes wrong: whatever ends a
-session, the arm is taken back and its torque switched off.
+Steps and error handling are docking_node's. However a session ends, the arm retracts and its torque is switched off.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from deltacharger_docking.release import lift_off
 from deltacharger_docking.retract import retract
 from deltacharger_kinematics.geometry import Vector
 
-_RUN_UP = 0.006  # m below the standoff from which it is approached along +z
+_RUN_UP = 0.006  # m before the standoff, where the run-up along +z starts
 
 
 class NotKept(DockingError):
@@ -33,19 +32,19 @@ class NotKept(DockingError):
 
 
 class ServoSilence(ServoFailure):
-    """servo_state stopped, which may pass by itself. Example: the computer stood still."""
+    """servo_state stopped, perhaps only briefly. Example: the computer stalled."""
 
     retriable = True
 
 
 @dataclass(frozen=True)
 class Rested:
-    """How one docking rested.
+    """The contact of one docking at rest.
 
     Attributes:
-        position: of the end effector by its joints (m, charger_base), averaged while frames were taken.
+        position: of the end effector by its joints (m, charger_base), averaged over the frames.
         current: contact current, A.
-        commanded: where it was told to meet the target, m, charger_base.
+        commanded: where it was to meet the target, m, charger_base.
     """
 
     position: Vector
@@ -54,52 +53,52 @@ class Rested:
 
 
 class Keeper(Protocol):
-    """Takes what is felt; its methods return at once."""
+    """Stores the measurements; its methods return at once."""
 
     def begin(self, number: int) -> None:
         """Docking `number` of the session (from 0) begins."""
 
     def listen(self) -> None:
-        """The contact has rested: frames sampled from now on count."""
+        """The contact is at rest: frames sampled from now on count."""
 
     def heard(self) -> bool:
-        """Whether there are enough of them; DockingError where they are of no use."""
+        """Whether there are enough frames; DockingError if they are unusable."""
 
     def keep(self, touch: Rested) -> None:
-        """The arm has let go: write what was felt."""
+        """The arm has released the target: write the measurements."""
 
     def kept(self) -> bool:
-        """Whether it is written; DockingError where it cannot be."""
+        """Whether they are written; DockingError if that failed."""
 
 
 def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
-    """Refuse places (m, charger_base) that the arm cannot reach, or not from before them.
+    """Refuse commands (m, charger_base) if the arm cannot reach them, or not from before them.
 
     Raises:
-        Rejected: electrodes that hang on the battery: each touch would be live.
-        Unreachable: names the first; nothing was moved.
+        Rejected: electrodes connected to the battery: each touch would be live.
+        Unreachable: names the first such command; nothing was moved.
     """
     if machine.parameters.always_live:
         raise Rejected(
-            "docking_node has power: none, so every touch of a recording would be live: take the electrodes' leads off "
+            "docking_node has power: none, so every touch of a recording would be live: disconnect the electrodes from "
             "the battery, and start docking_node with power: board for the recording"
         )
     for x, y, z in commands:
         wrong = machine.planner.reachable((x, y, _before(machine.parameters, z)), (x, y, z))
         if wrong:
-            raise Unreachable(f"out of the arm's reach, {wrong}; put the target elsewhere and say where it stands")
+            raise Unreachable(f"out of the arm's reach, {wrong}: move the target and give its new position")
 
 
 @dataclass(frozen=True)
 class TouchSession:
-    """Touches the target once at each of some places; a docking machine runs it by `start(session.run, …)`.
+    """Touches the target once at each of several places; a docking machine runs it by `start(session.run, …)`.
 
     Attributes:
-        commands: where the end effector shall meet the target, m, charger_base; or from where it shall look for it.
+        commands: where the end effector meets the target, m, charger_base; with `look`, where it starts.
         dwell: s from rest in contact to the first frame.
-        holding: s that the frames take.
-        keeper: takes what is felt.
-        look: whether each command is only the start: then the camera is asked, and what it sees is touched.
+        holding: s of taking frames.
+        keeper: stores the measurements.
+        look: whether each command is only the start: then the camera locates the target to touch.
     """
 
     commands: Sequence[Vector]
@@ -113,7 +112,7 @@ class TouchSession:
 
         Raises:
             ServoSilence: servo_state stopped.
-            DockingError: as a docking.
+            DockingError: as in a docking.
         """
         try:
             return (yield from self._run(context))
@@ -133,15 +132,15 @@ class TouchSession:
                 yield from _go_before(context, place)
             yield from approach(context, place)
             yield from contact(context, place[2] + context.parameters.search_depth)
-            yield from self._feel(context, place)
+            yield from self._record(context, place)
             context.enter(State.IDLE, math.inf)
             while not self.keeper.kept():
                 yield NEXT
         yield from retract(context, wanted=True)
         return "every docking was recorded"
 
-    def _feel(self, context: Context, place: Vector) -> Script[None]:
-        """Rest, let frames be taken, let go, and have it all kept."""
+    def _record(self, context: Context, place: Vector) -> Script[None]:
+        """Rest, take frames, release, and wait until all is stored."""
         parameters, keeper = context.parameters, self.keeper
         context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + parameters.measure_timeout)
         yield from context.wait(self.dwell)
@@ -158,7 +157,7 @@ class TouchSession:
 
 
 def _go_before(context: Context, command: Vector) -> Script[None]:
-    """Go sideways in free air, far enough from the target that the approach tares in a motion along +z."""
+    """Move sideways in free air, before the standoff, so that the approach tares in a motion along +z."""
     parameters = context.parameters
     context.enter(State.ALIGN, parameters.align_timeout)
     x, y, z = command

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a charger says on its topics, kept in files."""
+"""A charger's topics in files."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps one record per docking: from shortly before its goal until the arm is home again. No ROS but its messages."""
+"""Write one record per docking, from shortly before its goal until the arm is home. Uses ROS messages only."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from deltacharger_records.recording.own import ABOUT, head
 from deltacharger_records.recording.session import Seen, Session
 from deltacharger_ros.outcomes import Outcome
 
-_FLUSH = 1.0  # s between what a killed recorder loses
-_PRUNE = 10.0  # s between looks at the folder's size while recording
+_FLUSH = 1.0  # s of messages that a killed recorder loses at most
+_PRUNE = 10.0  # s between checks of the folder's size while recording
 
 
 @dataclass
@@ -39,19 +39,19 @@ class _File:
 
 
 class DockingRecorder:
-    """Takes every message of the recorded topics and writes those of a docking to a file of its own.
+    """Takes every message of the recorded topics and writes each docking to a separate file.
 
-    Times are s, monotonic; what is written bears the times of the messages.
+    Times are s, monotonic; written messages keep their own times.
 
     Args:
-        folder: where records go.
-        gate: which messages are kept; built by `gate_for`.
+        folder: of the records.
+        gate: selects the messages to keep; built by `gate_for`.
         topics: full name by relative one.
         kinds: message class by full name.
-        about: what is told about every record: version, scene, namespace.
+        about: metadata of every record: version, scene, namespace.
 
     Attributes:
-        problem: why the docking under way is not recorded any more; '' = it is.
+        problem: why the current docking is no longer recorded; '' = it is.
     """
 
     def __init__(
@@ -70,51 +70,51 @@ class DockingRecorder:
         self._about = about
         self._session = Session()
         self._file: _File | None = None
-        self._code = 0  # the last one that docking_state told in this record
+        self._code = 0  # docking_state's last one in this record
         self._results: list[Outcome] = []
         self._flushed = self._pruned = 0.0
 
     @property
     def path(self) -> Path | None:
-        """The file being written, None where there is none."""
+        """The file being written, or None."""
         return self._file.path if self._file is not None else None
 
     @property
     def passed_by(self) -> Mapping[str, str]:
-        """What stands in the folder under a record's name and is left alone: the reason by its name."""
+        """Files in the folder that are named like records but left alone: the reason by name."""
         return self._folder.passed_by
 
     def take(self, now: float, message: Raw) -> None:
-        """Take one message; one that nobody can read, as a stranger may send it, is left out."""
-        said: Any = None
+        """Take one message; an unreadable one, as a foreign node may send it, is left out."""
+        body: Any = None
         if message.topic in (self._state, self._decision):
             try:
-                said = deserialize_message(message.data, self._kinds[message.topic])
-            except RuntimeError:  # what the middleware says of it
+                body = deserialize_message(message.data, self._kinds[message.topic])
+            except RuntimeError:  # raised by the middleware
                 return
         if message.topic == self._state:
-            self._see(now, message, said)
-        elif said is not None and self._session.is_news(said.kind):
+            self._take_state(now, message, body)
+        elif body is not None and self._session.is_news(body.kind):
             self._gate.stir(now)
         self._write(self._gate.offer(now, message))
 
     def take_result(self, outcome: Outcome) -> None:
-        """Take how a goal of this docking ended."""
+        """Take the outcome of a goal of this docking."""
         if self._session.under_way:
             self._results.append(outcome)
-            self._tell(RESULT, {"action": outcome.action, "json": json.dumps(outcome.as_dict())})
+            self._note(RESULT, {"action": outcome.action, "json": json.dumps(outcome.as_dict())})
 
     def take_parameters(self, values: Mapping[str, Any]) -> None:
-        """Take what docking decides by, and keep with it what its geometry file says."""
-        told = with_geometry(values)
-        self._tell(PARAMETERS, {name: json.dumps(value) for name, value in sorted(told.items())})
+        """Take docking_node's parameters, and keep them with the content of its geometry file."""
+        content = with_geometry(values)
+        self._note(PARAMETERS, {name: json.dumps(value) for name, value in sorted(content.items())})
 
     def tick(self, now: float, alive: bool) -> None:
-        """Flush, keep the folder bounded, and end a record that is complete.
+        """Flush, limit the folder's size, and end a complete record.
 
         Args:
             now: s.
-            alive: whether anybody publishes docking_state.
+            alive: whether docking_state has a publisher.
         """
         self._session.hear(now, alive)
         if self._session.is_over(now):
@@ -130,13 +130,13 @@ class DockingRecorder:
                 self._folder.prune()
 
     def close(self) -> None:
-        """End the record under way, if there is one."""
+        """End the current record, if there is one."""
         if self._session.under_way:
             self._end()
 
-    def _see(self, now: float, message: Raw, said: Any) -> None:
-        request_id = said.request_id[:REQUEST_ID_MAX]
-        seen = Seen(said.state, said.docked, said.charging, said.error_code, cut(said.error_message), request_id)
+    def _take_state(self, now: float, message: Raw, body: Any) -> None:
+        request_id = body.request_id[:REQUEST_ID_MAX]
+        seen = Seen(body.state, body.docked, body.charging, body.error_code, cut(body.error_message), request_id)
         if self._session.begins(seen):
             self.close()
             self._begin(now, message, seen)
@@ -158,7 +158,7 @@ class DockingRecorder:
             path, stream = self._folder.create(message.received, seen.request_id)
             try:
                 mcap = McapStream(stream, self._kinds, live=True, told=[(ABOUT, about)])
-                flush(stream)  # whatever happens from here on, it shows that the file is ours
+                flush(stream)  # from now on the head shows that the file is ours, even after a crash
             except OSError:
                 self._folder.forget(path, stream)
                 raise
@@ -166,22 +166,22 @@ class DockingRecorder:
         self._write(held)
 
     def _end(self) -> None:
-        """Complete the record and give it its name."""
+        """Complete the record and rename it."""
         self._write(self._gate.close())
         file, last = self._file, self._session.last
         if file is not None and last is not None:
             ending = self._ending()
             dropped = json.dumps(dict(self._gate.dropped))
-            self._tell(END, {"ending": ending, "state": str(last.state), "message": last.message, "dropped": dropped})
+            self._note(END, {"ending": ending, "state": str(last.state), "message": last.message, "dropped": dropped})
             with self._failing():
                 file.mcap.finish()
                 flush(file.stream)
-                if last.at_home and not (self._code or self._session.went_out):  # undocked where nothing was docked
+                if last.at_home and not (self._code or self._session.went_out):  # an undock without a docking
                     self._folder.forget(file.path, file.stream)
                 else:
                     path = self._folder.finish(file.path, file.stream, ending)
                     with (
-                        contextlib.suppress(OSError, RecordingError),  # then it stays as large as it is
+                        contextlib.suppress(OSError, RecordingError),  # then the record stays unpacked
                         self._folder.rewriting(path, file.stream) as packed,
                     ):
                         pack(path, packed, self._kinds)
@@ -191,7 +191,7 @@ class DockingRecorder:
         self._session.end()
 
     def _ending(self) -> str:
-        """Return by which word the record is named: a code's name, OK, or UNFINISHED where nobody said how it ended."""
+        """Return the ending in the record's name: a code's name, OK, or UNFINISHED without an outcome."""
         if self._code:
             return Code(self._code).name if self._code in list(Code) else str(self._code)
         first = next((each for each in self._results if each.action == "dock"), None) or next(iter(self._results), None)
@@ -206,7 +206,7 @@ class DockingRecorder:
             for message in messages:
                 self._file.mcap.add(message)
 
-    def _tell(self, name: str, values: Mapping[str, str]) -> None:
+    def _note(self, name: str, values: Mapping[str, str]) -> None:
         if self._file is None:
             return
         with self._failing():
@@ -214,14 +214,14 @@ class DockingRecorder:
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
-        """End the recording of this docking where the disk does not take it."""
+        """End the recording of this docking if the disk does not accept it."""
         try:
             yield
         except OSError as error:
             self.fail(error)
 
     def fail(self, error: Exception) -> None:
-        """Record no more of this docking; what is on the disk stays, and the next docking is recorded again."""
+        """Stop recording this docking; data on the disk stay, and the next docking is recorded again."""
         self.problem = f"recording ended: {error}"
         file, self._file = self._file, None
         if file is not None:
@@ -236,8 +236,8 @@ def gate_for(topics: Mapping[str, str], before: float, rate: float, folder_bytes
 
     Args:
         topics: full name by relative one.
-        before: s before an event that are kept.
-        rate: messages of each topic per second that are kept while charging.
-        folder_bytes: what the folder may hold; half of it is the most that one record takes.
+        before: s kept before an event.
+        rate: messages of each topic per second, kept while charging.
+        folder_bytes: limit of the folder; one record takes at most half of it.
     """
     return Gate(before, rate, folder_bytes // 2, [topics[name] for name in ALWAYS])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """docking_recorder_node: one MCAP file per docking in a bounded folder.
 
-Subscribes to what a record holds (docking_topics), undecoded; asks dock and undock for the results of the goals that
-others sent, and docking_node for its parameters; publishes /diagnostics. It commands nothing: a full disk, an
-unwritable folder or its own end never touches docking. One thread reads the topics and writes.
+Subscribes to a record's topics (docking_topics), undecoded. Requests the results of all dock and undock goals, and
+docking_node's parameters. Publishes /diagnostics. It commands nothing: a full disk, an unwritable folder or its own end
+never affects docking. One thread reads the topics and writes.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import PolledTopics
 
-_POLL = 0.02  # s between looks at the topics
-_TICK = 0.2  # s between looks at the clock
+_POLL = 0.02  # s between reads of the topics
+_TICK = 0.2  # s between calls of the recorder's `tick`
 _DIAGNOSTICS = 1.0  # s
-_GOALS_MAX = 100  # goals whose results were asked for
-_NAMED_MAX = 10  # files left alone that are named, in the log over all and in a message
-_ID = slice(4, 20)  # of the goal in a feedback's CDR, behind its head
+_GOALS_MAX = 100  # goals whose results were requested
+_NAMED_MAX = 10  # files left alone: logged in total, and named in one message
+_ID = slice(4, 20)  # of the goal's id in a feedback's CDR, after the encapsulation header
 
 
 class DockingRecorderNode(Node):
-    """Records dockings; docs/records.md says what is in a file."""
+    """Records dockings; docs/records.md describes the files."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("docking_recorder_node", **kwargs)
@@ -58,7 +58,7 @@ class DockingRecorderNode(Node):
         try:
             require_mcap()
             for topic in TOPICS:
-                schema_text(topic.kind)  # what a record cannot be written without is told now, not at the first docking
+                schema_text(topic.kind)  # report a missing definition now, not at the first docking
         except RecordingError as error:
             raise node_support.StartupError(f"docking_recorder_node: {error}") from error
         topics = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
@@ -73,7 +73,7 @@ class DockingRecorderNode(Node):
         self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
         self._named: set[str] = set()
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
-        self._told: deque[Callable[[], None]] = deque()
+        self._received: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
         self._results: dict[str, Any] = {
             action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", qos_profile=SERVICE)
@@ -86,7 +86,7 @@ class DockingRecorderNode(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """Write what has come, and complete the record under way. Safe to call twice."""
+        """Write the received messages, and complete the current record. Safe to call twice."""
         self._stopping.set()
         self._thread.join(10.0)
 
@@ -97,8 +97,8 @@ class DockingRecorderNode(Node):
             self._ask_result(action, message.data[_ID])
 
     def _ask_result(self, action: str, goal: bytes) -> None:
-        """Ask once how a goal that somebody sent ends; the answer comes when it has."""
-        if goal in self._asked or len(goal) != _ID.stop - _ID.start:  # a stranger's feedback may be short
+        """Request once the result of a goal of any client; the answer arrives when the goal ends."""
+        if goal in self._asked or len(goal) != _ID.stop - _ID.start:  # a foreign feedback may be short
             return
         self._asked.append(goal)
         client = self._results[action]
@@ -106,14 +106,14 @@ class DockingRecorderNode(Node):
         def on_result(done: Any) -> None:
             answer = done.result() if done.exception() is None else None
             if answer is not None and answer.status:
-                self._told.append(lambda: self._recorder.take_result(to_outcome(action, answer.result)))
+                self._received.append(lambda: self._recorder.take_result(to_outcome(action, answer.result)))
 
         request = client.srv_type.Request()
         request.goal_id.uuid = list(goal)
         client.call_async(request).add_done_callback(on_result)
 
-    def _on_parameters(self, told: dict[str, Any]) -> None:
-        self._told.append(lambda: self._recorder.take_parameters(told))
+    def _on_parameters(self, values: dict[str, Any]) -> None:
+        self._received.append(lambda: self._recorder.take_parameters(values))
 
     def _loop(self) -> None:
         ticked = diagnosed = 0.0
@@ -135,18 +135,18 @@ class DockingRecorderNode(Node):
                 if now - diagnosed >= _DIAGNOSTICS:
                     diagnosed = now
                     self._diagnose()
-            except Exception as error:  # whatever it is, docking must not hear of it
+            except Exception as error:  # no error here may affect docking
                 if last:
                     return
                 self._recorder.fail(error)
-                self._log.error(f"recording met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"unexpected error while recording: {type(error).__name__}: {error}")
             self._stopping.wait(_POLL)
 
     def _work(self) -> None:
         for message in self._topics.take():
             self._take(message)
-        while self._told:
-            self._told.popleft()()
+        while self._received:
+            self._received.popleft()()
 
     def _diagnose(self) -> None:
         recorder = self._recorder
@@ -159,7 +159,7 @@ class DockingRecorderNode(Node):
         for each in left_alone[:_NAMED_MAX]:
             if each not in self._named and len(self._named) < _NAMED_MAX:
                 self._named.add(each)
-                self._log.warning(f"left alone in {self._folder_path}: {each}")
+                self._log.warning(f"not managed in {self._folder_path}: {each}")
         self._diagnostics.tell(
             level,
             text,
@@ -173,7 +173,7 @@ class DockingRecorderNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run docking_recorder_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    """Run docking_recorder_node until SIGINT or SIGTERM; 0 after a signal, 2 if it cannot start as configured."""
     return node_support.run(DockingRecorderNode, args)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a record of a docking holds: topics, their messages and their quality of service."""
+"""Topics of a docking record, with their messages and quality of service."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_ros.raw_topics import Topic
 
-_DEPTH = 500  # a disk that hangs for seconds loses nothing
+_DEPTH = 500  # no loss if the disk hangs for seconds
 _EVERY = QoSProfile(depth=_DEPTH)
 _LATCHED = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SENSOR = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -45,7 +45,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic("undock/_action/feedback", Undock.Impl.FeedbackMessage, _EVERY),
     Topic("undock/_action/status", GoalStatusArray, _LATCHED),
 )
-"""In a record, each under its full name."""
+"""In a record, each has its full name."""
 
 ALWAYS = (STATE, DECISION, "electrode_detection", "dock/_action/status", "undock/_action/status")
-"""Topics of which every message is kept, however long charging lasts."""
+"""Topics of which every message is kept, even over hours of charging."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of records: a bound on how many there are and how much they take. What is not ours is never touched."""
+"""The folder of records, with bounds on their number and size. Foreign files are never touched."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from deltacharger_core.files import flush, sync_folder
 from deltacharger_records.recording.own import PARTIAL, SUFFIX, Look, base_name, is_named_like_one, look
 
 RESULT, PARAMETERS, END = "result", "docking_parameters", "end"
-"""Names of a record's metadata: how each goal ended, what docking decides by, how all ended."""
+"""Names of a record's metadata: each goal's result, docking's parameters, the ending."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A record in the folder: its file, size (bytes), whether its docking is under way, and which file it is."""
+    """A record in the folder: its file, size (bytes), whether its docking is in progress, and its identity."""
 
     path: Path
     size: int
@@ -31,16 +31,16 @@ class Entry:
 
 
 class RecordFolder:
-    """Makes, names and forgets records.
+    """Creates, names and removes records.
 
     Args:
-        path: of the folder; made where there is none.
-        max_files: records in it, those under way among them.
-        max_bytes: that they take.
+        path: of the folder; created if missing.
+        max_files: records in it, including those in progress.
+        max_bytes: of all records.
 
     Attributes:
-        passed_by: files named like records that are left alone, as they are none of ours or cannot be removed: their
-            names, and why; of the last look.
+        passed_by: files named like records but left alone because they are foreign or cannot be removed: the reason by
+            name, as of the last check.
     """
 
     def __init__(self, path: Path, max_files: int, max_bytes: int) -> None:
@@ -51,10 +51,10 @@ class RecordFolder:
         self._known: dict[str, Look] = {}
 
     def create(self, began: int, request_id: str) -> tuple[Path, BinaryIO]:
-        """Make room and open the file of a docking that begins, locked for as long as it is open.
+        """Make room and create the file of a docking that begins, locked while it is open.
 
         Args:
-            began: when, ns since 1970.
+            began: ns since 1970.
             request_id: of the goal.
 
         Raises:
@@ -69,11 +69,11 @@ class RecordFolder:
                 return path, _open_new(path)
 
     def finish(self, partial: Path, stream: BinaryIO, code: str) -> Path:
-        """Give a record that is complete its name; what has that name already keeps it.
+        """Give a complete record its name; an existing file with that name keeps it.
 
         Args:
             partial, stream: its file.
-            code: by which the docking ended.
+            code: name of the docking's result.
 
         Raises:
             OSError: the folder cannot be written.
@@ -83,10 +83,10 @@ class RecordFolder:
         while True:
             path = self.path / next(names)
             try:
-                os.link(partial, path, follow_symlinks=False)  # a rename would take the place of what is there
+                os.link(partial, path, follow_symlinks=False)  # a rename would replace an existing file
             except FileExistsError:
                 continue
-            except OSError:  # a file system without links
+            except OSError:  # the file system has no links
                 if os.path.lexists(path):
                     continue
                 partial.rename(path)
@@ -96,19 +96,19 @@ class RecordFolder:
             return path
 
     def forget(self, partial: Path, stream: BinaryIO) -> None:
-        """Remove a record that is being written; arguments and errors as of `finish`."""
+        """Remove a record in progress; arguments and errors as of `finish`."""
         _require_same(partial, stream)
         partial.unlink()
 
     @contextlib.contextmanager
     def rewriting(self, path: Path, stream: BinaryIO) -> Iterator[BinaryIO]:
-        """Yield a file that takes the place of a record at the end of the block; where that raises, nothing changes.
+        """Yield a file that replaces a record at the end of the block; if the block raises, nothing changes.
 
         Args:
             path, stream: of the record.
 
         Raises:
-            OSError: the folder cannot be written, or something stands in the way.
+            OSError: the folder cannot be written, or a foreign file is in the way.
         """
         beside = path.with_name(f".{path.name.removesuffix(SUFFIX)}{PARTIAL}")
         with _open_new(beside) as new:
@@ -135,23 +135,23 @@ class RecordFolder:
                 continue
             try:
                 seen = look(self.path / name, self._known.get(name))
-            except FileNotFoundError:  # another recorder forgot or renamed it meanwhile
+            except FileNotFoundError:  # another recorder removed or renamed it
                 continue
             known[name] = seen
             if not seen.problem:
                 found.append(Entry(self.path / name, seen.size, seen.under_way, seen.identity))
-            elif not seen.under_way:  # another recorder has opened it and not yet said what it is
+            elif not seen.under_way:  # another recorder has opened it and not yet written its head
                 self.passed_by[name] = seen.problem
         self._known = known
         return found
 
     def prune(self, coming: int = 0) -> list[Path]:
-        """Remove the oldest records until the bounds hold, and return them; one under way is never among them.
+        """Remove the oldest records until the bounds hold, and return them; never one in progress.
 
-        What a recorder left that was killed while it packed goes too: the record itself is there.
+        It also removes the packed copy of a recorder killed while packing: the record itself still exists.
 
         Args:
-            coming: records that are about to be made.
+            coming: records about to be created.
 
         Raises:
             OSError: the folder cannot be read.
@@ -170,13 +170,13 @@ class RecordFolder:
 
     def _remove(self, entry: Entry) -> bool:
         try:
-            if look(entry.path).identity != entry.identity:  # somebody changed it since
+            if look(entry.path).identity != entry.identity:  # it was changed since
                 return False
             entry.path.unlink()
-        except FileNotFoundError:  # another recorder was quicker
+        except FileNotFoundError:  # another recorder removed it first
             return True
         except OSError as error:
-            self.passed_by[entry.path.name] = f"it cannot be removed: {error.strerror}"
+            self.passed_by[entry.path.name] = f"cannot be removed: {error.strerror}"
             return False
         return True
 
@@ -189,13 +189,13 @@ def _numbered(base: str, suffix: str) -> Iterator[str]:
 
 
 def _open_new(path: Path) -> BinaryIO:
-    """Return a file that was not there, locked for as long as it is open."""
+    """Return a new file, locked while it is open."""
     stream = path.open("xb")
-    fcntl.flock(stream, fcntl.LOCK_EX)  # who looks whether somebody has it open holds it for a moment
+    fcntl.flock(stream, fcntl.LOCK_EX)  # a recorder that checks whether it is in use holds it briefly
     return stream
 
 
 def _require_same(path: Path, stream: BinaryIO) -> None:
-    """Raise FileNotFoundError where another file than ours has its name."""
+    """Raise FileNotFoundError if another file has taken its name."""
     if not os.path.samestat(path.lstat(), os.fstat(stream.fileno())):
-        raise FileNotFoundError(errno.ENOENT, "somebody moved the record that was being written", str(path))
+        raise FileNotFoundError(errno.ENOENT, "another program moved the record in progress", str(path))

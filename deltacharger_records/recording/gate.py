@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages of a docking are kept: all while something happens, few of them during hours of charging.
+"""Select the messages of a docking to keep: all around events, few during hours of charging.
 
-Time is passed in (s, monotonic), so that hours can be tried in a moment.
+The caller passes the time (s, monotonic), so that tests cover hours in a moment.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ from collections.abc import Collection
 
 from deltacharger_core.mcap_file import Raw
 
-_HELD_MAX = 16 * 2**20  # bytes kept in memory, whatever the rates are
-_STRETCH = 3600  # messages of a topic after which a quiet stretch is kept ever more thinly
+_HELD_MAX = 16 * 2**20  # bytes kept in memory, at any rates
+_STRETCH = 3600  # messages of a topic after which a quiet stretch is thinned more and more
 
 
 class Gate:
-    """Takes every message and returns those to write, in their order.
+    """Takes every message and returns those to write, in order.
 
-    Closed, it holds the last seconds. Open, it lets all pass. In a quiet stretch it holds the last seconds and lets few
-    of what grows older pass: `rate` a second of each topic, and beyond an hour's worth ever fewer, so that their number
-    grows only with the logarithm of time. When something happens, what it holds passes whole.
+    Closed, it holds the last seconds. Open, it passes all messages. In a quiet stretch it holds the last seconds and
+    passes few older messages: `rate` a second of each topic, and after an hour's worth fewer and fewer, so that their
+    number grows with the logarithm of time. At an event it passes everything that it holds.
 
     Args:
-        before: s that are held.
+        before: s to hold.
         rate: messages of each topic per second in a quiet stretch.
-        budget: bytes of one record beyond which only the topics in `always` pass.
+        budget: bytes of one record; beyond it only the topics in `always` pass.
         always: topics of which every message passes.
 
     Attributes:
-        dropped: how many messages of each topic did not pass since it was opened.
+        dropped: messages of each topic dropped since `open`.
     """
 
     def __init__(self, before: float, rate: float, budget: int, always: Collection[str]) -> None:
@@ -39,7 +39,7 @@ class Gate:
         self._always = frozenset(always)
         self._held: deque[tuple[float, Raw]] = deque()
         self._bytes = 0
-        self._waiting = 0  # messages at the end of what is held that were neither passed nor dropped
+        self._waiting = 0  # held messages, the newest, neither passed nor dropped
         self._open = False
         self._quiet_since: float | None = None
         self._whole_until = 0.0
@@ -48,34 +48,34 @@ class Gate:
         self.dropped: Counter[str] = Counter()
 
     def open(self) -> list[Raw]:
-        """Begin a record; return what was held."""
+        """Begin a record; return the held messages."""
         self._open, self._quiet_since, self._passed = True, None, 0
         self.dropped = Counter()
         self._waiting = len(self._held)
         return self._all()
 
     def close(self) -> list[Raw]:
-        """End the record; return what it still has to hold. The last seconds stay held, for the next one."""
+        """End the record; return the waiting messages. The last seconds stay held for the next record."""
         rest = self._all() if self._open else []
         self._open = False
         return rest
 
     def rest(self, now: float) -> None:
-        """A quiet stretch begins, once the last event is as long ago as is held; does nothing during one."""
+        """Begin a quiet stretch once the last event is older than the held seconds; no effect during one."""
         if self._quiet_since is None:
             self._quiet_since, self._whole_until = now, now + self._before
             self._last = {}
 
     def wake(self) -> None:
-        """The quiet stretch is over."""
+        """End the quiet stretch."""
         self._quiet_since = None
 
     def stir(self, now: float) -> None:
-        """Something happens: what is held and what comes next is kept whole."""
+        """Report an event: everything held and what follows is kept."""
         self._whole_until = now + self._before
 
     def offer(self, now: float, message: Raw) -> list[Raw]:
-        """Take a message that came at `now`; return what is to be written."""
+        """Take a message received at `now`; return the messages to write."""
         self._held.append((now, message))
         self._bytes += len(message.data)
         self._waiting += 1

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS topics as MCAP files, as they came over the wire: `ros2 bag` and Foxglove read them.
+"""Write ROS topics, as received, to MCAP files that `ros2 bag` and Foxglove read.
 
-Messages are kept as the bytes that arrived (CDR), so that nothing is lost or rounded between topic and file, and with
-the text of their .msg files, so that a reader needs none of them. Needs the package mcap, `deltacharger[record]`.
+Messages are stored as received bytes (CDR), so that nothing is lost or rounded, with the text of their .msg files, so
+that a reader needs no message packages. Needs the package mcap, `deltacharger[record]`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class McapStream:
     Args:
         stream: to write to.
         kinds: message class of each topic, by its full name.
-        live: write message by message, so that what was flushed outlives this process; False = in chunks.
-        told: metadata by name, in the order in which they stand behind the header, before anything else.
+        live: write message by message, so that flushed data outlive this process; False = in chunks.
+        told: metadata by name, written in this order directly after the header.
 
     Raises:
-        RecordingError: mcap is not installed, or the .msg files of a message are not.
+        RecordingError: mcap or a message's .msg file is not installed.
         OSError: the file cannot be written.
     """
 
@@ -64,7 +64,7 @@ class McapStream:
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
 
     def add(self, message: Raw) -> None:
-        """Append a message; KeyError for a topic that was not named at the start."""
+        """Append a message; KeyError for an undeclared topic."""
         self._writer.add_message(self._channels[message.topic], message.received, message.data, message.published)
 
     def add_message(self, topic: str, message: Any, received: int, published: int) -> None:
@@ -72,7 +72,7 @@ class McapStream:
         self.add(Raw(topic, received, published, serialize_message(message)))
 
     def tell(self, name: str, values: Mapping[str, str]) -> None:
-        """Append a record of plain text values, shown by `ros2 bag` and Foxglove."""
+        """Append a metadata record of text values, shown by `ros2 bag` and Foxglove."""
         self._writer.add_metadata(name, dict(values))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -81,26 +81,26 @@ class McapStream:
         self._writer.add_attachment(now, now, name, media_type, data)
 
     def flush(self) -> None:
-        """Hand what was written live to the operating system."""
+        """Pass live data to the operating system."""
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the index; nothing can be added any more."""
+        """Write the index; nothing can be added afterwards."""
         self._writer.finish()
         self._stream.flush()
 
 
 class McapWriter(McapStream):
-    """Write one MCAP file; it has its name only once it is complete and on the disk.
+    """Write one MCAP file; it gets its name when it is complete and on the disk.
 
     A `with` block left by an exception leaves no file.
 
     Args:
-        path: of the file; one that is there is replaced at the end.
+        path: of the file; an existing file is replaced at the end.
         kinds: message class of each topic, by its full name.
 
     Raises:
-        RecordingError: mcap is not installed, or the .msg files of a message are not.
+        RecordingError: mcap or a message's .msg file is not installed.
         OSError: the file cannot be written.
     """
 
@@ -122,7 +122,7 @@ class McapWriter(McapStream):
 
 
 def pack(path: Path, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
-    """Write again in chunks what McapStream wrote one by one: a third of the size, and `ros2 bag` plays it by time.
+    """Rewrite in chunks a file that McapStream wrote live: a third of the size, and `ros2 bag` plays it by time.
 
     Args:
         path: of the file.
@@ -131,7 +131,7 @@ def pack(path: Path, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
 
     Raises:
         RecordingError: it is damaged.
-        OSError: the disk does not take it.
+        OSError: the disk does not accept it.
     """
     file = McapFile(path)
     writer = McapStream(stream, kinds, live=False, told=file.metadata)
@@ -144,11 +144,11 @@ def decode(data: bytes, kind: Any) -> Any:
     """Return a recorded message.
 
     Raises:
-        RecordingError: it is none of its kind; what was written live has no checksums that told before.
+        RecordingError: the bytes are not of this class; live files have no checksums that would detect this earlier.
     """
     try:
         return deserialize_message(data, kind)
-    except Exception as error:  # rclpy raises its own private kinds
+    except Exception as error:  # rclpy raises private error classes
         raise RecordingError(f"the file is damaged from here on: no {kind.__name__}: {error}") from error
 
 
@@ -159,7 +159,7 @@ def type_name(kind: Any) -> str:
 
 
 def schema_text(kind: Any) -> str:
-    """Return the text of a message's .msg file, followed by those of all it consists of, as `ros2 bag` writes it.
+    """Return a message's .msg text, followed by the texts of its parts, as `ros2 bag` writes it.
 
     Raises:
         RecordingError: a .msg file is not installed.
@@ -178,7 +178,7 @@ def schema_text(kind: Any) -> str:
 
 
 def _parts(text: str, package: str) -> Iterator[str]:
-    """Yield the messages (package/Name) that the fields of a definition consist of."""
+    """Yield the messages (package/Name) used by the fields of a definition."""
     for line in text.splitlines():
         found = _FIELD.match(line.partition("#")[0])
         if found is None or found[1] in _PLAIN:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What shows that a file is a record of docking_recorder_node: its head names its writer, and its name agrees with it.
+"""Recognise records of docking_recorder_node: the head names the writer, and the file's name agrees with the head.
 
-A name alone shows nothing: a person's recording may be called alike. A record that a person renamed is theirs, too.
+A name alone proves nothing: a person's recording may have a similar one. A renamed record belongs to the person.
 """
 
 from __future__ import annotations
@@ -22,56 +22,56 @@ from deltacharger_core.mcap_file import require_mcap
 SUFFIX = ".mcap"
 PARTIAL = ".mcap.partial"
 LIBRARY = "deltacharger"
-"""What a file's header names as its writer."""
+"""Writer named in a file's header."""
 ABOUT = "deltacharger"
-"""Name of the metadata that stand behind the header: version, scene, namespace, request id, when it began."""
+"""Name of the metadata after the header: version, scene, namespace, request id, time of beginning."""
 _STAMP = "%Y%m%dT%H%M%SZ"
 _LIKE = re.compile(r"\d{8}T\d{6}Z(-[^/]+)?\.mcap|\.?\d{8}T\d{6}Z(-[^/]+)?\.mcap\.partial", re.DOTALL)
 _ENDING = re.compile(r"(-\d+)?(-[A-Z_]+|-\d+)?(-\d+)?\.mcap(\.partial)?")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")
 _ID_MAX = 60  # characters of a request id in a name
-_TOLD_MAX = 1000  # characters of one word about a record
-_HEAD = 32_768  # bytes that are read of a file to see whose it is; more than the longest head that is written
+_VALUE_MAX = 1000  # characters of one metadata value
+_HEAD = 32_768  # bytes read to recognise a file; more than the longest head
 
 
 def safe_id(request_id: str) -> str:
-    """Return a request id as part of a file's name: letters, digits, points and underscores, not too many."""
-    return _UNSAFE.sub("_", request_id[:_TOLD_MAX]).strip("._")[:_ID_MAX]
+    """Return a request id as part of a file name: letters, digits, points and underscores, bounded length."""
+    return _UNSAFE.sub("_", request_id[:_VALUE_MAX]).strip("._")[:_ID_MAX]
 
 
 def base_name(began: int, request_id: str) -> str:
-    """Return how the name of a record begins.
+    """Return the beginning of a record's name.
 
     Args:
-        began: when its docking did, ns since 1970.
+        began: of its docking, ns since 1970.
         request_id: of its goal.
 
     Raises:
-        ValueError, OverflowError, OSError: there is no such time.
+        ValueError, OverflowError, OSError: the time is out of range.
     """
     return "-".join(filter(None, (time.strftime(_STAMP, time.gmtime(began // 10**9)), safe_id(request_id))))
 
 
 def head(about: Mapping[str, str], began: int, request_id: str) -> dict[str, str]:
-    """Return the metadata at the head of a record, each value cut to what `look` reads.
+    """Return the metadata at the head of a record, each value cut to the length that `look` reads.
 
     Args:
         about: version, scene and namespace.
         began, request_id: as in `base_name`.
     """
-    told = {**about, "request_id": request_id, "began": str(began)}
-    return {name: word[:_TOLD_MAX] for name, word in told.items()}
+    metadata = {**about, "request_id": request_id, "began": str(began)}
+    return {name: word[:_VALUE_MAX] for name, word in metadata.items()}
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a file is.
+    """Result of examining a file.
 
     Attributes:
-        problem: why it is no record of ours; '' = it is one.
+        problem: why it is not our record; '' = it is.
         size: bytes.
-        identity: changes with its place and its content.
-        under_way: whether a recorder has it open; the lock of one that was killed is gone with it.
+        identity: changes with its location and content.
+        under_way: whether a recorder has it open; a killed recorder's lock is gone.
     """
 
     problem: str
@@ -81,30 +81,30 @@ class Look:
 
 
 def is_named_like_one(name: str) -> bool:
-    """Whether a file's name looks like a record's, ended or not, or like one that is being packed."""
+    """Whether a file's name looks like a record's: in progress, complete, or being packed."""
     return _LIKE.fullmatch(name) is not None
 
 
 def look(path: Path, known: Look | None = None) -> Look:
-    """Say whether a file is a record of ours. Only regular files are opened, and of those only the head is read.
+    """Examine whether a file is our record. Opens regular files only, and reads only the head.
 
     Args:
         path: of the file.
-        known: what an earlier look found; its head is not read again where it is the same file.
+        known: result of an earlier call; if the file is unchanged, its head is not read again.
 
     Raises:
-        FileNotFoundError: it is gone.
+        FileNotFoundError: the file is gone.
         RecordingError: mcap is not installed.
     """
     try:
         mode = path.lstat().st_mode
-        if not stat.S_ISREG(mode):  # opening a pipe waits for its other end
+        if not stat.S_ISREG(mode):  # opening a pipe would wait for its other end
             return Look(f"it is {kind_text(mode)}")
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY)
     except FileNotFoundError:
         raise
     except OSError as error:
-        return Look(f"it cannot be read: {error.strerror}")
+        return Look(f"cannot be read: {error.strerror}")
     with open(descriptor, "rb", buffering=0) as file:
         found = os.fstat(descriptor)
         identity = (found.st_dev, found.st_ino, found.st_ctime_ns)
@@ -114,7 +114,7 @@ def look(path: Path, known: Look | None = None) -> Look:
             try:
                 problem = _problem(path.name, file.read(_HEAD) if stat.S_ISREG(found.st_mode) else b"")
             except OSError as error:
-                return Look(f"it cannot be read: {error.strerror}")
+                return Look(f"cannot be read: {error.strerror}")
         return Look(problem, found.st_size, identity, _is_open_elsewhere(path, descriptor))
 
 
@@ -125,24 +125,24 @@ def _problem(name: str, content: bytes) -> str:
     try:
         base = base_name(int(about["began"]), about["request_id"])
     except (KeyError, ValueError, OverflowError, OSError):
-        return "it does not say which docking it is of"
+        return "it does not name its docking"
     own = name.removeprefix(".")
     if not (own.startswith(base) and _ENDING.fullmatch(own.removeprefix(base))):
-        return "somebody gave it this name"
+        return "it was renamed"
     return ""
 
 
 def _about(content: bytes) -> dict[str, str] | None:
-    """Return what the head of a record tells; None where a file has another one."""
+    """Return the metadata at the head of a record; None for another head."""
     require_mcap()
     from mcap.records import Header, Metadata
     from mcap.stream_reader import StreamReader
 
     try:
-        # Chunks stay as they are: what is packed in a few bytes may be gigabytes.
+        # Chunks stay compressed: a few bytes may unpack to gigabytes.
         records = StreamReader(io.BytesIO(content), emit_chunks=True, record_size_limit=_HEAD).records
         header, about = next(records), next(records)
-    except Exception:  # what mcap raises for bytes that are none of its own, and the end of few
+    except Exception:  # mcap's errors for foreign or too few bytes
         return None
     if not (isinstance(header, Header) and header.library == LIBRARY):
         return None
@@ -154,6 +154,6 @@ def _is_open_elsewhere(path: Path, descriptor: int) -> bool:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:  # taken, or locks cannot be had here: then better one file too many
+    except OSError:  # locked, or no locks on this file system: rather keep one file too many
         return True
     return False

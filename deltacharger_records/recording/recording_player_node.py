@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""recording_player_node: a recorded docking on the topics on which it happened.
+"""recording_player_node: play a recorded docking on its original topics.
 
-Publishes every topic that the recording holds (docking_topics) under its relative name, and /diagnostics (1 Hz, and at
-the end). Stamps are moved so that every message is as old as it was when it came.
+Publishes each recorded topic (docking_topics) under its relative name, and /diagnostics (1 Hz, and at the end).
+Stamps are shifted so that every message is as old as when it was received.
 Parameters: file, charger, delay, rate, loop.
 
-It plays what a charger said, its commands to the arm among them, so it never plays beside a charger: it looks for one
-before it begins, and where somebody else publishes what it publishes, it stops and says so. At the end it stays,
-silent, and the last docking_state with it.
+A recording includes commands to the arm, so it is never played beside a charger. The node searches for one before it
+begins; if another node publishes the same topics, it stops and reports that. At the end it stays, without publishing,
+and keeps the last docking_state available.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from deltacharger_ros.raw_topics import Topic
 _COMMANDS = "joint_trajectory"
 _NEWEST = ("servo_state", "charger_power", _COMMANDS)
 _OF_A_CHARGER = ("servo_state", "tactile_frame", "charger_power", STATE)
-_LOOK = 0.2  # s between looks for a charger, while it plays
+_LOOK = 0.2  # s between searches for a charger while it plays
 _LEAST_GAP = 0.01  # s between two passes
 _DIAGNOSTICS = 1.0  # s
 
@@ -45,8 +45,8 @@ class RecordingPlayerNode(Node):
     """Plays a recording; see the module's docstring for its interface.
 
     Attributes:
-        passes: how often it came to the end.
-        problem: why it stopped before the end, '' = it did not.
+        passes: completed plays.
+        problem: why it stopped before the end; '' = it did not.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -56,8 +56,8 @@ class RecordingPlayerNode(Node):
         environment.prepare()
         self._recording, self._first, self._last = _survey(self._given.file, self._given.charger)
         self.passes, self.problem = 0, ""
-        self._count = 0  # messages that were played
-        self._place = 0  # ns since 1970 of the message that was played last
+        self._count = 0  # messages played
+        self._place = 0  # ns since 1970 of the last message played
         self._others_seen = 0.0
         self._played = {
             topic.name: self.create_publisher(topic.kind, topic.name, quality(topic))
@@ -65,7 +65,7 @@ class RecordingPlayerNode(Node):
             if topic.name in self._recording.counts
         }
         self._diagnostics = Diagnostics(self)
-        self._say_what_is_there()
+        self._log_content()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording player", daemon=True)
         steady_timer(self, _DIAGNOSTICS, self._diagnose)
@@ -76,14 +76,14 @@ class RecordingPlayerNode(Node):
         self._stopping.set()
         self._thread.join(5.0)
 
-    def _say_what_is_there(self) -> None:
+    def _log_content(self) -> None:
         recording = self._recording
         whose = f" of {recording.namespace}" if recording.namespace != "/" else ""
-        self.get_logger().info(f"plays {recording.path}{whose}: {self._length():.1f} s of {', '.join(self._played)}")
+        self.get_logger().info(f"playing {recording.path}{whose}: {self._length():.1f} s of {', '.join(self._played)}")
         for name, why in recording.unreadable.items():
             self.get_logger().warning(f"{name} is not played: {why}")
         if recording.damage:
-            self.get_logger().warning(f"{recording.path}: {recording.damage}; played as far as it goes")
+            self.get_logger().warning(f"{recording.path}: {recording.damage}; it is played up to there")
 
     def _length(self) -> float:
         return 1e-9 * (self._last - self._first)
@@ -95,18 +95,18 @@ class RecordingPlayerNode(Node):
                 if not self._given.loop:
                     break
                 self._stopping.wait(_LEAST_GAP)
-        except (OSError, RecordingError) as error:  # the file has changed meanwhile
+        except (OSError, RecordingError) as error:  # the file was changed
             self.problem = str(error)
         if self._stopping.is_set():
             return
         if self.problem:
             self.get_logger().error(self.problem)
         else:
-            self.get_logger().info(f"{self._recording.path} is over")
+            self.get_logger().info(f"played {self._recording.path} to the end")
         self._diagnose()
 
     def _play(self) -> bool:
-        """Publish the recording once; return whether it came to the end."""
+        """Publish the recording once; return whether it reached the end."""
         started = time.monotonic()
         for name, received, data in self._recording.messages():
             due = started + 1e-9 * (received - self._first) / self._given.rate
@@ -125,7 +125,7 @@ class RecordingPlayerNode(Node):
         return True
 
     def _wait(self, due: float, is_command: bool) -> bool:
-        """Wait until `due`; return whether to go on. A command is never given without a look for who would follow."""
+        """Wait until `due`; return whether to go on. Before each command, it searches for a charger that would obey."""
         while not self._stopping.is_set():
             now = time.monotonic()
             if now - self._others_seen >= _LOOK or (is_command and now >= due):
@@ -139,12 +139,12 @@ class RecordingPlayerNode(Node):
         return False
 
     def _charger_here(self) -> str:
-        """Return what to tell where a charger runs on the same names, or ''."""
+        """Return a message if a charger publishes the same topics, or ''."""
         for name in _OF_A_CHARGER:
             if self.count_publishers(name) > (name in self._played):
                 return (
-                    f"a charger runs here, somebody else publishes {self.resolve_topic_name(name)}: the recording is "
-                    "not played on; play it in another ROS_DOMAIN_ID or namespace"
+                    f"a charger runs here: another node publishes {self.resolve_topic_name(name)}. The recording is "
+                    "stopped; play it in another ROS_DOMAIN_ID or namespace"
                 )
         return ""
 
@@ -158,12 +158,12 @@ class RecordingPlayerNode(Node):
             text = f"the recording is over; {length:.1f} s were played"
         if recording.damage and not self.problem:
             level, text = WARN, f"{text}; {recording.damage}"
-        told = {"file": recording.path, "passes": self.passes, "rate": self._given.rate, "messages": self._count}
-        self._diagnostics.tell(level, text, told, "playback", str(recording.path))
+        values = {"file": recording.path, "passes": self.passes, "rate": self._given.rate, "messages": self._count}
+        self._diagnostics.tell(level, text, values, "playback", str(recording.path))
 
 
 def quality(topic: Topic) -> QoSProfile:
-    """Return the quality of service with which a recorded topic is published, as the charger does."""
+    """Return the quality of service of a recorded topic, as on the charger."""
     if topic.name in _NEWEST:
         return qos.LATEST
     if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -174,10 +174,10 @@ def quality(topic: Topic) -> QoSProfile:
 
 
 def _survey(file: str, charger: str) -> tuple[Recording, int, int]:
-    """Read the file through; return what it holds, and the times (ns) of its first and last message.
+    """Read the complete file; return its recording, and the times (ns) of its first and last message.
 
     Raises:
-        StartupError: nothing can be played; says what to do.
+        StartupError: nothing can be played; the message states what to do.
     """
     who = "recording_player_node: parameter 'file'"
     if not file:
@@ -195,13 +195,13 @@ def _survey(file: str, charger: str) -> tuple[Recording, int, int]:
         raise node_support.StartupError(f"{who}: {text}") from error
     if recording.damage not in ("", CUT_SHORT):
         raise node_support.StartupError(
-            f"{who}: {path}: {recording.damage}; `deltacharger replay {path}` tells what can still be read"
+            f"{who}: {path}: {recording.damage}; `deltacharger replay {path}` shows what can still be read"
         )
     return recording, times[0], times[-1]
 
 
 def _stamps(value: Any) -> Iterator[Time]:
-    """Yield the stamps in a message, but for those that are not set."""
+    """Yield the stamps in a message, except unset ones."""
     if isinstance(value, Time):
         if value.sec or value.nanosec:
             yield value
@@ -215,7 +215,7 @@ def _stamps(value: Any) -> Iterator[Time]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run recording_player_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    """Run recording_player_node until SIGINT or SIGTERM; 0 after a signal, 2 if it cannot start as configured."""
     return node_support.run(RecordingPlayerNode, args)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The RGB-D images of a recording: messages decoded, colour and depth matched by their stamps."""
+"""RGB-D images of a recording: decoded messages, colour and depth matched by their stamps."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 from deltacharger_vision.ros.recorded import decoded
 
 TOLERANCE = 15_000_000
-"""ns between the stamps of colour and depth: under half the time between two images at 30 Hz."""
+"""ns between the stamps of colour and depth: less than half of an image period at 30 Hz."""
 
 
 @dataclass(frozen=True)
 class RecordedImage:
-    """One image as it was recorded.
+    """One recorded image.
 
     Attributes:
         stamp: of the colour, ns.
@@ -38,21 +38,21 @@ class RecordedImage:
         return f"{self.stamp // 10**9}.{self.stamp % 10**9:09}"
 
     def read(self, intrinsics: Intrinsics) -> RgbdImage:
-        """Return it checked and converted, without depth where it has none.
+        """Return it checked and converted, without depth if it has none.
 
         Raises:
-            ImageError: it is no RGB-D image.
+            ImageError: it is not an RGB-D image.
         """
         return rgbd_of(self.color, self.depth, intrinsics)
 
 
 def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
-    """Yield the colour images in order, each with the depth that was taken with it; those without any are left out.
+    """Yield the colour images in order, each with its depth image; colour images without one are left out.
 
-    Where the recording has no depth at all, every colour image comes without.
+    If the recording has no depth at all, every colour image is yielded without depth.
 
     Raises:
-        RecordingError: the recording is damaged from here on.
+        RecordingError: the recording is damaged from this point on.
     """
     matcher: StampMatcher[Any, Any] = StampMatcher(TOLERANCE)
     for each in recording.messages(COLOR, DEPTH):
@@ -67,10 +67,10 @@ def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
 
 
 def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
-    """Return the intrinsics by the recording's first camera_info, or None where it has none.
+    """Return the intrinsics of the recording's first camera_info, or None.
 
     Raises:
-        CameraInfoError: they cannot be used.
+        CameraInfoError: they are unusable.
         RecordingError: the recording is damaged.
     """
     first = next(recording.messages(INFO), None) if recording.topics.info else None
@@ -79,5 +79,5 @@ def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
     info = decoded(recording, first)
     source = f"{recording.path}: {recording.topics.info}"
     if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
-        raise CameraInfoError(source, "binning or a region of interest is set; record whole images, unbinned")
+        raise CameraInfoError(source, "binning or a region of interest is set; record full images, unbinned")
     return intrinsics_of(info, source)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a record of a docking begins, is quiet and ends, told from docking_state alone.
+"""Decide from docking_state when a record of a docking begins, is quiet and ends.
 
-Time is passed in (s, monotonic).
+The caller passes the time (s, monotonic).
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 from deltacharger_docking.codes import State
 
-TAIL = 1.0  # s after the arm is home: result, status and last frames belong to the docking
-LOST_AFTER = 5.0  # s without anybody who publishes docking_state
+TAIL = 1.0  # s after the arm is home: result, status and last frames still belong to the docking
+LOST_AFTER = 5.0  # s without a publisher of docking_state
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What docking_state said."""
+    """Content of docking_state."""
 
     state: int
     docked: bool
@@ -28,23 +28,23 @@ class Seen:
 
     @property
     def at_home(self) -> bool:
-        """Whether nothing is under way."""
+        """Whether nothing is in progress."""
         return self.state == State.IDLE and not self.docked
 
     @property
     def quiet(self) -> bool:
-        """Whether this may last for hours."""
+        """Whether this state may last for hours."""
         return self.docked and self.state in (State.CHARGING, State.IDLE)
 
 
 class Session:
-    """One docking after the other, as docking_state tells them.
+    """Consecutive dockings, as docking_state reports them.
 
     Attributes:
-        last: what docking_state said last.
+        last: newest docking_state.
         under_way: whether a docking is being recorded.
-        went_out: whether the arm did more in it than to go home.
-        arrived: whether it was docked.
+        went_out: whether the arm did more than return home.
+        arrived: whether it docked.
     """
 
     def __init__(self) -> None:
@@ -55,21 +55,21 @@ class Session:
         self._kinds: set[str] = set()
 
     def begins(self, seen: Seen) -> bool:
-        """Whether what docking_state says now belongs to a docking that is not recorded yet."""
+        """Whether docking_state belongs to a docking that is not recorded yet."""
         return not seen.at_home and (not self.under_way or self._home_since < math.inf)
 
     def begin(self) -> None:
-        """A record has begun."""
+        """Note that a record has begun."""
         self.under_way, self.went_out, self.arrived = True, False, False
         self._home_since = self._lost_since = math.inf
 
     def end(self) -> None:
-        """The record has ended."""
+        """Note that the record has ended."""
         self.under_way = False
         self._home_since = math.inf
 
     def see(self, now: float, seen: Seen) -> None:
-        """Take what docking_state says."""
+        """Take docking_state."""
         if self.last is None or (seen.state, seen.docked) != (self.last.state, self.last.docked):
             self._kinds = set()
         self.last = seen
@@ -78,13 +78,13 @@ class Session:
         self._home_since = min(self._home_since, now) if seen.at_home else math.inf
 
     def is_news(self, kind: str) -> bool:
-        """Whether a decision of this kind is the first one in the present state; a routine one is no event."""
+        """Whether a decision is the first of its kind in the present state; routine decisions are not events."""
         known = kind in self._kinds
         self._kinds.add(kind)
         return not known
 
     def hear(self, now: float, alive: bool) -> None:
-        """Take whether anybody publishes docking_state."""
+        """Take whether docking_state has a publisher."""
         self._lost_since = math.inf if alive else min(self._lost_since, now)
 
     def is_over(self, now: float) -> bool:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded docking in words and pictures."""
+"""Recorded dockings as text and pictures."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact by contact: where each one felt the target, and within what docking wants to rest."""
+"""Map of contacts: the target's measured offset at each one, and the limits for resting."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from deltacharger_records.replay.run_record import Run, Touch
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_LEAST = 5.0  # mm that the map reaches each way
-_SPARE = 1.2  # mm around what it shows
+_LEAST = 5.0  # mm, smallest half width of the map
+_SPARE = 1.2  # mm of margin
 
 
 def draw_contacts(axes: Axes, run: Run) -> None:
-    """Draw the target's offset of each contact with one standard deviation, numbered in their order.
+    """Draw the target's offset at each contact with one standard deviation, numbered in order.
 
-    Seen along +z at the target as the pads are: +x to the left, +y up. The last measurement of a contact counts: after
-    the arm has been put at ease it lies where it rests.
+    Seen along +z at the target, as for the pads: +x to the left, +y up. Each contact's last measurement counts: it was
+    made after the holding currents were reduced.
     """
-    axes.set_title("where each contact felt the target, mm", pad=4)
+    axes.set_title("target offset at each contact, mm", pad=4)
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8, zorder=1)
     axes.axvline(0.0, color="#9aa5b1", linewidth=0.8, zorder=1)
     touches = _one_each(run)

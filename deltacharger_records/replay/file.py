@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording of a docking as it is read back: whole, truncated by a kill, or without some topics.
+"""Read a recording of a docking: complete, truncated by a kill, or without some topics.
 
-Records of docking_recorder_node and MCAP files of `ros2 bag record` alike.
+Accepts records of docking_recorder_node and MCAP files of `ros2 bag record`.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ _TYPES = {name: type_name(kind) for name, kind in _KINDS.items()}
 
 
 class Recording:
-    """What a file tells of one charger's dockings.
+    """One charger's dockings in a file.
 
     Args:
         path: of the file.
-        namespace: of the charger; None = the only one that it holds.
+        namespace: of the charger; None = the only one in the file.
 
     Attributes:
         path, file: the file.
         namespace: of the charger, '/' = none.
-        counts: messages of each topic that can be read, by relative name.
-        damage: why reading ended before the end; '' = the file is complete, as far as it was read.
-        unreadable: topics that another version recorded, with the reason.
+        counts: readable messages of each topic, by relative name.
+        damage: why reading stopped before the end; '' = the file is complete, as far as it was read.
+        unreadable: topics recorded by another version, with the reason.
 
     Raises:
-        RecordingError: mcap is not installed, or this is no recording of a docking.
+        RecordingError: mcap is not installed, or the file is not a recording of a docking.
         OSError: it cannot be read.
     """
 
@@ -60,8 +60,8 @@ class Recording:
                 self._names[topic] = name
                 self.counts[name] = self.file.counts[topic]
         if not self.counts.get(STATE):
-            why = self.unreadable.get(STATE) or self.damage or "there is no message of it"
-            raise RecordingError(f"{path} tells no docking_state: {why}")
+            why = self.unreadable.get(STATE) or self.damage or "no messages"
+            raise RecordingError(f"{path} has no readable docking_state: {why}")
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Yield each message, undecoded, in the order of the file, up to its damage: relative topic, ns, CDR."""
@@ -72,7 +72,7 @@ class Recording:
             self.damage = error.reason
 
     def read(self, take: Callable[[str, int, Any], None]) -> None:
-        """Hand each message to `take` in the order of the file, up to its damage: relative topic, ns, message."""
+        """Pass each message to `take` in the order of the file, up to its damage: relative topic, ns, message."""
         try:
             for name, received, data in self.messages():
                 take(name, received, self.decoded(name, data))
@@ -80,15 +80,15 @@ class Recording:
             self.damage = str(error)
 
     def decoded(self, name: str, data: bytes) -> Any:
-        """Return the message of a topic, named relatively.
+        """Return the message of a topic, given by its relative name.
 
         Raises:
-            RecordingError: it is none of its kind.
+            RecordingError: the bytes are not of its class.
         """
         return self._decoders[name](data)
 
     def missing(self) -> dict[str, str]:
-        """Return the topics that a docking has and the recording lacks, with the reason."""
+        """Return the docking topics that the recording lacks, with the reason."""
         return {name: self.unreadable.get(name, "not in the recording") for name in _TYPES if not self.counts.get(name)}
 
 
@@ -103,7 +103,7 @@ def _charger(file: McapFile, namespace: str | None) -> str:
         wanted = "/" + namespace.strip("/")
         if wanted not in found:
             raise RecordingError(
-                f"{file.path} holds no docking_state of {wanted}; there is {', '.join(found) or 'none'}"
+                f"{file.path} holds no docking_state of {wanted}; it holds {', '.join(found) or 'none'}"
             )
         return wanted
     if len(found) > 1:
@@ -117,10 +117,10 @@ def _charger(file: McapFile, namespace: str | None) -> str:
 
 
 def message_decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], Any]:
-    """Return what decodes a topic's messages, of this version or an older one.
+    """Return a decoder for a topic's messages, of this version or an older one.
 
     Raises:
-        RecordingError: they were defined in another way than by fewer fields.
+        RecordingError: the old definition differs by more than missing fields.
     """
     wanted, definition = type_name(kind), file.definitions[topic]
     if file.types[topic] != wanted:
@@ -129,5 +129,5 @@ def message_decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], 
     if then == now or not definition:  # ros2 bag writes none where it does not find the .msg file
         return partial(decode, kind=kind)
     if not is_older(then, now):
-        raise RecordingError(f"{wanted} was defined otherwise when this was recorded; replay with that version")
+        raise RecordingError(f"{wanted} had another definition when this was recorded: replay with that version")
     return older_decoder(definition, wanted, kind)

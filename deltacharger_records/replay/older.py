@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that were recorded before their definitions got further fields, read by the definition in the file."""
+"""Decode messages recorded by an older version whose definitions had fewer fields."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ def _own(text: str) -> list[str]:
 
 
 def is_older(then: Fields, now: Fields) -> bool:
-    """Whether messages have all fields that they had `then`; what came to them is unknown of a recording."""
+    """Whether `now` has all fields of `then`; the recording has no values for the added ones."""
     return all(set(own) <= set(now.get(name, ())) for name, own in then.items())
 
 
 def older_decoder(definition: str, name: str, kind: Any) -> Callable[[bytes], Any]:
-    """Return what decodes messages by the `definition` in the file of the type `name` into ones of `kind`.
+    """Return a decoder that reads type `name` by the file's `definition` and returns messages of `kind`.
 
-    Numbers that the recording does not tell are NaN, where their type can be, and all else is as in a new message.
+    Numbers missing in the recording are NaN, if their type permits; all else has its default.
 
     Raises:
-        RecordingError: mcap-ros2-support is not installed, or does not understand the definition.
+        RecordingError: mcap-ros2-support is not installed, or rejects the definition.
     """
     try:
         from mcap.records import Schema
         from mcap_ros2.decoder import DecoderFactory
     except ImportError as error:
-        raise RecordingError("an older version recorded this: pip install mcap-ros2-support") from error
+        raise RecordingError("recorded by an older version: pip install mcap-ros2-support") from error
     # The parts of an action are named as messages may not be: Dock_Feedback.
     text, plain = _BETWEEN_WORDS.sub("", definition), _BETWEEN_WORDS.sub("", name)
     schema = Schema(id=1, name=plain, encoding="ros2msg", data=text.encode())
     try:
         decoder = DecoderFactory().decoder_for("cdr", schema)
-    except Exception as error:  # of a parser of foreign text
-        raise RecordingError(f"its definition of {name} in the file is not understood: {error}") from error
+    except Exception as error:  # the parser may raise anything for foreign text
+        raise RecordingError(f"the file's definition of {name} is not readable: {error}") from error
     assert decoder is not None
     return lambda data: _read(decoder, data, kind)
 
@@ -58,19 +58,19 @@ def older_decoder(definition: str, name: str, kind: Any) -> Callable[[bytes], An
 def _read(decoder: Callable[[bytes], Any], data: bytes, kind: Any) -> Any:
     try:
         return _filled(kind(), decoder(data))
-    except Exception as error:  # whatever foreign bytes make of it
+    except Exception as error:  # foreign bytes may raise anything
         raise RecordingError(f"the file is damaged from here on: no {kind.__name__}: {error}") from error
 
 
-def _filled(message: Any, told: Any) -> Any:
-    """Return `message` with what was told in place of what it holds."""
+def _filled(message: Any, recorded: Any) -> Any:
+    """Return `message` with the fields of `recorded` copied into it."""
     for name, type_ in message.get_fields_and_field_types().items():
         now = getattr(message, name)
-        if not hasattr(told, name):
+        if not hasattr(recorded, name):
             if type_ in ("double", "float"):
                 setattr(message, name, math.nan)
             continue
-        then = getattr(told, name)
+        then = getattr(recorded, name)
         if hasattr(now, "get_fields_and_field_types"):
             _filled(now, then)
         elif isinstance(then, list) and then and hasattr(then[0], "__slots__"):

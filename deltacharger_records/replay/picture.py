@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a recorded docking: what moved, pressed, was felt, decided and flowed, and why it ended as it did."""
+"""Picture of a recorded docking: motion, forces, measurements, decisions, currents and the outcome."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _MARKED = {
     "restart": ("docks again", ORANGE),
     "stuck": ("stuck", RED),
 }
-"""Decisions that are named, and in which colour; the others are only ticks."""
+"""Decisions that get a label, and its colour; the others are ticks only."""
 
 
 def draw(replay: Replay, path: Path) -> None:
@@ -96,7 +96,7 @@ def _compose(figure: Figure, replay: Replay) -> None:
 
 
 def _decisions(axes: Axes, replay: Replay, scale: TimeScale) -> None:
-    """Mark every decision, and name those that led somewhere where there is room."""
+    """Mark every decision, and label the important ones if there is room."""
     axes.set_ylim(0.0, 1.0)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
@@ -115,7 +115,7 @@ def _decisions(axes: Axes, replay: Replay, scale: TimeScale) -> None:
 
 
 def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
-    """Draw each measurement with its standard deviation; a hollow one was unsure."""
+    """Draw each measurement with its standard deviation; hollow = unsure."""
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     touches, shown = replay.run.touches, list[tuple[float, float]]()
     for offset, (name, colour, factor, label) in enumerate(MISALIGNMENT):
@@ -135,7 +135,7 @@ def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
 
 
 def _clearance(axes: Axes, replay: Replay) -> None:
-    """Draw what each measurement leaves between the bars, down to three standard deviations, against what is needed."""
+    """Draw each measurement's clearance, down to three standard deviations, against the needed one."""
     needed = 1e3 * replay.parameters.clearance_min
     places = [(touch.time, *_left(touch, replay)) for touch in replay.run.touches]
     places = [place for place in places if math.isfinite(place[2])]
@@ -156,17 +156,17 @@ def _clearance(axes: Axes, replay: Replay) -> None:
 
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
-    """Return the clearance of a measurement and what is sure of it at three standard deviations, mm."""
+    """Return the clearance of a measurement, and that value minus three standard deviations, mm."""
     gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
-    felt = touch.estimate
-    left = clearance(felt.angle, felt.across, gap, length)
-    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(felt, gap, length))
+    pose = touch.estimate
+    left = clearance(pose.angle, pose.across, gap, length)
+    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(pose, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:
-    """Show what the pads felt at the measurements, as one sees them looking along +z: +x to the left, +y up."""
-    felt = [touch for touch in replay.run.touches if touch.frames is not None]
-    shown = felt if len(felt) <= _MAPS else [felt[round(i * (len(felt) - 1) / (_MAPS - 1))] for i in range(_MAPS)]
+    """Show the pads' forces at the measurements, seen along +z: +x to the left, +y up."""
+    maps = [touch for touch in replay.run.touches if touch.frames is not None]
+    shown = maps if len(maps) <= _MAPS else [maps[round(i * (len(maps) - 1) / (_MAPS - 1))] for i in range(_MAPS)]
     rows = place.subgridspec(_MAPS, 2, hspace=0.42, wspace=0.08)
     if not shown:
         axes = figure.add_subplot(rows[0, :])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One recorded docking as plain data: phases, decisions, measurements, curves and how it ended."""
+"""One recorded docking as plain data: phases, decisions, measurements, curves and outcome."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LONGEST = 200  # characters of a reason
 
 @dataclass(frozen=True)
 class Phase:
-    """A state from when until when (s since the goal), in lower case."""
+    """A state, in lower case, with its start and end (s since the goal)."""
 
     state: str
     start: float
@@ -36,17 +36,17 @@ class Phase:
 
 @dataclass
 class Replay:
-    """What a recording tells; times are s since the docking began.
+    """Content of a recording; times are s since the docking began.
 
     Attributes:
-        recording: the file, its metadata and what is wrong with it.
-        parameters: what docking decided by; the defaults where that was not recorded.
+        recording: the file, its metadata and its damage.
+        parameters: of docking_node; the defaults if not recorded.
         run: curves, measurements, decisions.
         phases: in order.
-        code: the error that docking_state told last; 0 = none.
-        message: its words.
-        charged: s that it was charging; NaN = never.
-        failed_at: when the error was told (s); NaN = never.
+        code: docking_state's last error; 0 = none.
+        message: of that error.
+        charged: s of charging; NaN = never.
+        failed_at: time of that error (s); NaN = never.
         request_id: of the goal.
         began: ns since 1970.
         end: of the recording (s).
@@ -65,7 +65,7 @@ class Replay:
     end: float = 0.0
 
     def result_of(self, action: str) -> Outcome | None:
-        """Return how "dock" or "undock" first ended as its client was told; None where that was not recorded."""
+        """Return the first outcome of "dock" or "undock" as sent to its client; None if not recorded."""
         for values in self.recording.file.told(RESULT):
             if values.get("action") == action:
                 return _outcome(parse_json(values["json"]))
@@ -73,17 +73,17 @@ class Replay:
 
     @property
     def about(self) -> dict[str, str]:
-        """What recorded it: version, scene, namespace, request_id, began (ns since 1970)."""
+        """Metadata: version, scene, namespace, request_id, began (ns since 1970)."""
         return (self.recording.file.told(ABOUT) or [{}])[0]
 
     @property
     def last_phase(self) -> str:
-        """In which phase the recording ends."""
+        """Phase in which the recording ends."""
         return self.phases[-1].state if self.phases else ""
 
     @property
     def is_complete(self) -> bool:
-        """Whether the file goes to the end of the docking."""
+        """Whether the file reaches the end of the docking."""
         return not self.recording.damage and (bool(self.recording.file.told(END)) or self.last_phase == "idle")
 
     def outcome(self) -> dict[str, Any]:
@@ -95,17 +95,17 @@ class Replay:
             return _named(not math.isnan(self.charged), self.code, self.message)
         if not math.isnan(self.charged):
             return _named(True, 0, "")
-        return {"success": None, "code": None, "name": "UNKNOWN", "message": "nobody told how it ended"}
+        return {"success": None, "code": None, "name": "UNKNOWN", "message": "no outcome was recorded"}
 
     def afterwards(self) -> dict[str, Any] | None:
-        """Return the error that ended charging after the docking had succeeded, None where there was none."""
+        """Return the error that ended charging after a successful docking, or None."""
         if not self.code or not self.outcome()["success"]:
             return None
         return _named(False, self.code, self.message)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as one JSON object, without the story."""
-        felt = self.run.touches
+        """Return everything except the story as one JSON object."""
+        touches = self.run.touches
         return {
             "file": str(self.recording.path),
             "request_id": self.request_id,
@@ -116,7 +116,7 @@ class Replay:
             "about": self.about,
             "phases": [vars(phase) for phase in self.phases],
             "decisions": [vars(each) for each in self.run.decisions],
-            "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in felt],
+            "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in touches],
             "dropped": {
                 "damage": self.recording.damage,
                 "missing": self.recording.missing(),
@@ -129,7 +129,7 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
     """Read a recording.
 
     Raises:
-        RecordingError: it is no recording of a docking.
+        RecordingError: it is not a recording of a docking.
         OSError: it cannot be read.
     """
     recording = Recording(path, namespace)
@@ -140,18 +140,18 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
         found = Replay(recording, settings[0], reader.build.run)
         reader.complete(found)
         if any(phase.end < phase.start for phase in found.phases):
-            raise RecordingError(f"{path} goes back in time, which no recorder does; record it anew")
-        found.as_dict()  # what else it tells is looked at here, where it can still be refused
+            raise RecordingError(f"{path} goes back in time, which no recorder does: record again")
+        found.as_dict()  # checks the other values while the file can still be refused
     except (RecordingError, OSError):
         raise
-    except Exception as error:  # messages and metadata of somebody else may hold anything
+    except Exception as error:  # foreign messages and metadata may hold anything
         problem = f"{type(error).__name__}: {error}"[:_LONGEST]
-        raise RecordingError(f"{path} tells what no charger does ({problem}); record it anew") from error
+        raise RecordingError(f"{path} holds invalid values ({problem}): record again") from error
     return found
 
 
 class _Reader:
-    """Turns messages into a run; the clock begins with the first state that is not idle."""
+    """Builds a run from messages; its clock starts at the first state that is not idle."""
 
     def __init__(self, build: RunBuilder) -> None:
         self.build = build
@@ -177,13 +177,13 @@ class _Reader:
             taker((time - self._first) * 1e-9, message)
 
     def complete(self, found: Replay) -> None:
-        """Shift all times so that the docking begins at 0, and add what follows from the states."""
-        told = int(found.about.get("began", 0))  # without it, the end of the docking before could look like a beginning
-        active = [time for time, state in self._states if time >= told and (state.state or state.docked)]
+        """Shift all times so that the docking begins at 0, and derive values from the states."""
+        began = int(found.about.get("began", 0))  # else the previous docking's end could look like the beginning
+        active = [time for time, state in self._states if time >= began and (state.state or state.docked)]
         found.began = active[0] if active else self._states[0][0]
         found.run.shift((found.began - self._first) * 1e-9)
         _forget_earlier(found.run)
-        while len(self._states) > 1 and self._states[1][0] < found.began:  # of the docking before this one
+        while len(self._states) > 1 and self._states[1][0] < found.began:  # of the previous docking
             del self._states[0]
         found.end = (self._last - found.began) * 1e-9
         for (start, state), (end, _) in itertools.pairwise([*self._states, (self._last, None)]):
@@ -203,7 +203,7 @@ class _Reader:
 
 
 def _forget_earlier(run: Run) -> None:
-    """Leave out what was decided and felt in the docking before this one, whose end stands in the seconds before."""
+    """Remove decisions and measurements of the previous docking, whose end is in the seconds before the goal."""
     accepted = [each.time for each in run.decisions if each.kind == "accepted" and each.time <= 0.0]
     begin = max(accepted, default=0.0)
     run.decisions = [each for each in run.decisions if each.time >= begin]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder: listens to a charger's topics during a docking and keeps what the picture shows."""
+"""Record a charger's topics during a docking for the picture."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.outcomes import Outcome, Progress
 
-_ASK = 0.1  # s between questions for docking_node's parameters
-_PATIENCE = 3.0  # s that their answer may take
+_ASK = 0.1  # s between attempts to read docking_node's parameters
+_PATIENCE = 3.0  # s to wait for them
 
 
 class Recorder(Guest):
     """Fill a `Run` from servo_state, docking_state, docking_decision, tactile_frame, misalignment, charger_power, the
     detector's annotated image and action feedback.
 
-    Where the arm is and how it pushes is told by docking_node's own geometry and gravity, asked for at the beginning.
+    Positions and forces use docking_node's own geometry and gravity, read at the beginning.
 
     Args:
         context: a running rclpy context.
         namespace: of the charger.
 
     Attributes:
-        run: what was recorded so far; time 0 is when the recorder began.
+        run: recorded so far; time 0 is the recorder's start.
     """
 
     def __init__(self, context: Context, namespace: str = "") -> None:
@@ -74,23 +74,23 @@ class Recorder(Guest):
                 self.run.decided.add(now, progress.horizontal, progress.vertical, progress.angle)
 
     def finish(self, outcome: Outcome) -> None:
-        """Note how it ended and record no more."""
+        """Store the outcome and stop recording."""
         with self._lock:
             self.run.outcome = outcome
             self._done = True
 
     def _ask(self) -> None:
-        """Ask docking_node once it can be; where nobody answers, its defaults must do."""
+        """Read docking_node's parameters once available; without an answer, use the defaults."""
         if self._now() > _PATIENCE:
             self._asking.cancel()
             self._on_parameters({})
         elif self._parameters.is_ready():
             self._parameters.ask(self._on_parameters)
 
-    def _on_parameters(self, told: dict[str, Any]) -> None:
+    def _on_parameters(self, values: dict[str, Any]) -> None:
         self._asking.cancel()
         try:
-            settings = known_settings(told)
+            settings = known_settings(values)
         except ValueError:  # of another version
             settings = known_settings({})
         with self._lock:
@@ -100,7 +100,7 @@ class Recorder(Guest):
         return time.monotonic() - self._began
 
     def _taker(self, take: Callable[[float, Any], None]) -> Callable[[Any], None]:
-        """Return a callback that hands messages to `take` until the end."""
+        """Return a callback that passes messages to `take` until the end."""
 
         def on_message(message: Any) -> None:
             if not self._done:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a charger's messages to a `Run`, live or out of a record."""
+"""Build a `Run` from a charger's messages, live or recorded."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ _MEASURED = (
 
 
 class RunBuilder:
-    """Fills a `Run`; times are s since whatever the caller counts from.
+    """Fills a `Run`; the caller defines time 0 of its times (s).
 
-    The contact force is computed here from servo_state (the arm's weight removed), without kinematics_node.
+    Contact force is computed from servo_state (without the arm's weight), so kinematics_node is not needed.
 
     Args:
         run: to fill.
-        settings: what docking_node decides by, and its arm's geometry; None = told later, readings before are left out.
+        settings: docking_node's parameters and geometry; None = set later, earlier servo_state is skipped.
     """
 
     def __init__(self, run: Run, settings: tuple[DockingParameters, DeltaGeometry] | None) -> None:
         self.run = run
         self.settings = settings
         self._delta: ScalarDelta | None = None
-        self._felt: tuple[float, ...] = ()
+        self._last_estimate: tuple[float, ...] = ()
         self._contacts = 0
 
     def enter(self, time: float, phase: str) -> None:
-        """Take the present phase."""
+        """Take the current phase."""
         if not self.run.phases or self.run.phases[-1][1] != phase:
             self.run.phases.append((time, phase))
 
     def servo_state(self, time: float, message: ServoState) -> None:
-        """Take where the arm is and what it carries."""
+        """Take position and load of the arm."""
         if len(message.position) != 3 or self.settings is None:
             return
         if self._delta is None:
@@ -69,7 +69,7 @@ class RunBuilder:
         self.enter(time, PHASES.get(message.state, f"state {message.state}"))
 
     def tactile_frame(self, time: float, message: TactileFrame) -> None:
-        """Take what the pads feel, where they feel anything."""
+        """Take the pads' forces, if there are any."""
         if not message.tared or message.rows * message.columns != len(message.left):
             return
         shape = (message.rows, message.columns)
@@ -85,11 +85,11 @@ class RunBuilder:
         self.run.felt.add(time, *values)
 
     def power(self, time: float, message: ChargerPower) -> None:
-        """Take what flows."""
+        """Take charge current and contactor state."""
         self.run.power.add(time, message.charge_current, float(message.contactor_closed))
 
     def decision(self, time: float, message: DockingDecision) -> None:
-        """Take a decision; measurements and verdicts are among them."""
+        """Take a decision; they include measurements and verdicts."""
         values = dict(zip(message.names, message.values, strict=False))
         state = PHASES.get(message.state, f"state {message.state}")
         self.run.decisions.append(Decided(time, state, message.kind, message.text, values))
@@ -101,17 +101,17 @@ class RunBuilder:
             self.run.touches[-1].clearance = values.get("clearance_m", math.nan)
 
     def dock_feedback(self, time: float, feedback: Any) -> None:
-        """Take a Dock.Feedback; a new estimate in it is what docking acted on."""
+        """Take a Dock.Feedback; a new estimate in it is one that docking used."""
         self.run.contact.add(time, feedback.contact_current)
-        felt = feedback.misalignment
-        values = (felt.horizontal, felt.vertical, felt.angle)
-        if math.isnan(felt.angle) or values == self._felt:
+        new = feedback.misalignment
+        values = (new.horizontal, new.vertical, new.angle)
+        if math.isnan(new.angle) or values == self._last_estimate:
             return
-        self._felt = values
+        self._last_estimate = values
         self.run.decided.add(time, *values)
-        if not self.run.decisions:  # recorded without docking_decision
-            stddevs = (felt.horizontal_stddev, felt.vertical_stddev, felt.angle_stddev)
-            self._touch(time, [*values, *stddevs, felt.across, felt.across_stddev], felt.sure and felt.in_range)
+        if not self.run.decisions:  # docking_decision was not recorded
+            stddevs = (new.horizontal_stddev, new.vertical_stddev, new.angle_stddev)
+            self._touch(time, [*values, *stddevs, new.across, new.across_stddev], new.sure and new.in_range)
 
     def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
         x, y, angle, x_stddev, y_stddev, angle_stddev, across, across_stddev = values

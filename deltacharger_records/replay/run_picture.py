@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a docking: what moved, pressed, was felt and flowed, over the phases of the algorithm."""
+"""Picture of a docking: motion, forces, measurements and currents over the phases of the algorithm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BAND = (0.4, 0.5)
-"""Contact current in which the paper holds the dock (A)."""
+"""Contact current (A) that the paper holds at the dock."""
 
 MISALIGNMENT = (
     ("horizontal", BLUE, 1e3, "horizontal, mm"),
@@ -40,12 +40,12 @@ _PHASE_COLOURS = {
     "retract": "#efebe5",
     "idle": "#f6f7f8",
 }
-_NARROW = 0.035  # of the time axis: phases below it get no label of their own
-_SPARE = 0.2  # s around the run
+_NARROW = 0.035  # of the time axis: narrower phases share a label
+_SPARE = 0.2  # s of margin around the run
 
 
 class PictureError(RuntimeError):
-    """The picture cannot be drawn; the message says what to install or where it could not be written."""
+    """The picture cannot be drawn; the message names what to install, or the path that cannot be written."""
 
 
 def draw(run: Run, path: Path) -> None:
@@ -58,7 +58,7 @@ def draw(run: Run, path: Path) -> None:
 
 
 def save(path: Path, height: float, title_size: float, compose: Callable[[Figure], None]) -> None:
-    """Write a figure of 13 in by `height` in that `compose` fills; errors as in `draw`."""
+    """Write a figure of 13 in by `height` in, drawn by `compose`; errors as in `draw`."""
     try:
         import matplotlib
 
@@ -66,7 +66,7 @@ def save(path: Path, height: float, title_size: float, compose: Callable[[Figure
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise PictureError("matplotlib is not installed; install deltacharger[report]") from error
+        raise PictureError("matplotlib is not installed: install deltacharger[report]") from error
     with rc_context(STYLE | {"axes.titlesize": title_size}):
         figure = Figure(figsize=(13.0, height), dpi=120, facecolor="white")
         compose(figure)
@@ -98,13 +98,13 @@ def _compose(figure: Figure, run: Run) -> None:
 
 
 def _side(figure: Figure, place: Any, run: Run) -> None:
-    """Fill the column beside the curves: what the camera saw, where one was asked, the contacts, the pads, figures."""
+    """Fill the column beside the curves: the camera's image if one was used, contacts, pads, figures."""
     heights = (1.1, 0.62, 0.95) if run.seen is None else (0.95, 1.1, 0.62, 0.95)
     rows = place.subgridspec(len(heights), 1, height_ratios=heights, hspace=0.3)
     if run.seen is not None:
         axes = figure.add_subplot(rows[0, 0])
         axes.imshow(run.seen, interpolation="antialiased")
-        axes.set_title("what the camera saw", pad=4)
+        axes.set_title("camera image", pad=4)
         axes.set_axis_off()
     draw_contacts(figure.add_subplot(rows[-3, 0]), run)
     pads = rows[-2, 0].subgridspec(1, 2, wspace=0.12)
@@ -126,7 +126,7 @@ def _intervals(run: Run, span: tuple[float, float]) -> list[tuple[float, float, 
 
 
 def shade(axes: Axes, run: Run, span: tuple[float, float]) -> None:
-    """Colour the stretches of a panel by phase."""
+    """Colour a panel's background by phase."""
     axes.set_facecolor("#f6f7f8")
     axes.set_axisbelow(True)
     for begin, end, phase in _intervals(run, span):
@@ -136,13 +136,13 @@ def shade(axes: Axes, run: Run, span: tuple[float, float]) -> None:
 def name_phases(
     axes: Axes, run: Run, span: tuple[float, float], place: Callable[[float], float] = lambda time: time
 ) -> None:
-    """Write each phase above its stretch, and above the first of the narrow ones that follow each other.
+    """Label each phase above its stretch; consecutive narrow phases share the first one's label.
 
     Args:
         axes: the panel at the top.
-        run: what it shows.
-        span: first and last time of it, s.
-        place: where a time stands on the axis, where that is not linear.
+        run: shown in it.
+        span: first and last time shown, s.
+        place: converts a time to its place on the axis, if that is not linear.
     """
     free_from, width = place(span[0]), place(span[1]) - place(span[0])
     for begin, end, phase in _intervals(run, span):
@@ -162,14 +162,14 @@ def name_phases(
 
 
 def height(axes: Axes, run: Run) -> None:
-    """Draw where the platform is."""
+    """Draw the platform's z."""
     motion = run.motion.arrays()
     axes.plot(motion["time"], 1e3 * motion["z"], color=BLUE, linewidth=1.6)
     axes.set_ylabel("z, mm")
 
 
 def contact_current(axes: Axes, run: Run) -> None:
-    """Draw the contact current against its band."""
+    """Draw the contact current and its band."""
     contact, motion = run.contact.arrays(), run.motion.arrays()
     axes.axhspan(*BAND, color=GREEN, alpha=0.28, linewidth=0, zorder=1)
     axes.plot(motion["time"], motion["current"], color=ORANGE, linewidth=0.8, alpha=0.6, label="from servo_state")
@@ -192,14 +192,14 @@ def _force(axes: Axes, run: Run) -> None:
 
 
 def _misalignment(axes: Axes, run: Run) -> None:
-    felt, decided = run.felt.arrays(), run.decided.arrays()
+    live, decided = run.felt.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     for contact, time in {touch.contact: touch.time for touch in reversed(run.touches)}.items():
         axes.annotate(str(contact), (time, 0.04), xycoords=("data", "axes fraction"), fontsize=8, ha="center")
     for name, colour, scale, label in MISALIGNMENT:
-        axes.plot(felt["time"], scale * felt[name], color=colour, linewidth=0.9, alpha=0.45)
+        axes.plot(live["time"], scale * live[name], color=colour, linewidth=0.9, alpha=0.45)
         acted = scale * np.append(decided[name], decided[name][-1:])  # holds until the end of the record
-        times = np.append(decided["time"], felt["time"][-1:] if len(decided["time"]) and len(felt["time"]) else [])
+        times = np.append(decided["time"], live["time"][-1:] if len(decided["time"]) and len(live["time"]) else [])
         axes.step(times, acted[: len(times)], where="post", color=colour, linewidth=1.8, label=label)
     known = np.concatenate([1e3 * decided["horizontal"], 1e3 * decided["vertical"], np.degrees(decided["angle"])])
     known = known[np.isfinite(known)]
@@ -211,12 +211,12 @@ def _misalignment(axes: Axes, run: Run) -> None:
 
 
 def legend(axes: Axes) -> None:
-    """Name the curves of a panel."""
+    """Show a panel's legend."""
     axes.legend(loc="upper left", ncols=3, fontsize=7.5, frameon=True, framealpha=0.75, edgecolor="none")
 
 
 def charge(axes: Axes, run: Run) -> None:
-    """Draw what flows."""
+    """Draw charge current and contactor state."""
     power = run.power.arrays()
     axes.plot(power["time"], power["current"], color=GREEN, linewidth=1.6)
     axes.fill_between(power["time"], 0.0, np.nan_to_num(power["current"]), color=GREEN, alpha=0.25, linewidth=0)
@@ -237,7 +237,7 @@ def _limits(values: Any, band: tuple[float, float]) -> tuple[float, float]:
 
 
 def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
-    """Show both pads as one sees them looking along +z at the target: +x to the left, +y up."""
+    """Show both pads as seen along +z at the target: +x to the left, +y up."""
     if run.frames is None:
         axes = figure.add_subplot(slots[0])
         axes.set_axis_off()
@@ -254,7 +254,7 @@ def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
 
 
 def pad_map(axes: Axes, frame: Any, top: float) -> Any:
-    """Draw what a pad felt, from 0 to `top` N; return the image."""
+    """Draw a pad's forces, from 0 to `top` N; return the image."""
     image = axes.imshow(frame, cmap=_heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
     axes.set_xticks([])
     axes.set_yticks([])
@@ -264,7 +264,7 @@ def pad_map(axes: Axes, frame: Any, top: float) -> Any:
 
 
 def scale_bar(figure: Figure, image: Any, size: float, **place: Any) -> None:
-    """Say what the colours of `image` mean, in letters of `size` points."""
+    """Add the colour scale of `image`, with text of `size` points."""
     bar = figure.colorbar(image, **place)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=2, labelsize=size)
@@ -272,7 +272,7 @@ def scale_bar(figure: Figure, image: Any, size: float, **place: Any) -> None:
 
 
 def _heat_colours() -> Any:
-    """Return the colours of a pad: paper where nothing presses."""
+    """Return the colours of a pad: paper white where nothing presses."""
     import matplotlib
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -287,7 +287,7 @@ def _report(axes: Axes, run: Run) -> None:
     if outcome is None:
         return
     details = outcome.details
-    felt = details.get("misalignment", {})
+    rest = details.get("misalignment", {})
     lines = [
         ("charge", _figure(details.get("charge_current"), 1.0, "A", 2)),
         ("energy", _figure(details.get("energy"), 1.0, "J", 0)),
@@ -295,9 +295,9 @@ def _report(axes: Axes, run: Run) -> None:
         ("servo push", _figure(details.get("contact_force"), 1.0, "N", 1)),
         ("alignments", str(details.get("alignments", "–"))),
         ("redockings", str(details.get("redockings", "–"))),
-        ("rest horizontal", _figure(felt.get("horizontal"), 1e3, "mm", 2)),
-        ("rest vertical", _figure(felt.get("vertical"), 1e3, "mm", 2)),
-        ("rest angle", _figure(felt.get("angle"), 180.0 / math.pi, "°", 2)),
+        ("rest horizontal", _figure(rest.get("horizontal"), 1e3, "mm", 2)),
+        ("rest vertical", _figure(rest.get("vertical"), 1e3, "mm", 2)),
+        ("rest angle", _figure(rest.get("angle"), 180.0 / math.pi, "°", 2)),
         ("took", _figure(outcome.elapsed, 1.0, "s", 1)),
     ]
     for index, (name, value) in enumerate(lines):
@@ -313,7 +313,7 @@ def _figure(value: Any, scale: float, unit: str, digits: int) -> str:
 
 
 def headline(run: Run) -> tuple[str, str]:
-    """Return how the run ended, and in small what its result says of that, else what the run is about."""
+    """Return the run's result, and a subtitle: its error message, else the run's subject."""
     outcome = run.outcome
     if outcome is None:
         title = "Docking"
@@ -321,8 +321,8 @@ def headline(run: Run) -> tuple[str, str]:
         title = "Docked and charging" if outcome.details.get("energy", 0.0) > 0.0 else "Docked"
     else:
         title = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}"
-    said = outcome.error_message if outcome is not None else ""
-    return title, said or run.notes.get("about", "")
+    message = outcome.error_message if outcome is not None else ""
+    return title, message or run.notes.get("about", "")
 
 
 def _title(figure: Figure, run: Run) -> None:

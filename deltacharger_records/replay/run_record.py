@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a docking looked like from outside: plain data that the recorder fills and the picture shows."""
+"""Data of one docking: the recorder fills them, the picture shows them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_ros.outcomes import Outcome
 
-_CAPACITY = 24_000  # samples of a series before every second one is dropped
+_CAPACITY = 24_000  # samples of a series; then every second one is dropped
 
 
 class Series:
-    """Samples over time that never grow beyond a bound: when full, every second one goes and fewer are taken.
+    """Samples over time, bounded in number: when full, every second one is dropped and the sampling halves.
 
     Args:
         columns: names of the values of one sample.
@@ -39,11 +39,11 @@ class Series:
             self._stride *= 2
 
     def last(self, column: str) -> float:
-        """Return the newest value of a column; NaN where there is none."""
+        """Return the newest value of a column; NaN if empty."""
         return self._rows[-1][1 + self.columns.index(column)] if self._rows else float("nan")
 
     def shift(self, seconds: float) -> None:
-        """Count time from so much later."""
+        """Shift time 0 later by `seconds`."""
         self._rows = [(time - seconds, *values) for time, *values in self._rows]
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
@@ -55,16 +55,16 @@ class Series:
 
 @dataclass
 class Touch:
-    """One measurement by touch that docking acted on: the target's pose in end_effector (m, rad) at `time` (s).
+    """One measurement by touch that docking used: the target's pose in end_effector (m, rad) at `time` (s).
 
     Attributes:
         across: offset across the target's bars, m; NaN = not recorded.
         across_stddev: m.
-        sure: whether the estimator was, inside what it knows.
-        frames: what the pads felt, (left, right), each (rows, columns) N; None = not recorded.
-        contact: number of the contact in which it was made, from 1; 0 = not told.
-        verdict: what it allowed, in words; '' = was not judged.
-        clearance: m, of the estimate itself; NaN = not told.
+        sure: whether the estimate was sure and in range.
+        frames: forces of the pads, (left, right), each (rows, columns) N; None = not recorded.
+        contact: number of its contact, from 1; 0 = unknown.
+        verdict: on clearance, as text; '' = not judged.
+        clearance: m, of the estimate itself; NaN = unknown.
     """
 
     time: float
@@ -84,7 +84,7 @@ class Touch:
 
     @property
     def estimate(self) -> FeltPose:
-        """It as docking judges it: by `across`, which FeltPose works out of the pose where it was not recorded."""
+        """The pose as docking judges it: by `across`, or by the pose alone if that was not recorded."""
         return FeltPose(
             self.angle,
             self.angle_stddev,
@@ -99,7 +99,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Decided:
-    """One decision of docking: when (s), in which phase, its kind, its words and its numbers (SI, by name)."""
+    """One decision of docking: time (s), phase, kind, text and numbers (SI, by name)."""
 
     time: float
     phase: str
@@ -114,18 +114,18 @@ class Run:
 
     Attributes:
         motion: measured z (m), contact force along z on the target (N), and that force as contact current (A).
-        contact: contact current (A) as the charger itself reports it, its free-motion friction removed.
+        contact: contact current (A) as the charger reports it, without free-motion friction.
         felt: continuous estimates: horizontal, vertical (m), angle (rad).
-        decided: the estimates that the charger acted on, same columns.
+        decided: the estimates that the charger used, same columns.
         power: charge current (A) and whether the contactor is closed (0 or 1).
         phases: (time, name) at each change.
-        touches: the measurements that docking acted on.
+        touches: the measurements that docking used.
         decisions: what docking decided.
         frames: the last tactile frames in contact, (left, right), each (rows, columns) N; None = none.
-        seen: the last image that the detector looked at, annotated, (H, W, 3) uint8 RGB; None = it was not asked.
-        limits: offsets along and across the bars (m) up to which docking shall rest; None = not known.
-        outcome: how it ended; None = not yet.
-        notes: more for the picture's title, e.g. the scene's name.
+        seen: the detector's last image, annotated, (H, W, 3) uint8 RGB; None = none was used.
+        limits: offsets along and across the bars (m) within which docking must rest; None = unknown.
+        outcome: of the goal; None = not yet.
+        notes: for the picture's title, e.g. the scene's name.
     """
 
     motion: Series = field(default_factory=lambda: Series("z", "force", "current"))
@@ -143,7 +143,7 @@ class Run:
     notes: dict[str, Any] = field(default_factory=dict)
 
     def shift(self, seconds: float) -> None:
-        """Count time from so much later."""
+        """Shift time 0 later by `seconds`."""
         for series in (self.motion, self.contact, self.felt, self.decided, self.power):
             series.shift(seconds)
         self.phases = [(time - seconds, phase) for time, phase in self.phases]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A time axis on which hours of charging take no more room than a docking."""
+"""A time axis that compresses hours of charging to the width of a docking."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from deltacharger_records.replay.record import Replay
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SPARE = 0.3  # s around the record
-_SHARE = 0.35  # of the rest that a long stretch of charging may take
-_LEAST = 8.0  # s to which no stretch is squeezed below
-_EDGE = 3.0  # s of a long stretch that are shown unsqueezed at both ends
+_SPARE = 0.3  # s of margin around the record
+_SHARE = 0.35  # width of a long stretch of charging, as a share of the rest
+_LEAST = 8.0  # s, smallest width of a compressed stretch
+_EDGE = 3.0  # s at both ends of a long stretch that are not compressed
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class TimeScale:
     """Piecewise linear map from time (s) to the axis.
 
     Attributes:
-        times: knots, rising.
-        places: where they are on the axis, rising.
-        squeezed: stretches that take less room than they last.
+        times: knots, increasing.
+        places: of the knots on the axis, increasing.
+        squeezed: compressed stretches.
     """
 
     times: tuple[float, ...]
@@ -41,23 +41,23 @@ class TimeScale:
 
     @property
     def width(self) -> float:
-        """Of the axis."""
+        """Width of the axis."""
         return self.places[-1] - self.places[0]
 
     def forward(self, time: Any) -> Any:
-        """Return the place of a time, or of many."""
+        """Return the places of one or many times."""
         return np.interp(time, self.times, self.places)
 
     def inverse(self, place: Any) -> Any:
-        """Return the time of a place, or of many."""
+        """Return the times of one or many places."""
         return np.interp(place, self.places, self.times)
 
     def beside(self, time: float, share: float) -> float:
-        """Return the time that is drawn beside `time` by a share of the axis."""
+        """Return the time drawn at a distance from `time`, given as a share of the axis."""
         return float(self.inverse(self.forward(time) + share * self.width))
 
     def apply(self, rows: Sequence[Axes]) -> None:
-        """Use it for the panels, which share their time axis."""
+        """Use the scale on panels that share their time axis."""
         from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
         if self.squeezed:
@@ -78,7 +78,7 @@ class TimeScale:
 
 
 def scale_for(replay: Replay) -> TimeScale:
-    """Return the scale on which a recorded docking is drawn."""
+    """Return the scale for a recorded docking."""
     begin, end = -_SPARE, replay.end + _SPARE
     stretches = [
         (phase.start + _EDGE, phase.end - _EDGE) for phase in replay.phases if _is_long(phase.start, phase.end)

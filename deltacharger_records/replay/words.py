@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded docking in words: what happened in its order, and why it ended as it did."""
+"""Text of a recorded docking: its events in order, and the reason for its outcome."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from deltacharger_records.quantities import numbers, quantity
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_record import Decided, Touch
 
-_LATE = 0.2  # s that a message of a decision may come after its phase
+_LATE = 0.2  # s by which a decision's message may follow its phase
 _WORDS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
 def story(replay: Replay) -> list[str]:
-    """Return what happened, a line for each phase and for each decision in it."""
+    """Return one line for each phase and for each decision in it, in order."""
     events: list[tuple[float, int, str]] = []
     for phase in replay.phases:
         length = f"for {quantity(phase.end - phase.start, 's', 1)}"
@@ -26,49 +26,48 @@ def story(replay: Replay) -> list[str]:
             (phase.start, 1, f"{quantity(phase.start, 's', 2):>9}  {phase.state.replace('_', ' ')}, {length}")
         )
     for decision in replay.run.decisions:
-        time = _within(replay, decision)
-        events.append((time, 0, f"{quantity(time, 's', 2):>9}    {_told(decision)}"))
+        time = _time_of(replay, decision)
+        events.append((time, 0, f"{quantity(time, 's', 2):>9}    {_described(decision)}"))
     return [line for _, _, line in sorted(events, key=lambda event: event[:2])]
 
 
-def _within(replay: Replay, decision: Decided) -> float:
-    """Return when a decision was made, not later than its phase's end: its message may come after the next state's."""
+def _time_of(replay: Replay, decision: Decided) -> float:
+    """Return the time of a decision, limited to its phase's end: its message may arrive after the next state's."""
     ends = [phase.end for phase in replay.phases if phase.state == decision.phase and phase.start <= decision.time]
     return min(decision.time, ends[-1]) if ends and decision.time - ends[-1] < _LATE else decision.time
 
 
-def _told(decision: Decided) -> str:
+def _described(decision: Decided) -> str:
     shown = {name: value for name, value in decision.values.items() if name != "code" and not math.isnan(value)}
     text = f"{decision.kind}: {decision.text}"
     return f"{text} ({numbers(shown)})" if shown else text
 
 
 def why(replay: Replay) -> str:
-    """Return one paragraph: what ended it, by which numbers, and what to do."""
+    """Return one paragraph: the reason for the end, its numbers, and what to do."""
     outcome, after = replay.outcome(), replay.afterwards()
     if outcome["success"] is None:
-        return _unknown(replay)
+        return _unfinished_text(replay)
     if outcome["success"]:
         return (
-            _charged(replay) + (f" {_because(replay, after)}" if after is not None else f" {_later(replay)}").rstrip()
+            _docked(replay) + (f" {_because(replay, after)}" if after is not None else f" {_charged(replay)}").rstrip()
         )
     return _because(replay, outcome)
 
 
-def _unknown(replay: Replay) -> str:
-    damage = replay.recording.damage or "nobody told how it ended"
+def _unfinished_text(replay: Replay) -> str:
+    damage = replay.recording.damage or "no outcome was recorded"
     motion, power = replay.run.motion, replay.run.power
     closed = power.last("closed")
     contactor = "" if math.isnan(closed) else f", the contactor {'closed' if closed else 'open'}"
     where = quantity(motion.last("z"), "m")
     return (
         f"The recording ends in {replay.last_phase.upper()} after {quantity(replay.end, 's', 1)} without an outcome: "
-        f"{damage}. The arm was last seen at z {where}{contactor}. Look at the log of docking_node, and at the next "
-        "record."
+        f"{damage}. The arm was last seen at z {where}{contactor}. Check docking_node's log and the next record."
     )
 
 
-def _charged(replay: Replay) -> str:
+def _docked(replay: Replay) -> str:
     result, touches = replay.result_of("dock"), replay.run.touches
     details = result.details if result is not None else {}
     took = f" in {quantity(result.elapsed, 's', 1)}" if result is not None else ""
@@ -89,27 +88,27 @@ def _charged(replay: Replay) -> str:
     return "; ".join(parts) + "."
 
 
-def _later(replay: Replay) -> str:
+def _charged(replay: Replay) -> str:
     if math.isnan(replay.charged):
         return ""
     current = replay.run.power.arrays()["current"]
     highest = (
         f" at up to {quantity(float(current[current == current].max()), 'A')}" if (current == current).any() else ""
     )
-    end = "The recording ends while it goes on." if replay.last_phase == "charging" else "Then it was undocked."
+    end = "The recording ends while it still charges." if replay.last_phase == "charging" else "Then it was undocked."
     return f"It charged for {_duration(replay.charged)}{highest}. {end}"
 
 
 def _because(replay: Replay, ended: Mapping[str, Any]) -> str:
-    """Return why it ended by an error, with the numbers that this error is about, and the remedy."""
+    """Return why it ended with an error, with that error's numbers and the remedy."""
     code, message = int(ended["code"]), str(ended["message"])
     when = replay.failed_at if not math.isnan(replay.failed_at) else replay.end
     phase = _phase_before(replay, when).upper().replace("_", " ")
     charging = not math.isnan(replay.charged)
     if code == Code.CANCELED:
-        text = f"The client took the goal back in {phase} after {quantity(when, 's', 1)}."
-    elif code in _TELLERS and not charging:
-        text = f"Charging was refused: {_TELLERS[Code(code)](replay, message)}."
+        text = f"The client canceled the goal in {phase} after {quantity(when, 's', 1)}."
+    elif code in _REASONS and not charging:
+        text = f"Charging was refused: {_REASONS[Code(code)](replay, message)}."
     else:
         what = f"Charging was ended after {_duration(replay.charged)}" if charging else f"Docking ended in {phase}"
         text = f"{what} by {_name(code)}: {message}."
@@ -130,15 +129,15 @@ def _tilted(replay: Replay, message: str) -> str:
     worst = left - 3.0 * clearance_stddev(estimate, gap, length)
     needed = quantity(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(touches), len(touches))} dockings" if len(touches) > 1 else ""
-    felt = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
-    text = f"the angle was measured as {felt}{times}; even without an offset across the bars the clearance would be "
+    found = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
+    text = f"the angle was measured as {found}{times}; even without an offset across the bars the clearance would be "
     if left < parameters.clearance_min:
         return text + f"{quantity(left, 'm')}, {needed} are needed"
     if worst < parameters.clearance_min:
         return (
             text + f"{quantity(left, 'm')}, {quantity(worst, 'm')} less three standard deviations, {needed} are needed"
         )
-    return f"the angle was measured as {felt}{times}; {message}"
+    return f"the angle was measured as {found}{times}; {message}"
 
 
 def _off(replay: Replay, message: str) -> str:
@@ -159,7 +158,7 @@ def _unsure(replay: Replay, message: str) -> str:
     return f"{message}; {unsure} of {len(replay.run.touches)} measurements were unsure"
 
 
-_TELLERS: dict[Code, Callable[[Replay, str], str]] = {
+_REASONS: dict[Code, Callable[[Replay, str], str]] = {
     Code.CRITICAL_ANGLE: _tilted,
     Code.MISALIGNED: _off,
     Code.ESTIMATE_UNSURE: _unsure,
@@ -170,9 +169,9 @@ _TELLERS: dict[Code, Callable[[Replay, str], str]] = {
 def _mean(touches: list[Touch]) -> FeltPose:
     """Return the mean angle of several dockings without an offset, with the largest of their standard deviations."""
     names = ("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev")
-    felt = [touch.estimate for touch in touches]
-    angle, vertical, horizontal, across = (max(getattr(each, name) for each in felt) for name in names)
-    mean = sum(each.angle for each in felt) / len(felt)
+    found = [touch.estimate for touch in touches]
+    angle, vertical, horizontal, across = (max(getattr(each, name) for each in found) for name in names)
+    mean = sum(each.angle for each in found) / len(found)
     return FeltPose(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
 
 
@@ -181,11 +180,11 @@ def _way_back(replay: Replay) -> str:
         home = any(each.kind == "retracted" for each in replay.run.decisions)
         start = quantity(replay.phases[-1].start, "s", 1)
         return f"The arm was {'home' if home else 'at rest'} again at {start}."
-    return f"The recording ends in {replay.last_phase.upper()}: {replay.recording.damage or 'that was not waited for'}."
+    return f"The recording ends in {replay.last_phase.upper()}: {replay.recording.damage or 'it stopped earlier'}."
 
 
 def _phase_before(replay: Replay, time: float) -> str:
-    """Return the phase in which an error came; the way back begins with it."""
+    """Return the phase in which an error occurred; retraction starts with the error."""
     earlier = [phase.state for phase in replay.phases if phase.start < time and phase.state != "retract"]
     return earlier[-1] if earlier else "idle"
 

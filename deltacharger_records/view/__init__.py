@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger at work in Rerun and RViz."""
+"""Live view of a charger in Rerun and RViz."""

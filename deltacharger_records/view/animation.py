@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A docking as an animated picture (GIF): the arm, what the pads measure and the contact current.
 
-It takes the same plain values as `ViewLog`, so that a `ViewFeed` fills either.
+It has the same interface as `ViewLog`, so that a `ViewFeed` fills either.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATE = 8.0
-"""Pictures a second."""
-_LONGEST = 240  # pictures; of a longer docking every second, third … moment is drawn
-_HOLD = 2.0  # s that the last picture stays
-_COLOURS, _SAMPLED = 64, 8  # of all pictures, chosen by so many of them
+"""Frames per second."""
+_LONGEST = 240  # frames; for longer dockings, only every second, third … moment is drawn
+_HOLD = 2.0  # s that the last frame is shown
+_COLOURS, _SAMPLED = 64, 8  # colours of the palette, and frames sampled to choose them
 _EYE, _UP = (0.90, 0.40, -0.14), (0.0, 1.0, 0.0)
 _SIZE = (9.0, 4.3)  # in, of 100 dots
 _TARGET: shapes.Color = (120, 150, 190)
@@ -43,7 +43,7 @@ def _nothing() -> Picture:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is drawn of one instant: s since the first message, rad, m, A."""
+    """Values drawn in one frame: s since the first message, rad, m, A."""
 
     time: float = 0.0
     angles: tuple[float, ...] = ()
@@ -56,7 +56,7 @@ class Moment:
 
 
 class Animation:
-    """Collects what a docking shows, and draws it.
+    """Collects a docking's values, and draws them.
 
     Args:
         geometry: of the arm.
@@ -72,7 +72,7 @@ class Animation:
         self._target: tuple[Sequence[float], float] | None = None
 
     def at(self, time_ns: int) -> None:
-        """Set the instant of what follows, ns since 1970."""
+        """Set the time of the following values, ns since 1970."""
         if self._begin is None:
             self._begin = time_ns
         time = 1e-9 * (time_ns - self._begin)
@@ -90,11 +90,11 @@ class Animation:
         self._contact.append((self._now.time, current))
 
     def pads(self, left: Picture, right: Picture, forces: tuple[float, float]) -> None:
-        """Take both arrays as pictures."""
+        """Take both pads as pictures."""
         self._now = replace(self._now, left=left, right=right)
 
     def misalignment(self, values: Mapping[str, tuple[float, float]]) -> None:
-        """Take where the target was measured to be; the last measurement is where it is drawn."""
+        """Take the measured pose of the target; it is drawn at the last measurement."""
         along, across, angle = (values[name][0] for name in ("horizontal", "vertical", "angle"))
         if self._now.position and math.isfinite(along + across + angle):
             x, y, z = self._now.position
@@ -114,30 +114,30 @@ class Animation:
         return self._now.phase != before.phase or self._now.contactor != before.contactor
 
     def target(self, name: str, position: Sequence[float], roll: float) -> None:
-        """Take where the electrodes are: as the goal gave or the camera saw them."""
+        """Take the electrodes' pose: given by the goal or seen by the camera."""
         self._goal = (position, roll)
 
     def reported(self, current: float) -> None:
-        """Leave out what docking_node reports of the contact current."""
+        """Ignore docking_node's contact current."""
 
     def line(self, text: str, kind: str = "", level: str = "") -> None:
-        """Leave out decisions."""
+        """Ignore decisions."""
 
     def status(self, text: str) -> None:
-        """Leave out the page of the state."""
+        """Ignore the state page."""
 
     def picture(self, name: str, pixels: NDArray[np.uint8]) -> None:
-        """Leave out images of the camera."""
+        """Ignore camera images."""
 
     def save(self, path: Path, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Write the animation.
 
         Args:
             path: of the GIF.
-            progress: called after each picture with how many are drawn and how many there will be.
+            progress: called after each frame with the frames drawn and their total.
 
         Raises:
-            ValueError: nothing docked in what was taken.
+            ValueError: the messages include no docking.
             ImportError: matplotlib is missing.
             OSError: the file cannot be written.
         """
@@ -159,7 +159,7 @@ class Animation:
         )  # fmt: skip
 
     def _draw(self, moment: Moment) -> NDArray[np.uint8]:
-        """Return one picture (height, width, 3) RGB."""
+        """Return one frame (height, width, 3) RGB."""
         import matplotlib
 
         matplotlib.use("Agg")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a view stands where on the screen."""
+"""Screen layout of a view."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def blueprint(live: bool) -> Any:
     """Return the layout as a rerun.blueprint.Blueprint.
 
     Args:
-        live: follow what comes; False = play it from its beginning.
+        live: follow new data; False = play from the beginning.
     """
     import rerun.blueprint as rrb
     from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
@@ -36,7 +36,7 @@ def blueprint(live: bool) -> Any:
         rrb.TextLogView(origin="log", name="decisions", columns=columns),
         row_shares=(3.0, 1.15, 1.3),
     )
-    felt = rrb.Horizontal(
+    touch = rrb.Horizontal(
         rrb.Spatial2DView(origin="pads/left", name=f"left pad, {_SCALE}"),
         rrb.Spatial2DView(origin="pads/right", name=f"right pad, {_SCALE}"),
         rrb.Tabs(
@@ -47,7 +47,7 @@ def blueprint(live: bool) -> Any:
         column_shares=(1.0, 1.0, 1.3),
     )
     right = rrb.Vertical(
-        felt,
+        touch,
         rrb.Horizontal(
             _plot("plots/contact", "contact current, 0.4–0.5 A", (-0.2, 0.8)), _plot("plots/servos", "servo currents")
         ),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger's messages as what the live view shows: what is taken how often, and which plain values it becomes."""
+"""Convert a charger's messages to the view's plain values, at limited rates."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ FEEDBACK = "dock/_action/feedback"
 DETECTION_IMAGE, COLOR_IMAGE = "electrode_detection/image", "color/image_raw"
 
 RATES = {SERVOS: 30.0, PADS: 30.0, FELT: 30.0, FEEDBACK: 30.0, DETECTION_IMAGE: 5.0, COLOR_IMAGE: 5.0}
-"""Hz at which a topic is shown at most; of the others every message is."""
+"""Highest display rate (Hz) of a topic; the others are displayed completely."""
 ALWAYS_THERE = (SERVOS, PADS, POWER, STATE)
-"""What a charger publishes as long as it runs; the others come while it docks."""
+"""Topics published while a charger runs; the others are published while it docks."""
 _SHOWN = (SERVOS, PADS, POWER, FELT, SEEN, STATE, DECISION, FEEDBACK)
 TOPICS: tuple[Topic, ...] = (
     *(topic for topic in RECORDED if topic.name in _SHOWN),
     Topic(DETECTION_IMAGE, Image, qos.SENSOR),
     Topic(COLOR_IMAGE, Image, qos.SENSOR),
 )
-"""What the view shows, as on the wire."""
+"""Displayed topics and their types."""
 
-_BACKWARD = 1_000_000_000  # ns; a clock that went back further begins anew
-_ENERGY_STEP = 0.2  # s between two charger_power at most, as docking_node counts
+_BACKWARD = 1_000_000_000  # ns; a clock that went back further restarts the limits
+_ENERGY_STEP = 0.2  # s, longest gap between two charger_power that counts, as in docking_node
 
 
 class ViewFeed:
     """Takes messages and fills a view.
 
     Args:
-        log: what is filled: a `ViewLog` or an `Animation`.
+        log: to fill: a `ViewLog` or an `Animation`.
         geometry: of the arm.
-        parameters: what docking_node decides by, of which gravity tells the contact current; None = the defaults.
+        parameters: of docking_node; their gravity gives the contact current; None = the defaults.
 
     Attributes:
-        counts: messages that came, by relative topic.
-        refused: what is wrong with the first message of a topic that could not be shown.
+        counts: received messages, by relative topic.
+        refused: topics with an invalid message: the problem of the first one.
     """
 
     def __init__(
@@ -89,8 +89,8 @@ class ViewFeed:
 
         Args:
             topic: relative name.
-            received: when, ns since 1970.
-            decode: returns the message; called only where it is shown.
+            received: ns since 1970.
+            decode: returns the message; called only if it is displayed.
         """
         self.counts[topic] += 1
         if not self._is_due(topic, received):
@@ -98,7 +98,7 @@ class ViewFeed:
         self._log.at(received)
         try:
             self._takers[topic](decode(), 1e-9 * received)
-        except ValueError as error:  # somebody else's message; the others are shown all the same
+        except ValueError as error:  # a foreign message; the others are still displayed
             if topic not in self.refused:
                 self.refused[topic] = str(error)
                 self._log.line(f"{topic} cannot be shown: {error}", level="WARN")
@@ -144,8 +144,8 @@ class ViewFeed:
 
     def _on_misalignment(self, message: Any, now: float) -> None:
         names = ("horizontal", "vertical", "angle")
-        felt = {name: (getattr(message, name), getattr(message, f"{name}_stddev")) for name in names}
-        self._log.misalignment(felt if message.contact else dict.fromkeys(names, (math.nan, math.nan)))
+        measured = {name: (getattr(message, name), getattr(message, f"{name}_stddev")) for name in names}
+        self._log.misalignment(measured if message.contact else dict.fromkeys(names, (math.nan, math.nan)))
 
     def _on_detection(self, message: Any, now: float) -> None:
         place = message.pose.pose.position
@@ -168,7 +168,7 @@ class ViewFeed:
         values = dict(zip(message.names, message.values, strict=False))
         numbered = f" ({numbers(values)})" if values else ""
         self._log.line(f"{message.kind}: {message.text}{numbered}", message.kind)
-        if message.kind == "zero":  # from here on docking_node counts from the same zero
+        if message.kind == "zero":  # docking_node has zeroed its contact current, too
             self._contact.tare()
         place = [values.get(f"{axis}_m", math.nan) for axis in "xyz"]
         if message.kind in ("accepted", "located") and math.isfinite(sum(place)):
@@ -177,7 +177,7 @@ class ViewFeed:
 
     def _on_feedback(self, message: Any, now: float) -> None:
         self._log.reported(message.feedback.contact_current)
-        if not self.counts[FELT]:  # misalignment_node publishes only where it is told to; docking_node asks it
+        if not self.counts[FELT]:  # unless configured, misalignment_node only answers docking_node's calls
             self._on_misalignment(message.feedback.misalignment, now)
 
     def _on_image(self, name: str, message: Any) -> None:
@@ -188,7 +188,7 @@ class ViewFeed:
 
 
 def status_page(message: Any, phase: str, failure: str) -> str:
-    """Return docking_state as a page of Markdown."""
+    """Return docking_state as Markdown."""
     lines = [f"# {phase.replace('_', ' ')}", ""]
     lines.append(
         f"{'**docked**' if message.docked else 'not docked'}, {'**charging**' if message.charging else 'not charging'}"

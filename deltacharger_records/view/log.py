@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plain values as Rerun entities; what each entity holds, its unit and its colours stand here alone.
+"""Log plain values as Rerun entities; defines each entity's content, unit and colours.
 
 Every value is logged on two timelines: `run`, s since the first message, and `clock`, the time of day.
 """
@@ -23,7 +23,7 @@ from deltacharger_records.view.shapes import Boxes
 RUN, CLOCK = "run", "clock"
 _TRAIL = 400  # points
 _TRAIL_STEP = 0.0005  # m between two of them
-_STILL = 2e-4  # rad; less is noise: an encoder's step is 1.5e-3
+_STILL = 2e-4  # rad; smaller changes are noise: an encoder's step is 1.5e-3
 _JPEG = 80
 _GREY = "#8a94a0"
 _SERIES: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[float, ...]]] = {
@@ -72,7 +72,7 @@ class ViewLog:
         self._still(camera)
 
     def at(self, time_ns: int) -> None:
-        """Set the instant of what follows, ns since 1970."""
+        """Set the time of the following values, ns since 1970."""
         if self._begin is None:
             self._begin = time_ns
         second = time_ns // 10**9
@@ -82,7 +82,7 @@ class ViewLog:
         self._recording.set_time(CLOCK, timestamp=np.datetime64(time_ns, "ns"))
 
     def arm(self, angles: Sequence[float], position: Sequence[float]) -> None:
-        """Show the mechanism at commanded arm angles (rad) and position (m in charger_base), where it moved."""
+        """Show the mechanism at arm angles (rad) and position (m in charger_base), if it moved."""
         self._scalars("plots/height", 1e3 * position[2])
         now = np.asarray(angles, dtype=float)
         if self._angles is not None and np.abs(now - self._angles).max() < _STILL:
@@ -99,19 +99,19 @@ class ViewLog:
             self._log("charger/trail", trail)
 
     def contact(self, current: float, servos: Sequence[float]) -> None:
-        """Show the contact current (A) as computed from servo_state, its band, and the servos' own currents (A)."""
+        """Show contact current (A) from servo_state, its band, and the servos' currents (A)."""
         self._scalars("plots/contact/measured", current)
-        if self._band_due:  # two straight lines need few points
+        if self._band_due:  # straight lines need few points
             self._band_due = False
             self._scalars("plots/contact/band", *BAND)
         self._scalars("plots/servos", *servos)
 
     def reported(self, current: float) -> None:
-        """Show the contact current (A) that docking_node reports."""
+        """Show docking_node's contact current, A."""
         self._scalars("plots/contact/reported", current)
 
     def pads(self, left: NDArray[np.uint8], right: NDArray[np.uint8], forces: tuple[float, float]) -> None:
-        """Show both arrays as pictures where they changed, and their sums (N)."""
+        """Show changed pads as pictures, and their total forces (N)."""
         for name, picture in (("left", left), ("right", right)):
             pixels = picture.tobytes()
             if self._pads.get(name) != pixels:
@@ -120,20 +120,20 @@ class ViewLog:
         self._scalars("plots/pads", *forces)
 
     def misalignment(self, values: Mapping[str, tuple[float, float]]) -> None:
-        """Show horizontal and vertical (m) and angle (rad), each with its standard deviation; NaN = not felt."""
+        """Show horizontal and vertical (m) and angle (rad), each with its standard deviation; NaN = not measured."""
         for name, scale in (("horizontal", 1e3), ("vertical", 1e3), ("angle", math.degrees(1.0))):
             value, sigma = (scale * number for number in values[name])
             where = "plots/angle" if name == "angle" else f"plots/misalignment/{name}"
             self._scalars(where, value, value - sigma, value + sigma)
 
     def power(self, current: float, target: float, battery: float, energy: float) -> None:
-        """Show charge current (A), voltages (V) and the energy delivered since the docking began (J)."""
+        """Show charge current (A), voltages (V) and energy since the docking began (J)."""
         self._scalars("plots/charge/current", current)
         self._scalars("plots/charge/voltages", target, battery)
         self._scalars("plots/energy", energy)
 
     def state(self, name: str, value: str) -> bool:
-        """Show one of the states `docking`, `contactor` and `docked`; return whether it changed."""
+        """Show a state named `docking`, `contactor` or `docked`; return whether it changed."""
         if self._states.get(name) == value:
             return False
         self._states[name] = value
@@ -141,7 +141,7 @@ class ViewLog:
         return True
 
     def line(self, text: str, kind: str = "", level: str = "") -> None:
-        """Append a line to the log; its level follows from the kind of decision unless given."""
+        """Append a line to the log; its level depends on the kind of decision unless given."""
         self._log("log", self._rr.TextLog(text, level=level or _LEVELS.get(kind, "INFO")))
 
     def status(self, text: str) -> None:
@@ -156,11 +156,11 @@ class ViewLog:
         self._boxes(f"charger/target/{name}/terminal", view_scene.target(colour), lines=True)
 
     def picture(self, name: str, pixels: NDArray[np.uint8]) -> None:
-        """Show a camera's image (H, W, 3) RGB or (H, W): `detection`, drawn into by the detector, or `color`."""
+        """Show a camera image (H, W, 3) RGB or (H, W): `detection`, annotated by the detector, or `color`."""
         self._log(f"camera/{name}", self._rr.Image(pixels).compress(jpeg_quality=_JPEG))
 
     def _still(self, camera: NDArray[np.float64]) -> None:
-        """Log what never changes."""
+        """Log static entities."""
         rr = self._rr
         self._log("charger", rr.ViewCoordinates.LUF, static=True)
         self._boxes("charger/base", view_scene.base(self._geometry), static=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where every joint of the delta is: for the URDF's passive joints and for pictures of the mechanism.
+"""Positions of the delta's joints, for the URDF's passive joints and for pictures of the mechanism.
 
-What the kinematics does not have is as in urdf/deltacharger.urdf.xacro; the paper gives no drawing.
+Dimensions that kinematics does not use are as in urdf/deltacharger.urdf.xacro; the paper gives no drawing.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.mujoco_model import rod_angles
 
 ROD_SPACING = 0.040
-"""Between the two rods of a limb, m (assumed; the kinematics does not depend on it)."""
+"""Distance of a limb's two rods, m (assumed; kinematics does not use it)."""
 SIDES = (("left", 0.5), ("right", -0.5))
-"""The rods of a limb by name, and their place along its tangent, in ROD_SPACING."""
+"""The rods of a limb: name, and position along its tangent in units of ROD_SPACING."""
 
 
 def motors(geometry: DeltaGeometry) -> Array:
-    """Return the middles of the motor axes (3 limbs, 3) m in charger_base."""
+    """Return the centres of the motor axes (3 limbs, 3) m in charger_base."""
     limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
     return np.array(
         [
@@ -34,7 +34,7 @@ def motors(geometry: DeltaGeometry) -> Array:
 
 
 def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
-    """Return the middles of the elbow axes (3 limbs, 3) m in charger_base.
+    """Return the centres of the elbow axes (3 limbs, 3) m in charger_base.
 
     Args:
         geometry: dimensions.
@@ -49,7 +49,7 @@ def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
 
 
 def feet(geometry: DeltaGeometry) -> Array:
-    """Return the middles of the platform's joint axes (3 limbs, 3) m in end_effector."""
+    """Return the centres of the platform's joint axes (3 limbs, 3) m in end_effector."""
     limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
     return np.array([_around(limb, limb.platform_radius, 0.0, 0.0) for limb in limbs])
 
@@ -72,14 +72,14 @@ def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[fl
 
 
 def passive_joints(delta: ScalarDelta, angles: Sequence[float]) -> dict[str, float]:
-    """Return the values (m, rad) of the URDF's passive joints by name; those that mimic another are left out.
+    """Return the URDF's passive joint values (m, rad) by name, except joints that mimic another.
 
     Args:
         delta: kinematics of the arm.
         angles: commanded arm angles, rad.
 
     Returns:
-        Empty where the arms meet in no point.
+        Empty if forward kinematics has no solution.
     """
     position = delta.forward(*angles)
     if not all(math.isfinite(value) for value in position):

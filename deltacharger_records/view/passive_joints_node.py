@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""passive_joints_node: the joints of the URDF that no servo turns, for RViz and other readers of tf.
+"""passive_joints_node: publish the URDF's passive joints, for RViz and other readers of tf.
 
-A display tool, started by launch/view.launch.py; nothing of the charger needs it.
+A display tool, started by launch/view.launch.py; no other node needs it.
 
 Subscribes: servo_state.
-Publishes: joint_states with the platform's three sliding joints and the left rods' turning ones, by forward kinematics,
-with the stamp of the servo_state and at most `rate` times a second; nothing while a servo is not valid.
+Publishes: joint_states with the platform's three prismatic joints and the left rods' revolute ones, by forward
+kinematics, with the stamp of servo_state, at most `rate` times a second; nothing while a servo is invalid.
 Parameters: rate, geometry_file or the arm's single dimensions.
 """
 
@@ -29,7 +29,7 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 
 
 class PassiveJointsNode(Node):
-    """Passive joints of the arm; see the module's docstring for its interface."""
+    """Publishes passive joints; see the module's docstring for its interface."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("passive_joints_node", **kwargs)
@@ -47,7 +47,7 @@ class PassiveJointsNode(Node):
         if len(message.position) != 3 or len(message.valid) != 3 or not all(message.valid):
             return
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        if 0.0 <= stamp - self._last < self._period:  # a clock set back must not silence it
+        if 0.0 <= stamp - self._last < self._period:  # a clock set back must not stop the output
             return
         values = passive_joints(self._delta, message.position)
         if not values:
@@ -59,7 +59,7 @@ class PassiveJointsNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; the executable."""
+    """Run the node until SIGINT or SIGTERM."""
     return node_support.run(PassiveJointsNode, args)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile arrays as pictures: one fixed scale of colours, so that two moments can be compared."""
+"""Pads as pictures with a fixed colour scale, so that two moments can be compared."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 Picture = NDArray[np.uint8]
 
 FULL = 9.0
-"""N on one taxel at the end of the scale: the end of the published sensor's range."""
+"""Force on a taxel at the end of the scale, N: the range of the published sensor."""
 NOISE = 0.25
-"""N; what is less is shown as nothing, as the estimator takes it: else the noise of free air would be sent on."""
+"""Smaller forces (N) are shown as 0, as for the estimator; else the noise of free air would be transmitted."""
 DEAD = (148, 154, 160)
-"""Colour of a taxel that does not answer."""
+"""Colour of a dead taxel."""
 _SHADES = 90  # steps of 0.1 N
 _ANCHORS = (
     (0.00, (18, 20, 26)),
@@ -36,7 +36,7 @@ _SCALE = _scale()
 
 
 def pad_picture(forces: ArrayLike, rows: int, columns: int) -> Picture:
-    """Return one array (rows, columns, 3) as one sees it looking along +z at the target: +x to the left, +y up.
+    """Return one pad (rows, columns, 3) as seen along +z at the target: +x to the left, +y up.
 
     Args:
         forces: (rows · columns,) N, row-major, row 0 at +y, column 0 at +x; NaN = dead taxel.
@@ -44,7 +44,7 @@ def pad_picture(forces: ArrayLike, rows: int, columns: int) -> Picture:
         columns: of taxels.
 
     Raises:
-        ValueError: the numbers do not fit rows and columns.
+        ValueError: the number of forces differs from rows · columns.
     """
     values = np.asarray(forces, dtype=np.float64).reshape(rows, columns)
     dead = np.isnan(values)

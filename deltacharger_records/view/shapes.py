@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger as boxes and lines in charger_base, for the live view: plain numbers, no library that draws.
+"""The charger as boxes and lines in charger_base, for the live view; independent of drawing libraries.
 
 Shapes as in urdf/deltacharger.urdf.xacro; the paper gives no drawing. Colours are red, green, blue, 0 to 255.
 """
@@ -31,9 +31,9 @@ SEEN: Color = (80, 220, 110)
 TRAIL: Color = (230, 90, 160)
 
 ARM_RADIUS, ROD_RADIUS = 0.0075, 0.003
-"""Of the lines that stand for arms and rods, m."""
+"""Radius of the lines for arms and rods, m."""
 _MOTOR = (0.0611, 0.0402, 0.041)  # MX-64 along radius, tangent and z
-_MOTOR_BACK = 0.0105  # of its middle behind its axis, toward the centre
+_MOTOR_BACK = 0.0105  # of its centre behind its axis, inward
 _RING = 0.0255  # of the setup ring behind the motors' plane
 _PLATE = (0.125, 0.045, 0.014)
 _PLATE_BACK = 0.013
@@ -67,7 +67,7 @@ class Boxes:
 
 
 def base(geometry: DeltaGeometry) -> Boxes:
-    """Return what does not move, in charger_base: motors and the wings that carry them."""
+    """Return the static parts in charger_base: motors and the wings that carry them."""
     boxes = Boxes()
     for index, middle in enumerate(motors(geometry)):
         azimuth = 2.0 * math.pi * index / LIMB_COUNT
@@ -86,7 +86,7 @@ def ring(geometry: DeltaGeometry) -> Array:
 
 
 def platform(geometry: DeltaGeometry) -> Boxes:
-    """Return the platform with electrodes, pads and the posts of the rods' joints, in end_effector."""
+    """Return the platform with electrodes, pads and joint posts, in end_effector."""
     boxes, terminal = Boxes(), Terminal()
     boxes.add((0.0, 0.0, -_PLATE_BACK), _PLATE, DARK)
     for index, foot in enumerate(feet(geometry)):
@@ -101,7 +101,7 @@ def platform(geometry: DeltaGeometry) -> Boxes:
 
 
 def target(colour: Color) -> Boxes:
-    """Return the terminal on its plate, its frame midway between the bars on their touched faces, z into the plate."""
+    """Return the terminal on its plate; origin midway between the bars on their contact faces, z into the plate."""
     boxes, terminal = Boxes(), Terminal()
     boxes.add((0.0, 0.0, terminal.bar_thickness + _TARGET_PLATE[2] / 2), _TARGET_PLATE, colour)
     for side in (1.0, -1.0):
@@ -120,7 +120,7 @@ def camera() -> Boxes:
 
 
 def moving(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> tuple[Array, Array]:
-    """Return arms (3, 2, 3) and rods (6, 2, 3) as lines from their first to their second joint, m in charger_base.
+    """Return arms (3, 2, 3) and rods (6, 2, 3) as lines between their joints, m in charger_base.
 
     Args:
         geometry: dimensions.

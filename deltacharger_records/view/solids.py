@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes and bars as shaded faces, seen from afar: what a picture of the mechanism needs, and no library for it."""
+"""Shaded boxes and bars seen from afar: enough to draw the mechanism without a 3D library."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from deltacharger_records.view.shapes import Boxes, Color
 
 _SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _FACES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
-_AMBIENT = 0.62  # of a face's colour, where no light falls on it
+_AMBIENT = 0.62  # share of its colour that an unlit face shows
 _LIGHT = np.array([0.4, 0.8, -0.45]) / np.linalg.norm([0.4, 0.8, -0.45])
 
 
 class Solids:
-    """Faces of four corners with a colour each.
+    """Coloured faces with four corners.
 
     Attributes:
         corners: (n, 4, 3) m.
@@ -29,7 +29,7 @@ class Solids:
         self.colours: Array = np.empty((0, 3))
 
     def add(self, boxes: Boxes, place: Sequence[float] = (0.0, 0.0, 0.0), turn: float = 0.0) -> None:
-        """Add boxes of a frame that lies at `place` (m), turned about z by `turn` (rad)."""
+        """Add the boxes of a frame at `place` (m), turned about z by `turn` (rad)."""
         centres, sizes = np.asarray(boxes.centres, dtype=float), np.asarray(boxes.sizes, dtype=float)
         quaternions = np.asarray(boxes.turns, dtype=float)
         angles = 2.0 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
@@ -51,11 +51,11 @@ class Solids:
         self._append(middle[:, None, :] + _SIGNS @ axes, [colour] * len(lines))
 
     def seen(self, eye: Sequence[float], up: Sequence[float]) -> tuple[Array, Array]:
-        """Return the faces (n, 4, 2) m across the line of sight, the farthest first, and their colours (n, 3).
+        """Return the projected faces (n, 4, 2) m, the farthest first, and their colours (n, 3).
 
         Args:
-            eye: direction from the scene to the eye, which is far away.
-            up: what is up in the picture.
+            eye: direction to the viewer, who is far away.
+            up: vertical direction of the picture.
         """
         toward = np.asarray(eye, dtype=float) / np.linalg.norm(eye)
         right = np.cross(up, toward)

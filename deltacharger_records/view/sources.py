@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the messages of a view come from: a running charger's topics, looked into now and then, or a recording."""
+"""Sources of a view's messages: a running charger's topics, polled, or a recording."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from deltacharger_ros.raw_topics import PolledTopics, Topic
 
 
 class Listener(Guest):
-    """Subscribes, and hands a feed what came; what is not shown is not even decoded.
+    """Subscribes, and passes messages to a feed; messages that are not displayed are not even decoded.
 
-    No executor: at 300 messages a second it costs more than showing what came, and nothing here is in a hurry.
+    It uses no executor: at 300 messages a second, that costs more than displaying them, and latency does not matter.
 
     Args:
         context: a running rclpy context.
         namespace: of the charger.
-        topics: relative names; their queues must hold what comes between two looks.
+        topics: relative names; their queues must hold the messages between two polls.
     """
 
     def __init__(self, context: Context, namespace: str, topics: Sequence[Topic]) -> None:
@@ -38,24 +38,24 @@ class Listener(Guest):
         self._by_name = {self.node.resolve_topic_name(topic.name): topic for topic in topics}
 
     def hand(self, feed: ViewFeed) -> None:
-        """Give `feed` all messages since the last time, in the order in which they came."""
+        """Pass all messages since the last call to `feed`, in the order of arrival."""
         for message in self._topics.take():
             topic = self._by_name[message.topic]
             feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
 
 
 class ShownRecording:
-    """What of an MCAP file is shown.
+    """The displayed content of an MCAP file.
 
     Args:
         path: of the file.
-        namespace: of the charger; '' = the only one in it.
+        namespace: of the charger; '' = the only one in the file.
 
     Attributes:
-        settings: what docking_node decided by, and its arm's geometry; None where that was not recorded.
+        settings: docking_node's parameters and geometry; None if not recorded.
 
     Raises:
-        RecordingError: mcap is not installed, it is no MCAP file, or it holds nothing to show, or several chargers.
+        RecordingError: mcap is not installed, or the file is not MCAP, has nothing to display, or several chargers.
         OSError: it cannot be read.
     """
 
@@ -73,18 +73,18 @@ class ShownRecording:
         if not chargers:
             held = ", ".join(sorted(self._file.types)) or "nothing"
             whose = f" of /{namespace}" if namespace else ""
-            raise RecordingError(f"{path}: no topic of a charger{whose} that can be shown; it holds {held}")
+            raise RecordingError(f"{path}: no topic of a charger{whose} to show; it holds {held}")
         if len(chargers) > 1:
             names = ", ".join(f"/{name}" for name in sorted(chargers))
-            raise RecordingError(f"{path} holds several chargers, {names}: choose one with --namespace")
+            raise RecordingError(f"{path} holds several chargers, {names}: name one with --namespace")
         self._topics = next(iter(chargers.values()))
         self._decoders = {full: self._decoder(full, topic) for full, topic in self._topics.items()}
 
     def play(self, feed: ViewFeed, stop: Callable[[], bool]) -> None:
-        """Hand every message to `feed` as fast as it takes them, until `stop`.
+        """Pass every message to `feed` at full speed, until `stop`.
 
         Raises:
-            RecordingError: the file is damaged, or ends early.
+            RecordingError: the file is damaged or truncated.
         """
         for raw in self._file.messages(*self._topics):
             if stop():

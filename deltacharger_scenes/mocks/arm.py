@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm of the mock nodes: three first-order servos on the real geometry and one springy wall to press on.
+"""The mock nodes' arm: three first-order servos on the real geometry, and one elastic wall to press on.
 
-It is deliberately small: servos are spring and damper with a torque bound, the target is a plane with friction, and the
-magnets are felt only by friction, not along z. The simulated charger (deltacharger_sim) is the honest model; this one
-serves where nodes, not physics, are under test.
+It is deliberately simple: servos are spring and damper with a torque bound, the target is a plane with friction, and
+magnets act on friction only, not along z. deltacharger_sim has the realistic model; this one is for tests of nodes, not
+of physics.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _STEP = 0.002  # s; the stiffest motion (contact, all three servos) decays in 9 
 
 @dataclass(frozen=True)
 class MockTarget:
-    """The plane on which the arm presses and the pose of the electrodes in it.
+    """The plane that the arm presses on, and the electrodes' pose in it.
 
     Attributes:
-        x: m, y: m, z: m, midpoint of the electrodes in charger_base; z is where contact begins.
+        x: m, y: m, z: m, midpoint of the electrodes in charger_base; contact begins at z.
         angle: rad about +z.
         stiffness: N/m of the contact.
         friction: coefficient.
-        grip: N, normal force of the magnets as friction feels it.
+        grip: N, normal force of the magnets, for friction only.
     """
 
     x: float = 0.0
@@ -52,17 +52,17 @@ class MockArm:
     """Three servos that follow their goals and a platform that presses on a `MockTarget`.
 
     Args:
-        target: what there is to press on.
+        target: to press on.
         stiffness: N·m/rad of a servo's position loop.
         damping: N·m·s/rad of a servo.
-        position: m, where the platform starts, charger_base.
+        position: m, start of the platform, charger_base.
 
     Attributes:
         angles: rad, measured.
         goals: rad.
         bounds: A, largest current of each servo.
-        torque_enabled: per servo; one without torque stays where it is (its gear holds it).
-        jammed: nothing moves, as when the magnets do not let go.
+        torque_enabled: per servo; a servo without torque keeps its angle (its gear holds it).
+        jammed: nothing moves, as if the magnets did not release.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class MockArm:
         return [torque / TORQUE_CONSTANT for torque in self._torque]
 
     def advance(self, duration: float) -> None:
-        """Let `duration` (s) pass."""
+        """Advance by `duration` s."""
         steps = max(1, math.ceil(duration / _STEP))
         for _ in range(steps):
             self._step(duration / steps)
@@ -125,7 +125,7 @@ class MockArm:
         self._velocity = [(now - was) / dt for now, was in zip(self.angles, before, strict=True)]
 
     def _contact_force(self, position: Vector) -> Vector:
-        """Return what the platform exerts on the target (N); friction is a spring that slides at its cone."""
+        """Return the platform's force on the target (N); friction is a spring that slides at its cone."""
         x, y, z = position
         depth = z - self.target.z
         if depth <= 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mock's fault, which can be switched while the node runs."""
+"""A mock's fault, which can be changed while the node runs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rclpy.parameter import Parameter
 
 
 class FaultSwitch:
-    """The fault of a node with the declared parameter `fault`, which may be set while it runs.
+    """The fault of a node with the declared parameter `fault`, which may be changed at runtime.
 
     Args:
-        node: whose it is.
-        faults: that it may have.
-        delay: s from setting one until it acts.
+        node: with the fault.
+        faults: possible values.
+        delay: s from setting it until it acts.
     """
 
     def __init__(self, node: Node, faults: Sequence[str], delay: float) -> None:
@@ -31,11 +31,11 @@ class FaultSwitch:
         node.add_on_set_parameters_callback(self._on_set)
 
     def active(self) -> str:
-        """Return the fault that acts now, "none" where none does."""
+        """Return the active fault; "none" if there is none."""
         return self._name if time.monotonic() - self._since >= self._delay else "none"
 
     def first_time(self) -> bool:
-        """Return True once for each time that a fault was set and acts."""
+        """Return True once per fault set, when it first acts."""
         fresh = not self._reported
         self._reported = True
         return fresh
@@ -49,7 +49,7 @@ class FaultSwitch:
             if parameter.name != "fault":
                 continue
             if parameter.value not in self._faults:
-                reason = f"fault '{parameter.value}' is not one of {', '.join(self._faults)}"
+                reason = f"fault '{parameter.value}' is unknown: give one of {', '.join(self._faults)}"
                 return SetParametersResult(successful=False, reason=reason)
             self._refresh(parameter.value)
         return SetParametersResult(successful=True)

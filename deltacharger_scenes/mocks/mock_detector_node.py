@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mock_detector_node: electrode_detector_node without a camera, for tests of everything above it.
+"""mock_detector_node: electrode_detector_node without a camera, for tests of the layers above it.
 
-Publishes: electrode_detection when asked. Serves: detect_electrodes.
-Parameters: where the electrodes seem to be (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and
-`fault`, which may be set while it runs:
+Publishes: electrode_detection on request. Serves: detect_electrodes.
+Parameters: reported pose of the electrodes (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and
+`fault`, which may be changed at runtime:
 
 nothing        it finds no electrodes
 stale          the image is 10 s old
-beyond_reach   the electrodes seem to be 0.5 m away
+beyond_reach   the electrodes are reported 0.5 m away
 unsure_roll    the roll's standard deviation is 10 degrees
 leaning        the faces are yawed by 10 degrees
-no_normal      it cannot tell how the electrodes lean
+no_normal      the electrodes' lean is unknown
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class MockDetectorNode(Node):
         )
 
     def close(self) -> None:
-        """Nothing to make safe: this node drives nothing."""
+        """No effect: this node commands nothing."""
 
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
@@ -94,7 +94,7 @@ class MockDetectorNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; the executable."""
+    """Run the node until SIGINT or SIGTERM."""
     return node_support.run(MockDetectorNode, args)
 
 

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mock_navigator_node: Nav2's navigate_to_pose without Nav2, for tests and the desk.
+"""mock_navigator_node: Nav2's navigate_to_pose without Nav2, for tests and demonstrations.
 
-Serves: navigate_to_pose. It moves nothing but the pose at which it believes the base to be, straight and then turning.
-Parameters: where the base stands at first, its speeds, how far beside a goal it stops, and `fault`, which may be set
-while it runs:
+Serves: navigate_to_pose. It moves only its assumed pose of the base: straight to the goal, then turning.
+Parameters: initial pose and speeds of the base, its offset from a goal when it stops, and `fault`, which may be changed
+at runtime:
 
-refuse         it takes no goal, as an inactive navigator
+refuse         it rejects goals, like an inactive navigator
 abort          it gives up half-way
-lost           it gives up at once: it does not know where it is
-never_answers  it takes a goal, does nothing, and answers nothing, not even a cancel
+lost           it gives up at once: its pose is unknown
+never_answers  it accepts a goal, does nothing, and answers nothing, not even a cancel
 slow           it drives at a tenth of its speed
-mute           it drives, but never says where it is
+mute           it drives, but never reports its pose
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class MockNavigatorNode(Node):
     """See the module's docstring.
 
     Attributes:
-        arrived: where it drove to, in order; for tests.
+        arrived: places reached, in order; for tests.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -71,16 +71,16 @@ class MockNavigatorNode(Node):
 
     @property
     def place(self) -> Place:
-        """Where it believes the base to be; for tests."""
+        """Assumed pose of the base; for tests."""
         return self._place
 
     def close(self) -> None:
-        """End what it does; it drives nothing."""
+        """Stop the current goal; the node commands nothing."""
         self._stopping.set()
 
     def destroy_node(self) -> None:
         """Release the ROS side."""
-        if hasattr(self, "_server"):  # else it was refused its parameters
+        if hasattr(self, "_server"):  # missing if its parameters were rejected
             self._server.destroy()
         super().destroy_node()
 
@@ -91,7 +91,7 @@ class MockNavigatorNode(Node):
         result = self._action.Result()
         goal = read_place(handle.request.pose)
         if goal is None or goal.frame != self._frame or self._fault.active() == "lost":
-            result.error_code, result.error_msg = _TF_ERROR, "the pose of the base is not known in that frame"
+            result.error_code, result.error_msg = _TF_ERROR, "the pose of the base is unknown in that frame"
             handle.abort()
             return result
         end = goal.at(*self._miss)
@@ -121,7 +121,7 @@ class MockNavigatorNode(Node):
         return result
 
     def _advance(self, end: Place, seconds: float) -> None:
-        """Move the believed pose: straight to the goal, then to its heading."""
+        """Move the assumed pose: straight to the goal, then to its heading."""
         here, reach = self._place, self._speed * seconds
         left = here.distance(end)
         if left > reach:
@@ -142,7 +142,7 @@ class MockNavigatorNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; the executable."""
+    """Run the node until SIGINT or SIGTERM."""
     return node_support.run(MockNavigatorNode, args)
 
 

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mock_servo_node: servo_node without servos, for tests of everything above it.
+"""mock_servo_node: servo_node without servos, for tests of the layers above it.
 
 Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.
-Same names and units as servo_node, and its own code for trajectories; behind them stands a `MockArm` that presses on a
-plane.
-Parameters: rate, where the target is, and `fault`, which makes it misbehave and may be set while it runs:
+Names, units and trajectory code are servo_node's; a `MockArm` that presses on a plane replaces the hardware.
+Parameters: rate, pose of the target, and `fault`, which may be changed at runtime:
 
 silence         servo_state stops
 nan_current     the currents are not measured
 missing         servo 2 does not answer: valid false, its numbers NaN
 hardware_error  servo 2 reports overload and loses its torque until reboot_servos
-jam             nothing moves, whatever the currents
+jam             nothing moves, at any current
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
 
-_BROKEN = 1  # index of the servo that the faults concern
+_BROKEN = 1  # index of the servo affected by the faults
 
 
 class MockServoNode(Node):
@@ -86,7 +85,7 @@ class MockServoNode(Node):
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """Where the mock's platform is, m in charger_base; for tests, which may look behind the interface."""
+        """Position of the mock's platform, m in charger_base; for tests, which may bypass the interface."""
         with self._lock:
             return self._arm.position
 
@@ -178,7 +177,7 @@ class MockServoNode(Node):
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
             if request.data and any(self._error):
-                response.message = "servo 2 reports overload; clear the cause, then call reboot_servos"
+                response.message = "servo 2 reports overload: clear the cause, then call reboot_servos"
                 return response
             if request.data and not all(self._arm.torque_enabled):
                 self._goals.begin_at(tuple(self._arm.angles))
@@ -195,7 +194,7 @@ class MockServoNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; the executable."""
+    """Run the node until SIGINT or SIGTERM."""
     return node_support.run(MockServoNode, args)
 
 

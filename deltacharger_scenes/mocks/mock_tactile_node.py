@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mock_tactile_node: tactile_node without a board, for tests of everything above it.
+"""mock_tactile_node: tactile_node without a board, for tests of the layers above it.
 
-Subscribes: servo_state (where the end effector is and how hard it presses). Publishes: tactile_frame, charger_power,
+Subscribes: servo_state (for the end effector's position and force). Publishes: tactile_frame, charger_power,
 battery, target_battery.
-Serves: tare, set_contactor, probe, with the lease rules of the real node (it uses the same code).
-The frames come from the contact model of deltacharger_tactile, so that misalignment_node works on them.
-Parameters: rate, rig_seed, seed, where the target is (the same as mock_servo_node's), and `fault`, which may be set
-while it runs:
+Serves: tare, set_contactor, probe, with the real node's lease rules (by its code).
+Frames come from deltacharger_tactile's contact model, so that misalignment_node works with them.
+Parameters: rate, rig_seed, seed, pose of the target (as mock_servo_node's), and `fault`, which may be changed at
+runtime:
 
 silence             tactile_frame stops
 zero_frames         all taxels read 0, as without contact
-unsure              the ridges seem to stand upright, which training never saw
-power_silence       charger_power stops, and both batteries are unknown
+unsure              the ridges are rolled upright, a case absent from training
+power_silence       charger_power stops, and both batteries become unknown
 tare_refusal        the tare is refused
-short, open_circuit, reverse_polarity    what the probe finds
+short, open_circuit, reverse_polarity    result of the probe
 contactor_refusal   a close is refused
 no_charge_current   the contactor closes and nothing flows
 contactor_welded    the contactor does not open
@@ -85,7 +85,7 @@ class MockTactileNode(Node):
         pitch = self._model.contact.pad_side / COLUMNS
         self._samples = SamplePublishers(self, qos.LATEST, pitch, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self, frames)
-        steady_timer(self, PERIOD, self._tell_batteries)
+        steady_timer(self, PERIOD, self._publish_batteries)
         group = ReentrantCallbackGroup()
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
@@ -109,11 +109,11 @@ class MockTactileNode(Node):
             self._power.open()
             power = self._power_sample(time.monotonic())
         if self.context.ok():
-            self._samples.power(*power)  # whoever waits to see it open sees it, also where all nodes end at once
+            self._samples.power(*power)  # clients that wait for it to open receive this even if all nodes end at once
 
     @property
     def contactor_closed(self) -> bool:
-        """Whether the contactor is closed; for tests, which may look behind the interface."""
+        """Whether the contactor is closed; for tests, which may bypass the interface."""
         with self._lock:
             return self._power.closed
 
@@ -128,7 +128,7 @@ class MockTactileNode(Node):
                 before = self._power.fault
                 self._power.advance(now, self._touching())
                 frame = self._sample(now, fault)
-                new_fault = self._power.fault != before  # told before an opening can clear it
+                new_fault = self._power.fault != before  # published before an opening can clear it
                 power = self._power_sample(now) if new_fault or now >= next_power else None
             if power is not None:
                 next_power = max(next_power + 1.0 / _POWER_RATE, now)
@@ -139,7 +139,7 @@ class MockTactileNode(Node):
                     self._samples.power(*power)
             due = max(due + period, now - period)
 
-    def _tell_batteries(self) -> None:
+    def _publish_batteries(self) -> None:
         silent = self._fault.active() == "power_silence"
         with self._lock:
             sample, _, _ = self._power_sample(time.monotonic())
@@ -149,7 +149,7 @@ class MockTactileNode(Node):
         return self._position[2] > self._target.z
 
     def _sample(self, now: float, fault: str) -> TactileSample:
-        """Read the pads as the board would: raw, less the tare, clipped at 0."""
+        """Read the pads as the board would: raw, minus tare, clipped at 0."""
         pose = None
         force = 0.0
         if self._touching():
@@ -175,7 +175,7 @@ class MockTactileNode(Node):
         return TactileSample(now, self._sequence, device_time, pads, self._tare is not None, False)
 
     def _power_sample(self, now: float) -> tuple[PowerSample, float, float]:
-        """Return the power stage with the ohm and the age (s) of the last probe."""
+        """Return the power stage's state with resistance (ohm) and age (s) of the last probe."""
         stage = self._power
         voltage = TARGET if self._touching() else math.nan
         power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault)
@@ -197,10 +197,10 @@ class MockTactileNode(Node):
         with self._lock:
             pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_FORCE)
             if self._fault.active() == "tare_refusal" or pressed or self._touching():
-                response.message = "the pads are in contact; lift the end effector before taring"
+                response.message = "the pads are in contact: lift the end effector before taring"
                 return response
             if not self._recent:
-                response.message = "no frame yet; try again"
+                response.message = "no frame yet: try again"
                 return response
             self._tare = np.stack(self._recent).mean(axis=0)
         response.success, response.message = True, "tared"
@@ -237,7 +237,7 @@ class MockTactileNode(Node):
         return response
 
     def _contact_problem(self) -> str:
-        """Return why a close is refused by touch, as tactile_node does; empty where it is not."""
+        """Return why touch forbids a close, as tactile_node does; '' if it does not."""
         if self._fault.active() == "silence":
             return "tactile frames are stale; the contactor stays open"
         if not np.nanmax(self._newest) >= CONTACT_FORCE:
@@ -246,7 +246,7 @@ class MockTactileNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; the executable."""
+    """Run the node until SIGINT or SIGTERM."""
     return node_support.run(MockTactileNode, args)
 
 

@@ -29,19 +29,19 @@ POWER_FAULTS = (
 TACTILE_FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
 DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll", "leaning", "no_normal")
 NAVIGATOR_FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
-_FAULT = "how to misbehave"
+_FAULT = "fault to produce"
 
 
 @dataclass(frozen=True)
 class MockFaultParameters(Bounded):
-    """When a mock misbehaves."""
+    """Delay of a mock's faults."""
 
-    fault_delay: float = number(0.0, 0.0, 1e6, "s", "time from setting the fault (or the start) until it acts")
+    fault_delay: float = number(0.0, 0.0, 1e6, "s", "delay from setting the fault (or the start) until it acts")
 
 
 @dataclass(frozen=True)
 class MockTargetParameters(Bounded):
-    """Where a mock's target is; mock_servo_node and mock_tactile_node must be told the same."""
+    """Pose of a mock's target; mock_servo_node and mock_tactile_node need equal values."""
 
     target_x: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along x")
     target_y: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along y")
@@ -49,10 +49,10 @@ class MockTargetParameters(Bounded):
     target_angle: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the target about +z")
     target_stiffness: float = number(MockTarget.stiffness, 1e3, 2e5, "N/m", "of the contact")
     target_friction: float = number(MockTarget.friction, 0.0, 2.0, "", "coefficient of the contact")
-    target_grip: float = number(MockTarget.grip, 0.0, 200.0, "N", "normal force of the magnets as friction feels it")
+    target_grip: float = number(MockTarget.grip, 0.0, 200.0, "N", "normal force of the magnets, for friction only")
 
     def target(self) -> MockTarget:
-        """Return the target itself."""
+        """Return the target."""
         names = (item.name for item in fields(MockTarget))
         return MockTarget(**{name: getattr(self, f"target_{name}") for name in names})
 
@@ -70,17 +70,17 @@ class MockServoNodeParameters(MockTargetParameters, MockFaultParameters):
 
 @dataclass(frozen=True)
 class MockTactileNodeParameters(MockTargetParameters, MockFaultParameters):
-    """What the mock pads feel."""
+    """Readings of the mock pads."""
 
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
-    rig_seed: int = number(0, 0, 2**31 - 1, "", "which device's gains and offsets")
-    seed: int = number(0, 0, 2**31 - 1, "", "course of noise and jitter")
+    rig_seed: int = number(0, 0, 2**31 - 1, "", "simulated device, with its gains and offsets")
+    seed: int = number(0, 0, 2**31 - 1, "", "random numbers of noise and jitter")
     fault: str = choice("none", TACTILE_FAULTS, _FAULT, live=True)
 
 
 @dataclass(frozen=True)
 class MockDetectorNodeParameters(MockFaultParameters):
-    """Where the electrodes seem to be."""
+    """Reported pose of the electrodes."""
 
     x: float = number(0.0, -1.0, 1.0, "m", "electrodes along x of charger_base")
     y: float = number(0.0, -1.0, 1.0, "m", "electrodes along y of charger_base")
@@ -96,15 +96,15 @@ class MockDetectorNodeParameters(MockFaultParameters):
 
 @dataclass(frozen=True)
 class MockNavigatorNodeParameters(MockFaultParameters):
-    """Where the mock base stands, and how well it drives."""
+    """Initial pose and driving of the mock base."""
 
-    x: float = number(0.0, -1e5, 1e5, "m", "where the base stands at first, x")
-    y: float = number(0.0, -1e5, 1e5, "m", "where the base stands at first, y")
-    yaw: float = number(0.0, -1e5, 1e5, "rad", "where the base stands at first, yaw")
+    x: float = number(0.0, -1e5, 1e5, "m", "initial x of the base")
+    y: float = number(0.0, -1e5, 1e5, "m", "initial y of the base")
+    yaw: float = number(0.0, -1e5, 1e5, "rad", "initial yaw of the base")
     frame: str = words("map", "of its poses; goals in another one are aborted")
     speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base")
     turn_speed: float = number(1.0, 0.01, 1000.0, "rad/s", "of the base")
-    miss_x: float = number(0.0, -1.0, 1.0, "m", "how far beside a goal it stops, x")
-    miss_y: float = number(0.0, -1.0, 1.0, "m", "how far beside a goal it stops, y")
-    miss_yaw: float = number(0.0, -1.0, 1.0, "rad", "how far beside a goal it stops, yaw")
+    miss_x: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, x")
+    miss_y: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, y")
+    miss_yaw: float = number(0.0, -1.0, 1.0, "rad", "offset from a goal when it stops, yaw")
     fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, live=True)

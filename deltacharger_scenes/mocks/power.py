@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power stage of the mock nodes: contactor, lease, probe and charge current. Pure; the clock is passed in."""
+"""The mock nodes' power stage: contactor, lease, probe and charge current. Pure; the caller passes the time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX
 TARGET = 23.5  # V, open circuit
 CHARGE_CURRENT = 5.0  # A once ramped up
 _RISE = 0.1  # s, time constant of the ramp
-_GRACE = 0.5  # s after a close before a missing current is a fault
-_RESISTANCE = 470.0  # ohm that the probe sees through a healthy contact
+_GRACE = 0.5  # s after a close until missing current is a fault
+_RESISTANCE = 470.0  # ohm, probe result of a good contact
 
 
 class MockPower:
-    """What the board's power stage shows to tactile_node's clients.
+    """The board's power stage as tactile_node's clients see it.
 
     Attributes:
-        lease: the lease on the contactor, the driver's own logic.
+        lease: on the contactor, by the driver's own code.
         closed: whether the contactor is closed.
         current: A into the target.
         fault: code of ChargerPower, latched until the next opening command.
@@ -38,7 +38,7 @@ class MockPower:
         self._last: float | None = None
 
     def advance(self, now: float, contact: bool) -> None:
-        """Let time pass until `now` (s) with or without contact between the electrodes."""
+        """Advance to `now` (s), with or without contact between the electrodes."""
         step = 0.0 if self._last is None else max(now - self._last, 0.0)
         self._last = now
         if self.lease.has_lapsed(now):
@@ -57,7 +57,7 @@ class MockPower:
             LeaseRefused: the contactor is closed.
         """
         if self.closed:
-            raise LeaseRefused("the contactor is closed; open it before probing")
+            raise LeaseRefused("the contactor is closed: open it before probing")
         resistance, voltage = (_RESISTANCE, TARGET) if contact else (math.inf, math.nan)
         if contact:
             resistance = {"short": 0.05, "open_circuit": math.inf}.get(self.misbehaviour, resistance)
@@ -69,12 +69,12 @@ class MockPower:
         """Close or renew.
 
         Raises:
-            LeaseRefused: by the lease, by a latched fault, or because the mock was told to.
+            LeaseRefused: by the lease, a latched fault, or the mock's misbehaviour.
         """
         if self.misbehaviour == "contactor_refusal":
             raise LeaseRefused("the board's interlock keeps the contactor open")
         if self.fault:
-            raise LeaseRefused(f"fault {self.fault} is latched; open the contactor to clear it")
+            raise LeaseRefused(f"fault {self.fault} is latched: open the contactor to clear it")
         self.lease.take(holder, duration, now, token)
         if not self.closed:
             self.closed, self._closed_at = True, now

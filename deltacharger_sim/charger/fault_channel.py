@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How faults are ordered from a simulated charger that runs in another process: a Unix socket beside its ports.
+"""Cause faults in a simulated charger that runs in another process, through a Unix socket beside its ports.
 
-One connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
+Each connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
 "amount"} with the keys of a scene's fault, {"command": "clear"}, {"command": "active"}, {"command": "ports"}. Answers:
 {"success": true, "active": [...]}, {"success": true, "ports": [...]} or {"success": false, "error"}. Only the user who
-runs the charger may connect. Both sides have bounds in time and bytes, and no client waits for another.
+runs the charger may connect. Time and bytes are bounded on both sides, and clients do not wait for each other.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ SOCKET = runtime.CONTROL
 """Name of the socket in the ports' folder."""
 _LONGEST_LINE = 16384  # bytes of a request
 _LONGEST_ANSWER = 2**18  # bytes
-_PATIENCE = 1.0  # s for a client to say its line and take the answer
-_PAUSE = 0.02  # s before one who could not be let in is tried again
-_CLIENTS_MAX = 64  # conversations at once; the oldest gives way
-_LONGEST_PATH = 100  # bytes of a socket's path that every system takes
+_PATIENCE = 1.0  # s for a client to send its line and receive the answer
+_PAUSE = 0.02  # s before a failed accept is repeated
+_CLIENTS_MAX = 64  # simultaneous conversations; the oldest is closed for a new one
+_LONGEST_PATH = 100  # bytes of a socket's path that every system accepts
 
 Answer = dict[str, Any]
 
 
 class Registration:
-    """A link under which a charger's socket is found; takes the place of one whose charger is gone.
+    """A link that leads to a charger's socket; replaces the link of a charger that has ended.
 
     Raises:
-        FileExistsError: a charger that runs has the name.
-        OSError: the folder cannot be made, or belongs to somebody else.
+        FileExistsError: a running charger has the name.
+        OSError: the folder cannot be created, or belongs to another user.
     """
 
     def __init__(self, name: Path, target: Path) -> None:
@@ -50,14 +50,14 @@ class Registration:
         self._target = str(target.absolute())
         runtime.make(name.parent)
         if _listens(name):
-            raise FileExistsError(f"{name} leads to another charger that runs")
+            raise FileExistsError(f"{name} leads to another running charger")
         beside = name.with_name(f".{name.name}.{os.getpid()}")
         beside.unlink(missing_ok=True)
         beside.symlink_to(self._target)
         beside.replace(name)
 
     def remove(self) -> None:
-        """Remove the link, unless another charger has taken it over."""
+        """Remove the link, unless another charger has replaced it."""
         with contextlib.suppress(OSError):
             if os.readlink(self._name) == self._target:
                 self._name.unlink()
@@ -67,7 +67,7 @@ def _listens(path: Path) -> bool:
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
             _connect(connection, address, time.monotonic() + _PATIENCE)
-    except TimeoutError:  # somebody does, and hangs
+    except TimeoutError:  # a process listens, but hangs
         return True
     except OSError:
         return False
@@ -75,7 +75,7 @@ def _listens(path: Path) -> bool:
 
 
 def answer(faults: Faults, request: Any, ports: Sequence[str] = ()) -> Answer:
-    """Carry out one request and return what to answer; `ports` are the terminals that the charger serves."""
+    """Execute one request and return the answer; `ports` are the charger's terminals."""
     command = request.get("command") if isinstance(request, dict) else None
     if command == "ports":
         return {"success": True, "ports": list(ports)}
@@ -88,19 +88,19 @@ def answer(faults: Faults, request: Any, ports: Sequence[str] = ()) -> Answer:
     elif command == "clear":
         faults.clear()
     elif command != "active":
-        return {"success": False, "error": f"unknown command {command!r}; there are begin, clear, active, ports"}
+        return {"success": False, "error": f"unknown command {command!r}: give begin, clear, active or ports"}
     return {"success": True, "active": faults.active()}
 
 
 class ControlServer:
-    """Answer requests on a Unix socket from a thread of its own. A silent client is dropped and delays nobody.
+    """Answers requests on a Unix socket in a separate thread. A silent client is dropped and delays no other.
 
     Args:
-        path: of the socket; an older one is replaced.
+        path: of the socket; an existing one is replaced.
         handler: answers a request.
 
     Raises:
-        OSError: the socket cannot be made, or something else stands there.
+        OSError: the socket cannot be created, or another file is in its place.
     """
 
     def __init__(self, path: Path, handler: Callable[[Any], Answer]) -> None:
@@ -126,7 +126,7 @@ class ControlServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering and remove the socket, unless another charger has taken its place."""
+        """Stop answering and remove the socket, unless another charger has replaced it."""
         self._wake.close()
         self._thread.join()
         self._woken.close()
@@ -147,11 +147,11 @@ class ControlServer:
                     if client in ready:
                         conversation.go_on(selector)
                     if conversation.time_left() <= 0.0:
-                        self._let_go(selector, client)
+                        self._drop(selector, client)
                 if self._listener in ready:
                     self._accept(selector)
             for client in list(self._clients):
-                self._let_go(selector, client)
+                self._drop(selector, client)
 
     def _time_left(self) -> float | None:
         oldest = next(iter(self._clients.values()), None)
@@ -160,42 +160,42 @@ class ControlServer:
     def _accept(self, selector: selectors.BaseSelector) -> None:
         try:
             client, _ = self._listener.accept()
-        except OSError:  # gone already, or there are no more descriptors: then it must not be asked again at once
+        except OSError:  # client gone, or no descriptors left: do not repeat at once
             time.sleep(_PAUSE)
             return
         client.setblocking(False)
         if len(self._clients) == _CLIENTS_MAX:
-            self._let_go(selector, next(iter(self._clients)))
+            self._drop(selector, next(iter(self._clients)))
         self._clients[client] = _Conversation(client, self._handler)
         selector.register(client, selectors.EVENT_READ)
 
-    def _let_go(self, selector: selectors.BaseSelector, client: socket.socket) -> None:
+    def _drop(self, selector: selectors.BaseSelector, client: socket.socket) -> None:
         del self._clients[client]
         selector.unregister(client)
         client.close()
 
 
 class _Conversation:
-    """One line comes, one line goes."""
+    """One request line and one answer line."""
 
     def __init__(self, client: socket.socket, handler: Callable[[Any], Answer]) -> None:
         self._client = client
         self._handler = handler
         self._end = time.monotonic() + _PATIENCE
-        self._said = b""
+        self._request = b""
         self._reply = b""
 
     def time_left(self) -> float:
-        """Return how long it may last; 0 or less where it is over."""
+        """Return the remaining time, s; ≤ 0 at its end."""
         return self._end - time.monotonic()
 
     def go_on(self, selector: selectors.BaseSelector) -> None:
-        """Take or give what can be without waiting."""
+        """Read or write as much as possible without waiting."""
         try:
             if not self._reply:
                 part = self._client.recv(_LONGEST_LINE)
-                self._said += part
-                if part and b"\n" not in part and len(self._said) < _LONGEST_LINE:
+                self._request += part
+                if part and b"\n" not in part and len(self._request) < _LONGEST_LINE:
                     return
                 self._reply = json.dumps(self._answer()).encode() + b"\n"
                 selector.modify(self._client, selectors.EVENT_WRITE)
@@ -209,12 +209,12 @@ class _Conversation:
 
     def _answer(self) -> Answer:
         try:
-            request = json.loads(self._said.partition(b"\n")[0])
+            request = json.loads(self._request.partition(b"\n")[0])
         except (ValueError, RecursionError):
             return {"success": False, "error": "not one line of JSON"}
         try:
             return self._handler(request)
-        except Exception as error:  # one request must not end the service of others
+        except Exception as error:  # one bad request must not end the service
             return {"success": False, "error": f"{type(error).__name__}: {error}"}
 
 
@@ -227,8 +227,8 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
         timeout: for all of it, s.
 
     Raises:
-        ConnectionError: nothing listens there.
-        OSError: it does not answer in time, or not as a charger does, or may not be asked.
+        ConnectionError: no process listens there.
+        OSError: the answer is late or invalid, or the user may not connect.
     """
     end = time.monotonic() + timeout
     try:
@@ -244,26 +244,26 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     try:
         reply = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise OSError("what answers there is no charger") from error
+        raise OSError("the answering program is not a charger") from error
     if not _is_answer(reply):
-        raise OSError("what answers there is no charger of this version")
+        raise OSError("the answering program is not a charger of this version")
     return dict(reply)
 
 
 def _connect(connection: socket.socket, address: str, end: float) -> None:
-    """Connect, also where others wait to be let in; TimeoutError where that takes longer than until `end`."""
+    """Connect, even while the server's queue is full; TimeoutError after `end`."""
     connection.setblocking(False)
     while True:
         try:
             return connection.connect(address)
         except BlockingIOError as error:
             if time.monotonic() >= end:
-                raise TimeoutError("nobody lets it in") from error
+                raise TimeoutError("the connection was not accepted") from error
             time.sleep(_PAUSE)
 
 
 def _line(connection: socket.socket, end: float) -> bytes:
-    """Return what comes up to the end of a line, or of the connection.
+    """Return the bytes up to the end of the line or of the connection.
 
     Raises:
         OSError: it takes longer than until `end` (s, monotonic), or is longer than an answer.
@@ -272,7 +272,7 @@ def _line(connection: socket.socket, end: float) -> bytes:
     while not line.endswith(b"\n"):
         left = end - time.monotonic()
         if left <= 0.0 or len(line) > _LONGEST_ANSWER:
-            raise TimeoutError("there is no end of its answer")
+            raise TimeoutError("the answer did not end")
         connection.settimeout(left)
         part = connection.recv(_LONGEST_ANSWER)
         if not part:
@@ -299,7 +299,7 @@ def _is_active(each: Any) -> bool:
 
 @contextlib.contextmanager
 def _short(path: Path) -> Iterator[str]:
-    """Yield a name of a socket that fits into an address, which holds 108 bytes at most."""
+    """Yield a socket name that fits into an address, which holds 108 bytes."""
     if len(os.fsencode(path)) <= _LONGEST_PATH:
         yield str(path)
         return

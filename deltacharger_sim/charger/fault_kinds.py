@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be made to go wrong with emulated hardware: every kind by name, with whom it concerns and how much of it.
+"""All kinds of faults of the emulated hardware, by name, with the affected servos and the amount.
 
-Each is done by the emulators' own hooks, so the driver meets it where it would on the robot: on the wire.
+Each kind uses the emulators' hooks, so the driver meets it as on the robot: on the wire.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 ONE, SOME = "one", "some"
-"""Whom a fault of the servos concerns: one of them (the second where none is named), or all where none is named."""
+"""Servos affected by a fault: one (default: the second), or several (default: all)."""
 SERVOS = len(JOINTS)
 _SPEEDS = {speed: value for value, speed in SPEEDS.items()}
 _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "overload": 5}  # bits of the MX-64
@@ -31,7 +31,7 @@ _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "o
 
 @dataclass(frozen=True)
 class Hardware:
-    """What faults can befall: both emulators and the terminals that serve them."""
+    """The affected hardware: both emulators and the terminals that serve them."""
 
     servos: ServoBusEmulator
     board: BoardEmulator
@@ -41,7 +41,7 @@ class Hardware:
 
 @dataclass(frozen=True)
 class FaultOrder:
-    """One fault to cause: servo (1 to 3, 0 = all), amount in the kind's unit, and when (s, monotonic)."""
+    """One fault to cause: servo (1 to 3, 0 = all), amount in the kind's unit, time (s, monotonic)."""
 
     servo: int
     amount: float
@@ -49,7 +49,7 @@ class FaultOrder:
 
     @property
     def place(self) -> int:
-        """Of the servo on the bus."""
+        """Index of the servo on the bus."""
         return self.servo - 1
 
 
@@ -59,14 +59,14 @@ Apply = Callable[[Hardware, FaultOrder], "Undo | None"]
 
 @dataclass(frozen=True)
 class Amount:
-    """What `amount` means for a kind.
+    """Meaning of a kind's `amount`.
 
     Attributes:
-        name: with unit and what is allowed, e.g. "a share of 0 to 1".
-        low, high: what is allowed.
+        name: with unit and range, e.g. "a share of 0 to 1".
+        low, high: range.
         default: where none is given.
-        choice: only these are allowed; empty = all from `low` to `high`.
-        whole: only whole numbers are.
+        choice: allowed values; empty = all from `low` to `high`.
+        whole: whether only whole numbers are allowed.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Amount:
     whole: bool = False
 
     def problem(self, value: float) -> str:
-        """Return what is wrong with a value, '' for nothing."""
+        """Return what is wrong with a value; '' = nothing."""
         fits = self.low <= value <= self.high and (not self.whole or float(value).is_integer())
         return "" if fits and (not self.choice or value in self.choice) else f"{value:.10g} is not {self.name}"
 
@@ -87,12 +87,12 @@ class Kind:
     """One kind of fault.
 
     Attributes:
-        text: what happens.
-        apply: causes it, and returns what ends it.
-        lasts: until it is ended; the others are over at once.
-        servo: ONE, SOME, or '' where it concerns no servo.
-        amount: None where there is nothing to measure.
-        several: different amounts of it stand side by side.
+        text: description.
+        apply: causes it, and returns the function that ends it.
+        lasts: whether it lasts until it is ended; else it is momentary.
+        servo: ONE, SOME, or '' if it affects no servo.
+        amount: None if it has no amount.
+        several: whether faults with different amounts may coexist.
     """
 
     text: str
@@ -116,14 +116,14 @@ def _board_share(kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
 
 
 def _servo_missing(hardware: Hardware, order: FaultOrder) -> Undo:
-    # What has no supply has no torque either, and comes back as after a restart.
+    # Without supply, a servo loses its torque and later returns as after a restart.
     hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
     hardware.servos.faults.missing.add(order.servo)
     return lambda: hardware.servos.faults.missing.discard(order.servo)
 
 
 def _wire(device: str, name: str, hardware: Hardware, order: FaultOrder) -> Undo:
-    """Make the wire to "servos" or "board" late by the amount, or deaf, or silent."""
+    """Delay the wire to "servos" or "board" by the amount, or block one direction."""
     faults = getattr(hardware, device).faults
     before = getattr(faults, name)
     setattr(faults, name, order.amount if name == "delay" else True)
@@ -215,14 +215,14 @@ KINDS: dict[str, Kind] = {
         for name, bit in _HARDWARE_ERRORS.items()
     },
     "servo_undervoltage": Kind(
-        "the servo's supply sags to `amount` V; the error that it latches outlives it",
+        "the servo's supply sags to `amount` V; its latched error remains",
         _servo_undervoltage,
         servo=ONE,
         amount=_VOLTS,
     ),
-    "servo_watchdog": Kind("the servo stops as if it had heard nothing", _servo_watchdog, lasts=False, servo=ONE),
+    "servo_watchdog": Kind("the servo stops as without commands", _servo_watchdog, lasts=False, servo=ONE),
     "servo_wrong_baud": Kind(
-        "the servo listens at `amount` bit/s and hears nothing at another speed",
+        "the servo listens at `amount` bit/s and ignores any other speed",
         _servo_wrong_baud,
         servo=ONE,
         amount=_SPEED,
@@ -231,15 +231,15 @@ KINDS: dict[str, Kind] = {
         "the servo takes the id `amount`; their replies collide", _servo_duplicate_id, servo=ONE, amount=_ID
     ),
     "servo_deaf": Kind(
-        "nothing reaches the servos; after 0.12 s they stop by themselves", functools.partial(_wire, "servos", "deaf")
+        "nothing reaches the servos; they stop after 0.12 s", functools.partial(_wire, "servos", "deaf")
     ),
     "servo_delay": Kind(
-        "every reply of the servos comes `amount` s late", functools.partial(_wire, "servos", "delay"), amount=_DELAY
+        "every reply of the servos arrives `amount` s late", functools.partial(_wire, "servos", "delay"), amount=_DELAY
     ),
     "servo_unplugged": Kind("the servo port disappears", functools.partial(_unplugged, "servo")),
     **{
         f"servo_{name}": Kind(
-            f"a share `amount` of the servos' replies suffers: {name}",
+            f"a share `amount` of the servos' replies is corrupted: {name}",
             functools.partial(_servo_share, name),
             servo=SOME,
             amount=_SHARE,
@@ -252,14 +252,14 @@ KINDS: dict[str, Kind] = {
     "board_silent": Kind("nothing leaves the board", functools.partial(_wire, "board", "silent")),
     "board_deaf": Kind("nothing reaches the board", functools.partial(_wire, "board", "deaf")),
     "board_delay": Kind(
-        "everything that the board sends comes `amount` s late",
+        "every packet of the board arrives `amount` s late",
         functools.partial(_wire, "board", "delay"),
         amount=_DELAY,
     ),
     "board_unplugged": Kind("the board's port disappears", functools.partial(_unplugged, "board")),
     **{
         f"board_{name}": Kind(
-            f"a share `amount` of the board's packets suffers: {name}",
+            f"a share `amount` of the board's packets is corrupted: {name}",
             functools.partial(_board_share, name),
             amount=_SHARE,
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of emulated hardware in time: those that a scene orders beforehand and those ordered while it runs."""
+"""Schedule faults of emulated hardware: from the scene, and on request while it runs."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ _log = logging.getLogger(__name__)
 class Fault(Bounded):
     """One fault."""
 
-    kind: str = words("", "what happens: " + ", ".join(KINDS))
+    kind: str = words("", "one of " + ", ".join(KINDS))
     at: float = number(0.0, 0.0, 1e6, "s", "after the simulated charger's start")
     last: float = number(0.0, 0.0, 1e6, "s", "until it is over; 0 = for good")
-    servo: int = number(0, 0, SERVOS, "", "id; 0 = servo 2 where it concerns one, all where it may concern several")
+    servo: int = number(0, 0, SERVOS, "", "id; 0 = servo 2 for a fault of one servo, all for a fault of several")
     amount: float | None = number(
-        None, -math.inf, math.inf, "", "share 0 to 1, s, V, bit/s, id, taxel or fault code, as its kind says"
+        None, -math.inf, math.inf, "", "share 0 to 1, s, V, bit/s, id, taxel or fault code, depending on kind"
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.kind not in KINDS:
-            raise ParameterError("kind", self.kind, f"{self.kind!r} is no fault; there are {', '.join(KINDS)}")
+            raise ParameterError("kind", self.kind, f"unknown fault {self.kind!r}: give one of {', '.join(KINDS)}")
         kind = KINDS[self.kind]
         if self.last and not kind.lasts:
-            raise ParameterError("last", self.last, f"{self.kind} is over at once and cannot be given a duration")
+            raise ParameterError("last", self.last, f"{self.kind} is momentary: leave out its duration")
         if self.servo and not kind.servo:
-            raise ParameterError("servo", self.servo, f"{self.kind} concerns no single servo")
+            raise ParameterError("servo", self.servo, f"{self.kind} does not affect a single servo: leave out servo")
         self._check_amount(kind)
 
     def _check_amount(self, kind: Kind) -> None:
@@ -51,18 +51,18 @@ class Fault(Bounded):
         else:
             problem = kind.amount.problem(self.amount)
         if not problem and self.kind == "servo_duplicate_id" and self.whom == self.how_much:
-            problem = f"servo {self.whom} has that id already; give another amount or servo"
+            problem = f"servo {self.whom} already has that id: give another amount or servo"
         if problem:
             raise ParameterError("amount", self.amount, problem)
 
     @property
     def whom(self) -> int:
-        """The servo that it concerns, 0 = none in particular."""
+        """The affected servo, 0 = none in particular."""
         return self.servo or (2 if KINDS[self.kind].servo == ONE else 0)
 
     @property
     def how_much(self) -> float:
-        """Its amount, the kind's usual one where none was given, 0 where there is nothing to measure."""
+        """Its amount: the given one, else the kind's default; 0 if the kind has none."""
         amount = KINDS[self.kind].amount
         if self.amount is not None:
             return self.amount
@@ -70,7 +70,7 @@ class Fault(Bounded):
 
     @property
     def key(self) -> tuple[str, int, float]:
-        """What tells faults apart; a second one with the same key takes the first one's place."""
+        """Identifies a fault; a new fault replaces an active one with the same key."""
         return self.kind, self.whom, self.how_much if KINDS[self.kind].several else 0.0
 
 
@@ -82,13 +82,13 @@ class _Active:
 
 
 class Faults:
-    """Causes and ends faults; thread-safe. A thread of its own exists only where something is to happen later.
+    """Causes and ends faults; thread-safe. Its thread exists only while an event is scheduled.
 
-    What fails in that thread is logged as an error with the fault's kind, and the others come and go in their time.
+    An error in that thread is logged with the fault's kind; other faults continue as scheduled.
 
     Args:
-        scheduled: what a scene orders, at times after now.
-        hardware: whom it befalls.
+        scheduled: faults of the scene, at times after now.
+        hardware: to affect.
         clock: s, monotonic.
     """
 
@@ -106,7 +106,7 @@ class Faults:
             self._plan(start + fault.at, fault.kind, functools.partial(self.begin, fault))
 
     def begin(self, fault: Fault) -> None:
-        """Cause a fault now, whatever its `at`; it ends after its `last`, or with `clear`."""
+        """Cause a fault now, regardless of its `at`; it ends after its `last`, or with `clear`."""
         kind = KINDS[fault.kind]
         with self._condition:
             self._end(fault.key)
@@ -120,13 +120,13 @@ class Faults:
                 self._plan(until, f"the end of {fault.kind}", lambda: self._end(fault.key, active))
 
     def clear(self) -> None:
-        """End every fault that lasts; what latched errors remain is for the driver to clear."""
+        """End all lasting faults; latched errors remain for the driver to clear."""
         with self._condition:
             for key in reversed(list(self._active)):
                 self._end(key)
 
     def active(self) -> list[dict[str, Any]]:
-        """Return the faults that last: kind, servo and amount (None = has none), remaining_s (None = for good)."""
+        """Return the lasting faults: kind, servo and amount (None = has none), remaining_s (None = unlimited)."""
         with self._condition:
             now = self._clock()
             return [
@@ -140,7 +140,7 @@ class Faults:
             ]
 
     def close(self) -> None:
-        """Cause no more faults. Safe to call twice."""
+        """Cause no further faults. Safe to call twice."""
         with self._condition:
             self._stopping = True
             self._condition.notify_all()
@@ -175,5 +175,5 @@ class Faults:
     def _do(self, what: str, action: Callable[[], None]) -> None:
         try:
             action()
-        except Exception:  # one fault that cannot be is no reason for the others to stay away
+        except Exception:  # an impossible fault must not stop the others
             _log.exception("simulated fault failed: %s", what)

@@ -17,7 +17,7 @@ from deltacharger_vision.rendering.parameters import CameraParameters
 
 @dataclass(frozen=True)
 class ImageParameters(Bounded):
-    """Defects of the images, as the rendered camera has them."""
+    """Defects of the rendered images."""
 
     exposure: float = like(CameraParameters, "exposure")
     defocus: float = like(CameraParameters, "defocus")
@@ -30,7 +30,7 @@ class ImageParameters(Bounded):
 
 @dataclass(frozen=True)
 class SimulatedCameraNodeParameters(Bounded):
-    """Where target and camera are, what else is seen, and how it is drawn."""
+    """Poses of target and camera, surroundings, and rendering."""
 
     rate: float = number(10.0, 0.1, 120.0, "Hz", "images per second")
     seed: int = number(1, 0, 2**31 - 1, "", "surroundings, light, noise and the mount's error")
@@ -39,13 +39,11 @@ class SimulatedCameraNodeParameters(Bounded):
         -math.inf,
         math.inf,
         "",
-        "where the camera is believed to be in charger_base: x, y, z in m, then the quaternion x, y, z, w",
+        "assumed pose of the camera in charger_base: x, y, z in m, then the quaternion x, y, z, w",
     )
-    hand_eye_position_stddev: float = number(
-        0.0, 0.0, 0.05, "m", "by how much the camera sits elsewhere, drawn per axis"
-    )
-    hand_eye_rotation_stddev: float = number(0.0, 0.0, 0.2, "rad", "by how much it looks elsewhere, drawn per axis")
-    target_present: bool = flag(True, "whether there is a target")
+    hand_eye_position_stddev: float = number(0.0, 0.0, 0.05, "m", "error of that position, drawn per axis")
+    hand_eye_rotation_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of that orientation, drawn per axis")
+    target_present: bool = flag(True, "false = no target")
     target_x: float = number(0.0, -2.0, 2.0, "m", "electrodes along x of charger_base")
     target_y: float = number(0.0, -2.0, 2.0, "m", "electrodes along y of charger_base")
     target_z: float = number(DOCK_DISTANCE, -2.0, 2.0, "m", "electrodes along z of charger_base")
@@ -53,14 +51,14 @@ class SimulatedCameraNodeParameters(Bounded):
     target_tilt_x: float = number(0.0, -1.6, 1.6, "rad", "of the electrodes about x")
     target_tilt_y: float = number(0.0, -1.6, 1.6, "rad", "of the electrodes about y")
     clutter: int = number(0, 0, 100, "", "boxes around the target")
-    decoys: int = number(0, 0, 20, "", "things around it that resemble electrodes")
+    decoys: int = number(0, 0, 20, "", "objects around it that resemble electrodes")
     glare: float = number(-1.0, -1.0, 20.0, "", "highlight on the metal, 1 = full scale; negative = drawn by seed")
     width: int = number(OAK_D.width, 64, 4096, "px", "of the image")
     height: int = number(OAK_D.height, 40, 4096, "px", "of the image")
     renderer: str = choice(
         "numpy",
         ("numpy", "mujoco"),
-        "numpy: a ray-caster that needs nothing else; mujoco: OpenGL with shadows, deltacharger[sim]",
+        "numpy: a ray-caster without other libraries; mujoco: OpenGL with shadows, deltacharger[sim]",
     )
     board: str = words(
         "", "calibration board on the platform, such as apriltag:36h11:0 or charuco:4x4_50:5x4; empty = none"

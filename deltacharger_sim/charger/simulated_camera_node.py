@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""simulated_camera_node: an RGB-D camera on the simulated charger, on the topics of a real one.
+"""simulated_camera_node: a simulated RGB-D camera on the topics of a real one.
 
-Publishes, only while somebody subscribes: color/image_raw (rgb8), depth/image_raw (16UC1, mm), color/camera_info.
-Subscribes, only then: servo_state, for where arms and platform are in the picture.
-Parameters: where the target is, how the camera is mounted and how wrong that is, its image and its defects.
-It drives nothing. A target that is not there leaves plate and electrodes out of the picture.
+Publishes, only while there are subscribers: color/image_raw (rgb8), depth/image_raw (16UC1, mm), color/camera_info.
+Subscribes, only then: servo_state, to draw arms and platform.
+Parameters: pose of the target, assumed mount and its error, image and its defects.
+It commands nothing. Without a target, the picture has neither plate nor electrodes.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 from deltacharger_vision.ros.publishers import CameraPublishers
 
-_PAUSE = 0.05  # s between two looks for subscribers
+_PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
 Camera = SimulatedCamera | MujocoCamera
 
 
 def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Array:
-    """Return charger_base_T_camera (4, 4), its drawn error included.
+    """Return charger_base_T_camera (4, 4), including its drawn error.
 
     Raises:
-        VisionError: the mount is no pose.
+        VisionError: the mount is not a valid pose.
     """
     pose = Mount.from_numbers(given.mount).pose
     pose[:3, :3] = turn(given.hand_eye_rotation_stddev * random.normal(size=3)) @ pose[:3, :3]
@@ -69,7 +69,7 @@ def _target_pose(given: SimulatedCameraNodeParameters) -> Array:
 
 
 def _scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> RenderedScene:
-    """Return what else is in the picture."""
+    """Return the rest of the scene."""
     drawn = draw_scene(random, clutter=given.clutter, decoys=given.decoys, target=given.target_present)
     if given.glare < 0.0:
         return drawn
@@ -77,13 +77,13 @@ def _scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) ->
 
 
 def _camera_maker(given: SimulatedCameraNodeParameters, defects: ImageParameters) -> Callable[[], Camera]:
-    """Return what makes the camera, in the thread that renders."""
+    """Return a factory of the camera, to be called in the rendering thread."""
     kind = MujocoCamera if given.renderer == "mujoco" else SimulatedCamera
     return lambda: kind(OAK_D.scaled(given.width, given.height), CameraParameters(**dataclasses.asdict(defects)))
 
 
 def _try_out(node: Node, make: Callable[[], Camera]) -> None:
-    """Make the camera once, so that what is wrong with it stops the node at its start."""
+    """Make the camera once, so that errors stop the node at its start."""
     try:
         camera = make()
     except VisionError as error:
@@ -96,7 +96,7 @@ def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
     """Return the calibration board on the platform and end_effector_T_board (4, 4), or None.
 
     Raises:
-        VisionError: there is no such board, or its pose is none.
+        VisionError: the board is unknown, or its pose is invalid.
     """
     if not given.board:
         return None
@@ -105,11 +105,11 @@ def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
 
 
 class SimulatedCameraNode(Node):
-    """See the module's docstring. Images are made in a thread of their own.
+    """See the module's docstring. Images are rendered in a separate thread.
 
     Attributes:
-        looks: how often it looked for subscribers.
-        rendered: how many images it made.
+        looks: checks for subscribers so far.
+        rendered: images so far.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -138,7 +138,7 @@ class SimulatedCameraNode(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._stopping.set()
         self._thread.join(5.0)
 
@@ -164,13 +164,13 @@ class SimulatedCameraNode(Node):
             self._angles = None
 
     def _await_arm(self) -> None:
-        """Wait for the arm's angles where there is an arm: the first image must show it like all others."""
+        """Wait for the arm's angles if there is an arm: the first image must show it, too."""
         end = time.monotonic() + _ARM
         while self._angles is None and self.count_publishers("servo_state") and time.monotonic() < end:
             self._stopping.wait(0.005)
 
     def _publish(self, camera: Camera) -> None:
-        """Publish what somebody wants; an image alone is rendered, with depth only where that is wanted."""
+        """Publish the requested topics; renders depth only if it is requested."""
         deep = self._images.wanted(DEPTH)
         if not deep and not self._images.wanted(COLOR):
             self._images.info(camera.intrinsics)
@@ -182,7 +182,7 @@ class SimulatedCameraNode(Node):
         self._images.image(image, taken, deep)
 
     def _with_charger(self) -> RenderedScene:
-        """Return the scene with the charger's own parts as they stand; without them before the angles are known."""
+        """Return the scene with the charger's parts at their present pose; without them until the angles are known."""
         if self._angles is None:
             return self._scene
         platform = self._kinematics.forward(*self._angles)

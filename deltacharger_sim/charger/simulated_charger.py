@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
+"""Simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
 
-It is there because there is no hardware: nodes, driver and bytes are those of the robot, in its real time.
-What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).
-Nothing here knows ROS.
+It replaces the missing hardware: nodes, driver and bytes are the robot's, in real time. A program that opens the ports
+cannot distinguish them from the robot's. A socket beside them accepts faults (fault_channel). No ROS is used here.
 """
 
 from __future__ import annotations
@@ -34,18 +33,18 @@ _SERVO, _BOARD = "servo", "board"  # names of the ports
 
 
 class SimulatedCharger:
-    """Serve the emulated servo bus and board until stopped.
+    """Serves the emulated servo bus and board until stopped.
 
     Args:
-        simulation: what is simulated.
-        directory: where the ports appear, as `servo` and `board`, and the socket `control` for faults; None makes a
-            temporary one and removes it again.
-        namespace: of the charger, under which `deltacharger fault` finds it.
+        simulation: its parameters.
+        directory: of the ports `servo` and `board`, and of the socket `control` for faults; None creates a
+            temporary one and removes it at the end.
+        namespace: of the charger; `deltacharger fault` finds the charger by it.
 
     Attributes:
-        servo_port: path of the servo bus, or `board` where it hangs on that.
+        servo_port: path of the servo bus, or `board` if the servos are connected to the board.
         board_port: path of the board.
-        faults: what goes wrong with the hardware; None before the start.
+        faults: of the hardware; None before the start.
     """
 
     def __init__(self, simulation: Simulation, directory: Path | None = None, namespace: str = "") -> None:
@@ -83,7 +82,7 @@ class SimulatedCharger:
         return self
 
     def stop(self) -> None:
-        """Close both ports, as if the cables were pulled. Safe to call twice."""
+        """Close both ports, as if unplugged. Safe to call twice."""
         self._opened.close()
         self._terminals.clear()
 
@@ -95,16 +94,16 @@ class SimulatedCharger:
 
     @property
     def board_heard(self) -> float:
-        """When the board's host last sent something, s, monotonic; -inf = never."""
+        """When the board's host last sent a byte, s, monotonic; -inf = never."""
         tap = self._taps.get(_BOARD)
         return -math.inf if tap is None else tap.last
 
     def errors(self) -> list[BaseException]:
-        """Return what broke an emulator's thread; empty when both serve."""
+        """Return the errors that ended an emulator's thread; empty while both serve."""
         return [terminal.error for terminal in self._terminals if terminal.error is not None]
 
     def record(self) -> dict[str, Any]:
-        """Return what really happened in the world; for reports and tests, never for the docking itself."""
+        """Return the true events in the world; for reports and tests, never for docking."""
         return self.world.record.as_dict()
 
     def wait_until_quiet(self, quiet: float, timeout: float, hurry: threading.Event) -> bool:
@@ -125,9 +124,9 @@ class SimulatedCharger:
         name = runtime.charger(domain(), self._namespace)
         try:
             opened.callback(Registration(name, path).remove)
-        except OSError as error:  # a charger that is not found by its domain is still a charger
+        except OSError as error:  # the charger works even if it cannot be found by its domain
             level = logging.INFO if self._directory is None else logging.WARNING
-            _log.log(level, "'deltacharger fault' finds this charger by --directory %s only: %s", path.parent, error)
+            _log.log(level, "'deltacharger fault' finds this charger only by --directory %s: %s", path.parent, error)
 
     def _serve(self, device: ByteDevice, link: Path, opened: contextlib.ExitStack) -> PseudoTerminal:
         tap = self._taps[link.name] = _Tap(device)
@@ -137,7 +136,7 @@ class SimulatedCharger:
 
 
 class _Tap:
-    """A device that remembers when its host last sent something."""
+    """A device that remembers when its host last sent bytes."""
 
     def __init__(self, device: ByteDevice) -> None:
         self._device = device

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene says of the simulated charger."""
+"""A scene's settings of the simulated charger."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from deltacharger_tactile.source import ContactSource
 
 @dataclass(frozen=True)
 class Simulation(Bounded):
-    """The simulated charger that takes the hardware's place."""
+    """The simulated charger that replaces the hardware."""
 
-    seed: int = number(0, 0, 2**31 - 1, "", "course of noise, jitter and faults")
-    rig_seed: int = number(0, 0, 2**31 - 1, "", "which device: gains, offsets, dead taxels, ridges")
-    servos: str = choice("adapter", ("adapter", "board"), "where they hang: on an adapter of their own, on the board")
+    seed: int = number(0, 0, 2**31 - 1, "", "random numbers of noise, jitter and faults")
+    rig_seed: int = number(0, 0, 2**31 - 1, "", "simulated device: gains, offsets, dead taxels, ridges")
+    servos: str = choice("adapter", ("adapter", "board"), "their connection: a separate adapter, or the board")
     world: WorldParameters = field(default_factory=WorldParameters)
-    faults: tuple[Fault, ...] = entries("what goes wrong with the emulated hardware, and when")
-    geometry_file: str = words("", "YAML file with what the simulated arm's dimensions really are; empty = the usual")
+    faults: tuple[Fault, ...] = entries("faults of the emulated hardware, with their times")
+    geometry_file: str = words("", "YAML file with the simulated arm's true dimensions; empty = the defaults")
 
     def geometry(self) -> DeltaGeometry:
         """Return the simulated arm's dimensions.
 
         Raises:
-            OSError, ValueError: the file cannot be read, or is refused.
+            OSError, ValueError: the file cannot be read, or is invalid.
         """
         return load_geometry(given_path(self.geometry_file)) if self.geometry_file else DeltaGeometry()
 
     def build_world(self) -> World:
-        """Return the world behind the ports, with the pads of its rig."""
+        """Return the world behind the ports, with its rig's pads."""
         return World(self.world, ContactSource(None, self.rig_seed, self.seed), self.seed, self.geometry())

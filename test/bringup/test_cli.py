@@ -224,7 +224,7 @@ def test_scene_check_warns_of_a_world_that_is_not_proven(capsys: pytest.CaptureF
     code, out, err = run(capsys, "scene", "check", "--json", str(path))
     assert code == 0
     (report,) = json.loads(out)["scenes"]
-    assert "the nearest that has: step" in report["warnings"][0]
+    assert "the nearest verified point: step" in report["warnings"][0]
     assert "warning" in err
 
 

@@ -317,7 +317,7 @@ def test_a_second_goal_is_rejected_and_the_same_request_joins(robot: Robot) -> N
     [
         ("refuse", "REJECTED", "active"),
         ("abort", "UNREACHABLE", "the way is blocked (error 9000 of the navigator)"),
-        ("lost", "UNREACHABLE", "not known in that frame"),
+        ("lost", "UNREACHABLE", "unknown in that frame"),
     ],
 )
 def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, says: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of dockings that never took place, for tests of what records and replays them."""
+"""Messages of invented dockings, for tests of recording and replay."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MEASURED = (
 
 
 def raw(seconds: float, name: str, message: Any) -> Raw:
-    """Return a message as it came `seconds` after the tape began."""
+    """Return a message as received `seconds` after the tape's beginning."""
     time = BEGAN + round(seconds * 1e9)
     return Raw(NAMES[name], time, time, serialize_message(message))
 
@@ -49,16 +49,16 @@ def state(
     docked: bool = False,
 ) -> Raw:
     """Return a docking_state."""
-    told = DockingState(state=int(state), docked=docked, charging=charging, error_code=int(code), request_id="r/1")
-    told.error_message = message
-    return raw(seconds, "docking_state", told)
+    sent = DockingState(state=int(state), docked=docked, charging=charging, error_code=int(code), request_id="r/1")
+    sent.error_message = message
+    return raw(seconds, "docking_state", sent)
 
 
 def decision(seconds: float, state: State, kind: str, text: str = "", **values: float) -> Raw:
     """Return a docking_decision."""
-    told = DockingDecision(request_id="r/1", state=int(state), kind=kind, text=text)
-    told.names, told.values = list(values), list(values.values())
-    return raw(seconds, "docking_decision", told)
+    message = DockingDecision(request_id="r/1", state=int(state), kind=kind, text=text)
+    message.names, message.values = list(values), list(values.values())
+    return raw(seconds, "docking_decision", message)
 
 
 def measured(
@@ -69,16 +69,16 @@ def measured(
     sure: bool = True,
     without: tuple[str, ...] = (),
 ) -> Raw:
-    """Return the decision that tells a measurement (degrees and m), `without` some of its numbers."""
+    """Return the decision with a measurement (degrees and m), `without` some of its numbers."""
     turn = math.radians(angle)
     across = vertical * math.cos(turn) - horizontal * math.sin(turn)
     values = (turn, math.radians(0.3), vertical, 1e-4, horizontal, 1e-3, across, 1e-4)
-    told = {name: value for name, value in zip(MEASURED, values, strict=True) if name not in without}
-    return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **told)
+    kept = {name: value for name, value in zip(MEASURED, values, strict=True) if name not in without}
+    return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **kept)
 
 
 def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0) -> list[Raw]:
-    """Return servo_state, tactile_frame, charger_power and feedback between two instants."""
+    """Return servo_state, tactile_frame, charger_power and feedback of an interval."""
     found = []
     for step in range(round((end - start) * rate)):
         now = start + step / rate
@@ -97,7 +97,7 @@ def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0
 
 
 def docking(*after: Raw, until: float = 3.0, current: float = 0.0) -> list[Raw]:
-    """Return a docking up to its first measurement, and what comes after."""
+    """Return a docking up to its first measurement, and the following messages."""
     before = [
         state(0.0, State.IDLE),
         decision(1.0, State.IDLE, "accepted", "electrodes as given", x_m=0.0),
@@ -110,12 +110,12 @@ def docking(*after: Raw, until: float = 3.0, current: float = 0.0) -> list[Raw]:
 
 
 def in_order(messages: Iterable[Raw]) -> list[Raw]:
-    """Return messages by the time at which they came."""
+    """Return messages in order of reception."""
     return sorted(messages, key=lambda message: message.received)
 
 
 def refused(code: Code, message: str, at: float = 3.0) -> list[Raw]:
-    """Return the way back of a docking that ends by an error."""
+    """Return the end of a docking that an error stops."""
     return [
         decision(at, State.MEASURE, "interrupted", f"{code.name}: {message}", code=float(code)),
         state(at, State.RETRACT, code, message),
@@ -125,7 +125,7 @@ def refused(code: Code, message: str, at: float = 3.0) -> list[Raw]:
 
 
 def result(code: Code, message: str = "", elapsed: float = 3.0, **details: Any) -> Outcome:
-    """Return what the client was told."""
+    """Return the outcome sent to the client."""
     return Outcome("dock", code == Code.NONE, int(code), code.name, message, False, elapsed, details)
 
 
@@ -136,7 +136,7 @@ def write(
     kinds: Mapping[str, Any] = KINDS,
     parameters: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
-    """Write a recording of the messages."""
+    """Write a recording of messages."""
     with McapWriter(path, kinds) as writer:
         writer.tell(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
         for message in messages:
@@ -149,7 +149,7 @@ def write(
 
 
 def patient(scene: Scene) -> Scene:
-    """Return the scene with a docking that a loaded machine's pauses do not end: these tests are about other things."""
+    """Return the scene with timeouts that tolerate pauses of a loaded computer: these tests cover other things."""
     docking_node = {
         **scene.parameters["docking_node"],
         "servo_age_max": 2.0,

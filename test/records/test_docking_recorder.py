@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One record per docking, whatever the disk, the docking and the recorder's own end do to it."""
+"""One record per docking, in spite of a failing disk, docking or recorder."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def recorder(folder: Path, max_bytes: int = 10**8, rate: float = 1.0) -> Docking
 
 
 def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
-    """Hand messages over at their pace, but at once; return the time (s) after the last."""
+    """Pass messages in recorded time, without waiting; return the time (s) after the last."""
     now = 0.0
     for message in messages:
         now = (message.received - BEGAN) * 1e-9
@@ -63,7 +63,7 @@ def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
 
 
 def finish(recorder: DockingRecorder, now: float) -> None:
-    """Let time pass until nothing more is under way."""
+    """Advance the time until no record is open."""
     for step in range(20):
         recorder.tick(now + 0.5 * step, alive=True)
 
@@ -73,7 +73,7 @@ def only(folder: Path) -> Path:
     return path
 
 
-def test_a_refused_docking_is_one_file_with_what_came_before_its_goal(tmp_path: Path) -> None:
+def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     message = f"{TILTED}: the electrodes would come too close to a short"
     now = play(recording, docking(measured(2.9, 12.6), *refused(Code.CRITICAL_ANGLE, message)))
@@ -95,14 +95,14 @@ def test_a_refused_docking_is_one_file_with_what_came_before_its_goal(tmp_path: 
 
 
 def charging(hours: float) -> Iterable[Raw]:
-    """Dock, charge at a slow rate of messages, and undock."""
+    """Dock, charge with slow messages, and undock."""
     long = 3600.0 * hours
     yield from docking(state(3.0, State.CHARGING, charging=True, docked=True))
     yield from in_order([*readings(3.0, 3.0 + long, 5.0, rate=4.0)])
     yield from (state(3.5 + long, State.RETRACT, docked=True), state(4.5 + long, State.IDLE))
 
 
-def test_hours_of_charging_take_little_and_their_ends_are_whole(tmp_path: Path) -> None:
+def test_hours_of_charging_need_little_space_and_their_ends_are_complete(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     finish(recording, play(recording, charging(1.0)))
     path = only(tmp_path)
@@ -136,14 +136,14 @@ def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
     assert "Charging was ended after 2.0 s by NO_CONTACT" in why(found)
 
 
-def test_an_undocking_where_nothing_was_docked_leaves_no_record(tmp_path: Path) -> None:
+def test_an_undocking_without_a_docking_leaves_no_record(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     tape = [state(0.0, State.IDLE), state(1.0, State.RETRACT), state(1.1, State.IDLE), *readings(1.2, 1.4)]
     finish(recording, play(recording, tape))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_dockings_that_follow_each_other_at_once_are_two_records(tmp_path: Path) -> None:
+def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     first = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
     second = [Raw(each.topic, each.received + 4_200_000_000, each.published, each.data) for each in first[50:]]
@@ -157,7 +157,7 @@ def test_dockings_that_follow_each_other_at_once_are_two_records(tmp_path: Path)
     assert second_.began - first_.began == 4_200_000_000
 
 
-def test_when_docking_node_is_gone_the_record_ends_and_says_where(tmp_path: Path) -> None:
+def test_a_record_ends_with_docking_node_and_states_the_phase(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     now = play(recording, docking())
     recording.tick(now, alive=False)
@@ -180,7 +180,7 @@ def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: P
     assert recording.path is not None
 
 
-def test_a_full_disk_ends_recording_and_leaves_what_is_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_ends_recording_and_keeps_written_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = recorder(tmp_path)
     play(recording, docking())
 
@@ -198,7 +198,7 @@ def test_a_full_disk_ends_recording_and_leaves_what_is_on_it(tmp_path: Path, mon
     assert found.phases[-1].state == "measure"
 
 
-def test_a_disk_that_is_full_when_a_docking_begins_keeps_nothing_of_it(
+def test_a_disk_that_is_full_at_the_start_of_a_docking_keeps_no_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any) -> None:
@@ -241,8 +241,8 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path
     assert not folder.entries()[0].under_way
 
 
-def test_what_nobody_can_read_is_left_out_and_long_words_are_cut(tmp_path: Path) -> None:
-    """A stranger's bytes on the recorded topics, and an id of five megabytes."""
+def test_unreadable_messages_are_skipped_and_long_texts_are_cut(tmp_path: Path) -> None:
+    """Foreign bytes on the recorded topics, and an id of five megabytes."""
     recording = recorder(tmp_path)
     tape: list[Raw] = []
     for message in docking(state(3.0, State.IDLE)):
@@ -253,9 +253,9 @@ def test_what_nobody_can_read_is_left_out_and_long_words_are_cut(tmp_path: Path)
     assert recording.problem == ""
     assert replay(only(tmp_path)).is_complete
     (tmp_path / only(tmp_path).name).unlink()
-    said = DockingState(state=int(State.APPROACH), request_id="x" * 5_000_000, error_message="y" * 5_000_000)
+    message = DockingState(state=int(State.APPROACH), request_id="x" * 5_000_000, error_message="y" * 5_000_000)
     again = recorder(tmp_path)
-    again.take(0.0, raw(0.0, "docking_state", said))
+    again.take(0.0, raw(0.0, "docking_state", message))
     again.take(0.1, state(0.1, State.IDLE))
     finish(again, 0.1)
     found = replay(only(tmp_path))

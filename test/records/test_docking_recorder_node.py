@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dockings recorded by the node that users start, replayed as their clients saw them. One charger serves all."""
+"""Dockings recorded by the node, replayed and compared with their clients' results. One charger serves all tests."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ PLACE = Pose(0.0, 0.0, 0.080)
 
 
 class Cell:
-    """A charger of mocks with its recorder, a client, and a listener beside it."""
+    """A charger of mocks with its recorder, a client and a listener."""
 
     def __init__(self, scene: Scene, context: Any, folder: Path) -> None:
         self.folder = folder
@@ -81,11 +81,11 @@ class Cell:
         self.states, self.decisions = self.states[-1:], []
 
     def heard(self) -> list[str]:
-        """Return the decisions since the goal was accepted; those of an undocking before it may come late."""
+        """Return the decisions since the goal was accepted; late ones of an earlier undocking are left out."""
         return self.decisions[self.decisions.index("accepted") :]
 
     def record(self, request: str, ending: str) -> Replay:
-        """Return the record of a request that ended so, once it is complete."""
+        """Return the record of a request with this ending, once it is complete."""
 
         def complete() -> list[Path]:
             return sorted(
@@ -119,7 +119,7 @@ def cell(quick_scene: Scene, context: Any, tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(autouse=True)
 def quiet(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Leave the shared charger at home and its last record complete, also where a test failed."""
+    """Leave the shared charger at home and its last record complete, even after a failed test."""
     yield
     if "cell" in request.fixturenames:
         shared: Cell = request.getfixturevalue("cell")
@@ -130,10 +130,10 @@ def quiet(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def assert_same(found: Replay, outcome: Outcome) -> None:
-    """What the record tells is what the client was told."""
-    told = found.result_of("dock")
-    assert told is not None
-    assert told.as_dict() == outcome.as_dict()
+    """The record agrees with the client's outcome."""
+    recorded = found.result_of("dock")
+    assert recorded is not None
+    assert recorded.as_dict() == outcome.as_dict()
     assert found.outcome()["code"] == outcome.error_code
     assert found.outcome()["message"] == outcome.error_message
 
@@ -157,9 +157,9 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     assert "robot_7-OK" in found.recording.path.name
     phases = [phase.state for phase in found.phases]
     assert phases == cell.states
-    felt = [progress.phase for progress in seen if progress.phase != "idle"]
-    told = [phase for phase, before in zip(felt, ["", *felt], strict=False) if phase != before]
-    assert told == phases[phases.index("approach") : phases.index("charging") + 1], "the client saw every state"
+    reported = [progress.phase for progress in seen if progress.phase != "idle"]
+    changes = [phase for phase, before in zip(reported, ["", *reported], strict=False) if phase != before]
+    assert changes == phases[phases.index("approach") : phases.index("charging") + 1], "the client saw every state"
     assert [each.kind for each in found.run.decisions] == cell.heard()
     assert found.about["scene"] == "quick"
     assert found.parameters.travel_speed == 0.5
@@ -174,14 +174,14 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize(
-    ("node", "fault", "name", "told"),
+    ("node", "fault", "name", "reason"),
     [
         slow("mock_tactile_node", "unsure", "ESTIMATE_UNSURE", "measurements were unsure"),
         ("mock_detector_node", "nothing", "ELECTRODES_NOT_FOUND", "move the robot"),
         ("mock_servo_node", "silence", "SERVO_FAULT", "servo_state"),
     ],
 )
-def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str, told: str) -> None:
+def test_the_record_of_a_refusal_states_the_reason(cell: Cell, node: str, fault: str, name: str, reason: str) -> None:
     cell.forget()
     cell.composition.node(node).set_parameters([Parameter("fault", value=fault)])
     outcome = cell.client.dock(DockRequest(None if "detector" in node else PLACE, request_id=fault), deadline=DEADLINE)
@@ -190,13 +190,11 @@ def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str
     found = cell.record(fault, name)
     assert_same(found, outcome)
     assert name in found.recording.path.name
-    assert told.lower() in why(found).lower()
+    assert reason.lower() in why(found).lower()
     assert [each.kind for each in found.run.decisions] == cell.heard()
 
 
-def test_a_folder_that_cannot_be_written_stops_recording_and_not_docking(
-    quick_scene: Scene, context: Any, tmp_path: Path
-) -> None:
+def test_an_unwritable_folder_stops_recording_but_not_docking(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
     folder = tmp_path / "records"
     folder.write_text("in the way")
     cell = Cell(quick_scene, context, folder)
@@ -210,7 +208,7 @@ def test_a_folder_that_cannot_be_written_stops_recording_and_not_docking(
         cell.close()
 
 
-def test_a_charger_that_ends_completes_its_record(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
+def test_a_charger_completes_its_record_when_it_ends(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
     cell = Cell(quick_scene, context, tmp_path)
     ended: list[Outcome] = []
     reached = threading.Event()
@@ -238,7 +236,7 @@ def test_a_charger_that_ends_completes_its_record(quick_scene: Scene, context: A
     assert "contact" in {phase.state for phase in found.phases}
 
 
-def test_it_needs_mcap_and_says_how_to_get_it(
+def test_without_mcap_the_message_states_how_to_install_it(
     context: Any, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: what came over a topic is what stands in the file, and a file is whole or not there."""
+"""A recording contains the bytes of its topics; a file is complete or does not exist."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def frame(number: int) -> TactileFrame:
     return message
 
 
-def test_a_stranger_reads_what_was_written(tmp_path: Path) -> None:
+def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(300)]
     state = DockingState(state=DockingState.STATE_CONTACT, request_id="é")
@@ -76,7 +76,7 @@ def test_a_stranger_reads_what_was_written(tmp_path: Path) -> None:
     assert [deserialize_message(each.data, DockingState) for each in file.messages("/a/docking_state")] == [state]
 
 
-def test_packing_what_was_written_live_changes_its_size_alone(tmp_path: Path) -> None:
+def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(300)]
     with path.open("wb") as stream:
@@ -87,7 +87,7 @@ def test_packing_what_was_written_live_changes_its_size_alone(tmp_path: Path) ->
         for message in written[200:]:
             writer.add(message)
         writer.flush()
-        assert McapFile(path).counts["/a/tactile_frame"] == 300, "a kill loses nothing that was flushed"
+        assert McapFile(path).counts["/a/tactile_frame"] == 300, "a kill loses no flushed data"
         with pytest.raises(DamagedRecording, match=CUT_SHORT):
             pack(path, io.BytesIO(), KINDS)
         writer.finish()
@@ -107,7 +107,7 @@ def test_packing_what_was_written_live_changes_its_size_alone(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("kind", [TactileFrame, ServoState, ChargerPower, DockingState, Misalignment])
-def test_a_schema_holds_every_definition_that_its_message_consists_of(kind: Any) -> None:
+def test_a_schema_contains_the_definitions_of_all_parts(kind: Any) -> None:
     first, *parts = schema_text(kind).split("=" * 80 + "\n")
     names = [part.splitlines()[0] for part in parts]
     assert names == ["MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
@@ -116,7 +116,7 @@ def test_a_schema_holds_every_definition_that_its_message_consists_of(kind: Any)
     assert type_name(kind) == f"deltacharger/msg/{kind.__name__}"
 
 
-def test_what_comes_over_a_topic_is_kept(context: Any, namespace: str, spin: Spin) -> None:
+def test_the_messages_of_a_topic_are_recorded(context: Any, namespace: str, spin: Spin) -> None:
     came: list[Raw] = []
     node = spin(Node("listener", **options(context, namespace)))
     topics = [Topic("tactile_frame", TactileFrame, qos.SENSOR), Topic("docking_state", DockingState, qos.STATE)]
@@ -127,20 +127,20 @@ def test_what_comes_over_a_topic_is_kept(context: Any, namespace: str, spin: Spi
     states.publish(DockingState(request_id="x"))
     wait_until(lambda: came, "the state")
 
-    def heard() -> bool:
+    def is_received() -> bool:
         frames.publish(frame(7))  # best effort: one may be lost
         return any(each.topic.endswith("tactile_frame") for each in list(came))
 
-    wait_until(heard, "a frame")
+    wait_until(is_received, "a frame")
     by_topic = {message.topic: message for message in came}
     assert set(by_topic) == {f"/{namespace}/tactile_frame", f"/{namespace}/docking_state"}
-    felt = deserialize_message(by_topic[f"/{namespace}/tactile_frame"].data, TactileFrame)
-    assert repr(felt) == repr(frame(7))  # NaN as well
+    received = deserialize_message(by_topic[f"/{namespace}/tactile_frame"].data, TactileFrame)
+    assert repr(received) == repr(frame(7))  # NaN as well
     for message in came:
         assert 0 < message.published <= message.received + 1_000_000_000
 
 
-def test_an_exception_leaves_what_was_there(tmp_path: Path) -> None:
+def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"before")
 
@@ -157,7 +157,7 @@ def test_an_exception_leaves_what_was_there(tmp_path: Path) -> None:
         McapWriter(tmp_path / "nowhere" / "run.mcap", KINDS)
 
 
-def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"before")
     code = (
@@ -178,7 +178,7 @@ def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) 
     assert path.read_bytes() == b"after"
 
 
-def test_without_mcap_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(RecordingError, match=r"install deltacharger\[record\]"):
         require_mcap()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of before a message got its last fields are still replayed, by the definitions in the file."""
+"""Recordings made before a message got its last fields are replayed by the definitions in the file."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ float32 left_force
 float32 right_force
 string model
 """
-"""Misalignment.msg of before it told across, yaw and pitch."""
+"""Misalignment.msg before it had across, yaw and pitch."""
 NEWER = ("across", "across_stddev", "yaw", "yaw_stddev", "pitch", "pitch_stddev")
 
 
 def without(text: str, *names: str) -> str:
-    """Return a schema without the fields of these names."""
+    """Return a schema without these fields."""
     return "\n".join(line for line in text.splitlines() if not set(line.partition("#")[0].split()[1:2]) & set(names))
 
 
 def as_before(message: Any, text: str) -> bytes:
-    """Return a message as the definition in `text` has it, written by somebody else's code."""
+    """Return a message encoded by the definition in `text`, by other code than ours."""
     name = mcap_recording.type_name(type(message)).replace("_", "")
     plain = text.replace("Dock_", "Dock")
     return bytes(serialize_dynamic(name, plain)[name](_plain(message)))
@@ -76,7 +76,7 @@ def _plain(value: Any) -> Any:
 
 
 def older(path: Path, kind: Any, definition: str, *messages: Raw) -> Path:
-    """Return a recording of a docking in which `kind` is defined as it was."""
+    """Return a recording of a docking with the old definition of `kind`."""
     tape = [each for each in docking(*refused(Code.NO_CONTACT, "nothing is there")) if each.topic != NAMES[FEEDBACK]]
     with pytest.MonkeyPatch.context() as patch:
         own = mcap_recording.schema_text
@@ -85,12 +85,12 @@ def older(path: Path, kind: Any, definition: str, *messages: Raw) -> Path:
 
 
 @pytest.mark.parametrize("lost", [["waiting_for"], ["waiting_for", "horizontal_stddev", "model"]])
-def test_feedback_of_before_its_last_fields_is_replayed(tmp_path: Path, lost: list[str]) -> None:
+def test_feedback_without_its_last_fields_is_replayed(tmp_path: Path, lost: list[str]) -> None:
     kind = KINDS[NAMES[FEEDBACK]]
     definition = without(mcap_recording.schema_text(kind), *lost)
-    felt = Misalignment(angle=0.02, vertical=0.001, horizontal=0.003, horizontal_stddev=0.5, sure=True)
-    told = Dock.Feedback(alignments=3, z=0.08, misalignment=felt, elapsed=Duration(sec=7), waiting_for="nobody")
-    message = raw(9.0, FEEDBACK, kind())._replace(data=as_before(kind(feedback=told), definition))
+    estimate = Misalignment(angle=0.02, vertical=0.001, horizontal=0.003, horizontal_stddev=0.5, sure=True)
+    sent = Dock.Feedback(alignments=3, z=0.08, misalignment=estimate, elapsed=Duration(sec=7), waiting_for="nobody")
+    message = raw(9.0, FEEDBACK, kind())._replace(data=as_before(kind(feedback=sent), definition))
     path = older(tmp_path / "a.mcap", kind, definition, message)
     assert not Recording(path).unreadable
     found: list[Any] = []
@@ -114,7 +114,7 @@ def test_cut_bytes_of_an_older_message_are_damage() -> None:
         decode(data[: len(data) // 2])
 
 
-def test_a_field_that_is_not_there_any_more_or_has_another_type_is_no_older_message() -> None:
+def test_a_removed_field_or_another_type_is_not_an_older_message() -> None:
     now = fields(mcap_recording.schema_text(DockingState))
     assert is_older(now, now)
     for text in ("uint8 state\nfloat64 gone", "uint16 state"):
@@ -122,11 +122,11 @@ def test_a_field_that_is_not_there_any_more_or_has_another_type_is_no_older_mess
     assert not is_older({**now, "deltacharger/Gone": ["float64 x"]}, now)
 
 
-def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
+def test_a_changed_definition_is_reported(tmp_path: Path) -> None:
     kind = KINDS[NAMES["charger_power"]]
     definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
     path = older(tmp_path / "a.mcap", kind, definition)
-    assert "defined otherwise" in Recording(path).unreadable["charger_power"]
+    assert "another definition" in Recording(path).unreadable["charger_power"]
 
 
 def test_without_a_definition_in_the_file_messages_are_read_as_they_are_now(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_without_a_definition_in_the_file_messages_are_read_as_they_are_now(tmp_
 
 
 def before_lean(kind: Any) -> str:
-    """Return the schema of a type that holds a Misalignment, or is one, with Misalignment as it was."""
+    """Return the schema of a type that contains or is a Misalignment, with the old Misalignment."""
     head, *parts = re.split(r"(?m)^=+\nMSG: ", mcap_recording.schema_text(kind))
     if kind is Misalignment:
         head = WITHOUT_LEAN
@@ -144,30 +144,30 @@ def before_lean(kind: Any) -> str:
     return ("=" * 80 + "\nMSG: ").join([head, *parts])
 
 
-def felt(**more: float) -> Misalignment:
+def pose(**more: float) -> Misalignment:
     return Misalignment(angle=0.02, vertical=-0.001, contact=True, angle_probability=[0.25, 0.75], model="pose", **more)
 
 
-def test_a_misalignment_of_before_it_told_the_lean_has_none(tmp_path: Path) -> None:
+def test_a_misalignment_recorded_without_lean_has_no_lean(tmp_path: Path) -> None:
     definition = before_lean(Misalignment)
     assert fields(definition) != fields(mcap_recording.schema_text(Misalignment))
-    old = as_before(felt(yaw=0.3), definition)
-    path = older(tmp_path / "a.mcap", Misalignment, definition, raw(2.2, "misalignment", felt())._replace(data=old))
+    old = as_before(pose(yaw=0.3), definition)
+    path = older(tmp_path / "a.mcap", Misalignment, definition, raw(2.2, "misalignment", pose())._replace(data=old))
     found: list[Misalignment] = []
     recording = Recording(path)
     assert not recording.unreadable
     recording.read(lambda name, _, each: found.append(each) if name == "misalignment" else None)
     assert not recording.damage
-    (told,) = found
-    assert (told.angle, told.vertical, told.contact, told.model) == (0.02, -0.001, True, "pose")
-    assert list(told.angle_probability) == [0.25, 0.75]
-    assert all(math.isnan(getattr(told, name)) for name in NEWER)
+    (read,) = found
+    assert (read.angle, read.vertical, read.contact, read.model) == (0.02, -0.001, True, "pose")
+    assert list(read.angle_probability) == [0.25, 0.75]
+    assert all(math.isnan(getattr(read, name)) for name in NEWER)
 
 
-def test_feedback_of_before_the_lean_is_replayed(tmp_path: Path) -> None:
+def test_feedback_without_lean_is_replayed(tmp_path: Path) -> None:
     kind = KINDS[NAMES[FEEDBACK]]
     definition = before_lean(kind)
-    message = kind(feedback=Dock.Feedback(misalignment=felt(), waiting_for="nobody"))
+    message = kind(feedback=Dock.Feedback(misalignment=pose(), waiting_for="nobody"))
     old = as_before(message, definition)
     path = older(tmp_path / "a.mcap", kind, definition, raw(9.0, FEEDBACK, kind())._replace(data=old))
     found: list[Any] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and heights are told by the charger's own geometry, gravity and servos, live as in a record."""
+"""Forces and heights use the charger's own geometry, gravity and servos, live and in a record."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
 
 
 def pushing() -> ServoState:
-    """Return what the servos of that charger tell while they push at that place."""
+    """Return servo_state of that charger while it pushes at that place."""
     delta = ScalarDelta(CALIBRATED)
     gravity = (TILTED["gravity_x"], TILTED["gravity_y"], TILTED["gravity_z"])
     held = delta.holding_torque(*PLACE, gravity)
@@ -49,49 +49,49 @@ def pushing() -> ServoState:
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> dict[str, Any]:
-    """What docking_node answers, the limbs' own adjustments in its file alone."""
+def settings(tmp_path: Path) -> dict[str, Any]:
+    """docking_node's parameters; the limbs' own adjustments are in its file only."""
     save_geometry(CALIBRATED, tmp_path / "arm.yaml")
     return {**TILTED, "geometry_file": str(tmp_path / "arm.yaml"), "arm": 0.103, "start_type_description_service": True}
 
 
-def test_the_settings_are_those_of_docking_node_also_where_its_file_is_elsewhere(told: dict[str, Any]) -> None:
+def test_the_settings_are_docking_nodes_even_if_its_file_is_on_another_computer(settings: dict[str, Any]) -> None:
     parameters = DockingParameters(**TILTED)
-    assert docking_settings(told) == (parameters, CALIBRATED)
-    kept = json.loads(json.dumps(with_geometry(told)))
-    Path(told["geometry_file"]).unlink()
+    assert docking_settings(settings) == (parameters, CALIBRATED)
+    kept = json.loads(json.dumps(with_geometry(settings)))
+    Path(settings["geometry_file"]).unlink()
     assert known_settings(kept) == (parameters, CALIBRATED)
     with pytest.raises(OSError, match=r"arm\.yaml"):
-        docking_settings(told)
-    assert known_settings(told) == (parameters, DeltaGeometry(arm=0.103))
-    assert known_settings({**told, "geometry_file": "~nobody-here/arm.yaml"}) == known_settings(told)
+        docking_settings(settings)
+    assert known_settings(settings) == (parameters, DeltaGeometry(arm=0.103))
+    assert known_settings({**settings, "geometry_file": "~nobody-here/arm.yaml"}) == known_settings(settings)
     assert known_settings({}) == (DockingParameters(), DeltaGeometry())
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_a_record_is_replayed_by_what_it_says_of_its_charger(tmp_path: Path, told: dict[str, Any], own: bool) -> None:
+def test_a_record_is_replayed_with_its_own_settings(tmp_path: Path, settings: dict[str, Any], own: bool) -> None:
     tape = [*docking(until=0.0), *(raw(2.6 + 0.01 * step, "servo_state", pushing()) for step in range(50))]
-    path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(told) if own else {})
+    path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(settings) if own else {})
     motion = replay(path).run.motion.arrays()
     assert len(motion["z"]) == 50
     right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
     assert right == [own, own]
 
 
-def test_the_force_that_dock_prints_is_that_of_the_charger_that_runs(
-    context: Any, namespace: str, spin: Spin, told: dict[str, Any]
+def test_dock_prints_the_force_of_the_running_charger(
+    context: Any, namespace: str, spin: Spin, settings: dict[str, Any]
 ) -> None:
     charger = spin(Node("docking_node", **options(context, namespace)))
-    for name, value in told.items():
+    for name, value in settings.items():
         if not charger.has_parameter(name):
             charger.declare_parameter(name, value)
     publisher = charger.create_publisher(ServoState, "servo_state", qos.LATEST)
     with Recorder(context, namespace) as recorder:
 
-        def told_right() -> bool:
+        def is_right() -> bool:
             publisher.publish(pushing())
             return recorder.force() == recorder.force()
 
-        wait_until(told_right, "a force")
+        wait_until(is_right, "a force")
         assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
-        assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first on"
+        assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first sample on"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run: drawn from whatever was recorded, however little, and never a reason to fail."""
+"""The picture of a run: drawn from any recorded data, however few, and never a reason to fail."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_only_a_measured_charge_is_in_the_title(energy: float, title: str) -> No
     assert headline(run) == (title, "power: none")
 
 
-def test_where_it_cannot_be_written_the_reason_is_told(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need deltacharger[report]")
     with pytest.raises(PictureError, match="cannot write"):
         draw(Run(), tmp_path / "no" / "such" / "folder.png")
@@ -83,7 +83,7 @@ def test_where_it_cannot_be_written_the_reason_is_told(tmp_path: Path) -> None:
         draw(Run(), tmp_path / "dock.xyz")
 
 
-def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_matplotlib_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(PictureError, match=r"deltacharger\[report\]"):
         draw(Run(), tmp_path / "dock.png")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of records is bounded in files and bytes; the oldest goes first, one under way and other people's never."""
+"""The folder of records has bounds on files and bytes; the oldest is removed first, never an open or foreign one."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from deltacharger_records.recording.own import ABOUT, PARTIAL, head, is_named_li
 BEGAN = 1_795_000_000 * 10**9
 SECOND = 10**9
 NAME = "20261118T110640Z-id_0-OK.mcap"
-"""Of the record that `make` makes first."""
+"""Of the first record of `make`."""
 
 
 def make(folder: RecordFolder, number: int, size: int, ends: bool) -> tuple[Path, BinaryIO]:
-    """Make a record of `size` bytes behind its head."""
+    """Make a record of `size` bytes after its head."""
     began, request = BEGAN + number * SECOND, f"id {number}"
     path, stream = folder.create(began, request)
     McapStream(stream, {}, live=True, told=[(ABOUT, head({"version": "0"}, began, request))])
@@ -44,14 +44,14 @@ def make(folder: RecordFolder, number: int, size: int, ends: bool) -> tuple[Path
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """Return what stands in a folder, with what a file holds and when it was changed."""
+    """Return the files in a folder with their content and time of change."""
     return {
         path.name: (path.read_bytes() if path.is_file() else None, path.lstat().st_mtime_ns, path.lstat().st_mode)
         for path in folder.iterdir()
     }
 
 
-def test_the_name_tells_when_for_whom_and_how_it_ended(tmp_path: Path) -> None:
+def test_the_name_has_time_request_and_ending(tmp_path: Path) -> None:
     path, _ = make(RecordFolder(tmp_path, 9, 10**9), 0, 1, ends=True)
     assert path.name == NAME
     assert is_named_like_one(NAME)
@@ -74,8 +74,8 @@ def test_a_request_id_cannot_leave_the_folder(given_: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("request_id", ["", "r/1", "-7-OK", "é" * 5000, "/" * 1200 + "abc", "a\nb\x1b[2J", "\udcff"])
-def test_whatever_a_goal_is_called_its_record_is_ours(tmp_path: Path, request_id: str) -> None:
-    request_id = request_id.encode(errors="replace").decode()  # as a message brings it
+def test_a_record_is_ours_with_any_request_id(tmp_path: Path, request_id: str) -> None:
+    request_id = request_id.encode(errors="replace").decode()  # as in a message
     folder = RecordFolder(tmp_path, 9, 10**9)
     for _ in range(2):
         path, stream = folder.create(BEGAN, request_id)
@@ -99,7 +99,7 @@ def test_two_dockings_in_one_second_are_two_records(tmp_path: Path) -> None:
     st.integers(200, 1500),
     st.lists(st.tuples(st.integers(0, 400), st.booleans()), min_size=1, max_size=12),
 )
-def test_the_bounds_hold_but_for_dockings_under_way(
+def test_the_bounds_hold_except_for_dockings_in_progress(
     tmp_path_factory: pytest.TempPathFactory, files: int, most: int, dockings: list[tuple[int, bool]]
 ) -> None:
     path = tmp_path_factory.mktemp("records")
@@ -117,13 +117,13 @@ def test_the_bounds_hold_but_for_dockings_under_way(
         assert gone == sorted(gone)
         ended = [entry for entry in left if not entry.under_way]
         within = len(left) <= files and sum(entry.size for entry in left) <= most
-        assert within or not ended, "whatever may go has gone"
-        assert all(entry.path.name > lost.name for entry in ended for lost in gone), "the oldest went first"
+        assert within or not ended, "all removable records are removed"
+        assert all(entry.path.name > lost.name for entry in ended for lost in gone), "the oldest are removed first"
     for _, stream in running:
         stream.close()
 
 
-def test_what_a_killed_recorder_left_is_a_record_like_others(tmp_path: Path) -> None:
+def test_the_file_of_a_killed_recorder_is_a_record(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 1, 10**9)
     _, stream = make(folder, 0, 10, ends=False)
     make(folder, 1, 10, ends=True)
@@ -134,19 +134,19 @@ def test_what_a_killed_recorder_left_is_a_record_like_others(tmp_path: Path) -> 
     assert not left.name.endswith(PARTIAL)
 
 
-def test_what_a_recorder_left_that_was_killed_while_it_packed_goes_alone(tmp_path: Path) -> None:
+def test_only_the_packed_copy_of_a_recorder_killed_while_packing_is_removed(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
     path, stream = make(folder, 0, 10, ends=True)
     beside = tmp_path / f".{path.name}.partial"
     with beside.open("xb") as packing, pytest.raises(FileExistsError), folder.rewriting(path, stream):
-        pytest.fail("somebody packs it already")
+        pytest.fail("another process packs it already")
     shutil.copyfile(path, beside)
     assert folder.prune() == [beside]
     assert [each.path for each in folder.entries()] == [path]
     assert packing.closed
 
 
-def test_a_record_that_somebody_hid_is_theirs(tmp_path: Path) -> None:
+def test_a_hidden_record_belongs_to_the_user(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 1, 10**9)
     path, _ = make(folder, 0, 10, ends=True)
     hidden = path.rename(path.with_name(f".{path.name}"))
@@ -155,30 +155,30 @@ def test_a_record_that_somebody_hid_is_theirs(tmp_path: Path) -> None:
     assert hidden.exists()
 
 
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+def test_an_impossible_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "records").write_text("a file")
     with pytest.raises(OSError, match="records"):
         RecordFolder(tmp_path / "records", 9, 10**9).create(BEGAN, "")
 
 
-def _bag(path: Path, library: str, told: str = "") -> None:
+def _bag(path: Path, library: str, metadata: str = "") -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros2", library)
-        if told:
-            writer.add_metadata(told, {"request_id": "id 0", "began": str(BEGAN)})
+        if metadata:
+            writer.add_metadata(metadata, {"request_id": "id 0", "began": str(BEGAN)})
         writer.finish()
 
 
 def _socket(path: Path) -> None:
-    folder = os.open(path.parent, os.O_RDONLY)  # by its descriptor: the whole path may be longer than a socket's may be
+    folder = os.open(path.parent, os.O_RDONLY)  # by its descriptor: the path may be too long for a socket
     with socket.socket(socket.AF_UNIX) as made:
         made.bind(f"/proc/self/fd/{folder}/{path.name}")
     os.close(folder)
 
 
 def _record(path: Path) -> None:
-    """Put a record of ours there, under a name that somebody gave it."""
+    """Put a record of ours there, renamed by a user."""
     with path.open("wb") as stream:
         McapStream(stream, {}, live=True, told=[(ABOUT, head({}, BEGAN, "id 0"))])
 
@@ -189,8 +189,8 @@ FOREIGN: dict[str, Callable[[Path], object]] = {
     "zeros": lambda path: path.write_bytes(bytes(5000)),
     "a recording of ros2 bag": lambda path: _bag(path, "libmcap 1.3"),
     "a recording of ours, not of a docking": lambda path: _bag(path, "deltacharger", "docking"),
-    "somebody who tells what we tell": lambda path: _bag(path, "libmcap", ABOUT),
-    "a record that somebody renamed": _record,
+    "a foreign file with our metadata": lambda path: _bag(path, "libmcap", ABOUT),
+    "a renamed record": _record,
     "a folder": Path.mkdir,
     "a pipe": os.mkfifo,
     "a socket": _socket,
@@ -211,7 +211,7 @@ names_like_ours = st.builds(
 
 @settings(deadline=None, max_examples=60)
 @given(st.dictionaries(names_like_ours, st.sampled_from(sorted(FOREIGN)), max_size=12), st.integers(1, 4))
-def test_nothing_that_is_not_ours_changes_counts_or_stops_a_record(
+def test_foreign_files_are_unchanged_not_counted_and_stop_no_record(
     tmp_path_factory: pytest.TempPathFactory, foreign: dict[str, str], files: int
 ) -> None:
     path = tmp_path_factory.mktemp("records")
@@ -221,7 +221,7 @@ def test_nothing_that_is_not_ours_changes_counts_or_stops_a_record(
     first, second = RecordFolder(path, files, 10**9), RecordFolder(path, files, 10**9)
     made = [make((first, second)[number % 2], number, 10, ends=True)[0] for number in range(5)]
     first.prune()
-    assert [entry.path for entry in second.entries()] == made[-files:], "the newest of both, as many as may be"
+    assert [entry.path for entry in second.entries()] == made[-files:], "the newest of both, up to the limit"
     after = contents(path)
     assert {name: after.get(name) for name in before} == before
     assert len(after) == len(before) + files
@@ -230,8 +230,8 @@ def test_nothing_that_is_not_ours_changes_counts_or_stops_a_record(
     assert all(second.passed_by.values())
 
 
-@pytest.mark.parametrize("kind", [name for name in FOREIGN if name != "a record that somebody renamed"])
-def test_what_stands_in_the_way_of_a_name_is_gone_around(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", [name for name in FOREIGN if name != "a renamed record"])
+def test_an_existing_file_with_the_same_name_is_avoided(tmp_path: Path, kind: str) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
     for name in (NAME, NAME.replace("-OK.mcap", PARTIAL)):
         FOREIGN[kind](tmp_path / name)
@@ -243,7 +243,7 @@ def test_what_stands_in_the_way_of_a_name_is_gone_around(tmp_path: Path, kind: s
     assert [entry.path for entry in folder.entries()] == [path]
 
 
-def test_a_record_that_somebody_put_another_file_in_place_of_is_not_ours_any_more(tmp_path: Path) -> None:
+def test_a_replaced_record_is_no_longer_ours(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
     path, stream = make(folder, 0, 10, ends=False)
     path.rename(tmp_path / "mine")
@@ -251,12 +251,14 @@ def test_a_record_that_somebody_put_another_file_in_place_of_is_not_ours_any_mor
     before = contents(tmp_path)
     with stream:
         for end in (folder.forget, lambda *file: folder.finish(*file, "OK")):
-            with pytest.raises(FileNotFoundError, match="somebody moved"):
+            with pytest.raises(FileNotFoundError, match="another program moved"):
                 end(path, stream)
     assert contents(tmp_path) == before
 
 
-def test_what_cannot_be_removed_is_named_and_the_next_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unremovable_record_is_reported_and_the_next_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
     stuck, next_, *_ = (make(folder, number, 10, ends=True)[0] for number in range(3))
     unlink = Path.unlink
@@ -269,7 +271,7 @@ def test_what_cannot_be_removed_is_named_and_the_next_goes(tmp_path: Path, monke
     monkeypatch.setattr(Path, "unlink", refuse)
     small = RecordFolder(tmp_path, 2, 10**9)
     assert small.prune() == [next_]
-    assert small.passed_by == {stuck.name: "it cannot be removed: Operation not permitted"}
+    assert small.passed_by == {stuck.name: "cannot be removed: Operation not permitted"}
 
 
 def test_a_copied_folder_is_a_folder_of_records(tmp_path: Path) -> None:
@@ -281,7 +283,7 @@ def test_a_copied_folder_is_a_folder_of_records(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=200)
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 255)), min_size=1, max_size=4), st.floats(0.0, 1.0))
-def test_a_head_that_is_damaged_is_looked_at_in_peace(
+def test_a_damaged_head_is_read_without_errors(
     tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[float, int]], share: float
 ) -> None:
     path = tmp_path_factory.mktemp("records") / NAME
@@ -294,7 +296,7 @@ def test_a_head_that_is_damaged_is_looked_at_in_peace(
 
 
 def _unpacked(path: Path, size: int) -> None:
-    """Put a chunk behind the header that would be `size` bytes when unpacked."""
+    """Add a chunk after the header that unpacks to `size` bytes."""
     import zstandard
     from mcap.data_stream import RecordBuilder
     from mcap.records import Chunk, Header
@@ -307,7 +309,7 @@ def _unpacked(path: Path, size: int) -> None:
     path.write_bytes(b"\x89MCAP0\r\n" + builder.end())
 
 
-def test_what_is_large_is_not_read(tmp_path: Path) -> None:
+def test_large_contents_are_not_read(tmp_path: Path) -> None:
     with (tmp_path / NAME).open("wb") as file:
         file.truncate(2**40)
     bomb = tmp_path / f"x{NAME}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a record keeps: everything around an event, little of hours of charging, and never more than it may."""
+"""A record keeps everything around an event, little from hours of charging, and never more than its limit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BEFORE = 2.0
 MANY = 10**9
 
 
-def said(topic: str, number: int, data: bytes = b"x" * 100) -> Raw:
+def raw(topic: str, number: int, data: bytes = b"x" * 100) -> Raw:
     return Raw(topic, number, number, data)
 
 
@@ -28,23 +28,23 @@ def numbers(messages: list[Raw]) -> list[int]:
     return [message.received for message in messages]
 
 
-def test_a_record_begins_with_the_seconds_before_and_keeps_all_of_what_follows() -> None:
+def test_a_record_begins_with_the_seconds_before_and_keeps_everything_after() -> None:
     kept, tap = list[Raw](), gate()
     for number in range(1000):
-        assert tap.offer(0.01 * number, said("servo", number)) == []
+        assert tap.offer(0.01 * number, raw("servo", number)) == []
     kept += tap.open()
     for number in range(1000, 1500):
-        kept += tap.offer(0.01 * number, said("servo", number))
+        kept += tap.offer(0.01 * number, raw("servo", number))
     kept += tap.close()
     assert numbers(kept) == list(range(kept[0].received, 1500))
     assert 0.01 * (999 - kept[0].received) == pytest.approx(BEFORE, abs=0.02)
 
 
-def test_the_next_record_has_its_seconds_before_although_they_stand_in_the_last_one() -> None:
+def test_the_next_record_has_its_seconds_before_even_if_the_last_one_has_them() -> None:
     tap = gate()
     tap.open()
     for number in range(300):
-        tap.offer(0.01 * number, said("servo", number))
+        tap.offer(0.01 * number, raw("servo", number))
     tap.close()
     assert numbers(tap.open())[-1] == 299
     assert len(numbers(tap.open())) > 100
@@ -60,7 +60,7 @@ def test_the_next_record_has_its_seconds_before_although_they_stand_in_the_last_
         max_size=80,
     )
 )
-def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float, str, str]]) -> None:
+def test_messages_pass_in_order_and_every_state_passes(events: list[tuple[float, str, str]]) -> None:
     tap, kept, now = gate(), list[Raw](), 0.0
     tap.open()
     for number, (step, topic, act) in enumerate(events):
@@ -71,7 +71,7 @@ def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float
             tap.wake()
         elif act == "stir":
             tap.stir(now)
-        kept += tap.offer(now, said(topic, number))
+        kept += tap.offer(now, raw(topic, number))
     kept += tap.close()
     assert numbers(kept) == sorted(set(numbers(kept)))
     assert [message.received for message in kept if message.topic == "state"] == [
@@ -81,38 +81,38 @@ def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float
 
 
 def charge(hours: float, budget: int = MANY) -> tuple[list[Raw], Gate]:
-    """Charge for so long at 10 messages a second, to keep the test quick; the gate knows no rate."""
+    """Charge for some hours at 10 messages a second, to keep the test fast; the gate assumes no rate."""
     tap, kept = gate(budget=budget), list[Raw]()
     tap.open()
     tap.rest(0.0)
     for number in range(round(hours * 36_000)):
-        kept += tap.offer(0.1 * number, said("servo", number))
+        kept += tap.offer(0.1 * number, raw("servo", number))
     return kept, tap
 
 
-def test_an_hour_of_charging_is_kept_once_a_second_and_longer_ones_ever_more_thinly() -> None:
+def test_an_hour_of_charging_is_kept_once_a_second_and_longer_charging_is_thinned_further() -> None:
     hour, three, twelve = (len(charge(hours)[0]) for hours in (1.0, 3.0, 12.0))
     assert hour == pytest.approx(3600, rel=0.1)
     assert three - hour < 1.2 * 3600 * 1.1  # 3600 ln 3
     assert twelve - three < 1.2 * 3600 * 1.4  # 3600 ln 4
 
 
-def test_when_something_happens_while_charging_the_seconds_around_it_are_whole() -> None:
+def test_the_seconds_around_an_event_while_charging_are_complete() -> None:
     kept, tap = charge(0.1)
     now = 0.1 * 3600
     tap.stir(now)
     for number in range(3600, 3800):
-        kept += tap.offer(0.1 * number, said("servo", number))
+        kept += tap.offer(0.1 * number, raw("servo", number))
     around = [number for number in numbers(kept) if abs(0.1 * number - now) < BEFORE - 0.2]
     assert around == list(range(around[0], around[-1] + 1))
     assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.1, abs=2)
 
 
-def test_a_record_that_has_taken_its_share_keeps_only_the_states() -> None:
+def test_a_record_at_its_limit_keeps_only_the_states() -> None:
     tap, kept = gate(budget=10_000), list[Raw]()
     tap.open()
     for number in range(1000):
-        kept += tap.offer(0.01 * number, said("state" if number % 100 == 0 else "servo", number))
+        kept += tap.offer(0.01 * number, raw("state" if number % 100 == 0 else "servo", number))
     assert sum(len(message.data) for message in kept) < 10_000 + 200 + 10 * 100
     assert sum(message.topic == "state" for message in kept) == 10
     assert tap.dropped["servo"] == 990 - sum(message.topic == "servo" for message in kept)
@@ -143,7 +143,7 @@ def test_a_session_lasts_from_the_first_motion_until_the_arm_is_home() -> None:
     assert session.begins(seen(State.APPROACH)), "the next docking does not wait for the tail of the last one"
 
 
-def test_a_docking_whose_node_is_gone_ends_and_one_whose_node_comes_back_does_not() -> None:
+def test_a_docking_ends_if_its_node_ends_but_not_if_the_node_returns() -> None:
     session = Session()
     session.begin()
     session.see(0.0, seen(State.CONTACT))
@@ -155,7 +155,7 @@ def test_a_docking_whose_node_is_gone_ends_and_one_whose_node_comes_back_does_no
     assert session.is_over(3.0 + LOST_AFTER)
 
 
-def test_a_routine_decision_is_news_once_in_a_state() -> None:
+def test_a_routine_decision_counts_as_an_event_once_per_state() -> None:
     session = Session()
     session.see(0.0, seen(State.CHARGING, docked=True))
     assert [session.is_news("blind"), session.is_news("blind"), session.is_news("unsafe")] == [True, False, True]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording keeps, what it refuses, and the data set made from it; no charger."""
+"""Contents of a recording's journal, refused requests, and the data set made from it; no charger."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def docking(attempt: int) -> Docking:
     return Docking(attempt, 0, PART.name, attempt, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, frames)
 
 
-def test_a_data_set_is_made_of_what_the_journal_holds_and_can_be_made_again(tmp_path: Path) -> None:
+def test_a_data_set_is_composed_from_the_journal_and_can_be_composed_again(tmp_path: Path) -> None:
     out = tmp_path / "F.npz"
     with Journal(out) as journal:
         assert journal.compose() is None
@@ -41,7 +41,7 @@ def test_a_data_set_is_made_of_what_the_journal_holds_and_can_be_made_again(tmp_
     first = Dataset.load(out)
     assert list(first.attempt) == [0, 0, 1, 1, 2, 2]
     assert first.left[0, 3, 4] == 2.0
-    assert first.left.sum() == 6.0  # what is below the threshold is 0
+    assert first.left.sum() == 6.0  # readings below the threshold are 0
     assert first.dead[:, 1, 0, 0].all()
     assert first.dead.sum() == 6
     assert first.poses()[0] == pytest.approx((1e-4, -2e-4, 0.0))
@@ -54,7 +54,7 @@ def test_a_data_set_is_made_of_what_the_journal_holds_and_can_be_made_again(tmp_
     assert first.meta == again.meta
 
 
-def test_one_process_at_a_time_and_nothing_else_goes_into_a_folder(tmp_path: Path) -> None:
+def test_a_folder_accepts_one_process_at_a_time_and_no_other_settings(tmp_path: Path) -> None:
     out = tmp_path / "F.npz"
     with Journal(out) as journal:
         journal.store(docking(0), PART, SETTINGS, {}, [])
@@ -62,9 +62,9 @@ def test_one_process_at_a_time_and_nothing_else_goes_into_a_folder(tmp_path: Pat
             Journal(out)
     with Journal(out) as journal:
         journal.check(PART, dataclasses.replace(SETTINGS, simulated=None))
-        with pytest.raises(Mismatch, match="that is real and not simulated"):
+        with pytest.raises(Mismatch, match=r"that is real \(not simulated\)"):
             journal.check(PART, dataclasses.replace(SETTINGS, simulated=True))
-        with pytest.raises(Mismatch, match=r"--z-mm 80\.0 and not 75\.0"):
+        with pytest.raises(Mismatch, match=r"--z-mm 80\.0 \(not 75\.0\)"):
             journal.check(dataclasses.replace(PART, z_mm=75.0), SETTINGS)
         journal.check(dataclasses.replace(PART, set="angle", z_mm=75.0), SETTINGS)
     path = tmp_path / "F.recording" / "docking-000000.mcap"
@@ -87,7 +87,7 @@ def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "error"),
     [
         ((), "give --set"),
         (("--set", "angle"), "takes --angle-deg"),
@@ -101,9 +101,9 @@ def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -
         (("--compose",), "holds no dockings"),
     ],
 )
-def test_wrong_input_is_named(
+def test_wrong_input_is_reported(
     words: tuple[str, ...],
-    says: str,
+    error: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -111,5 +111,5 @@ def test_wrong_input_is_named(
     monkeypatch.chdir(tmp_path)
     Path("other.npz").write_bytes(b"of somebody else")
     assert main(["tactile", "record", "--out", "F.npz", "--json", *words]) == WRONG_INPUT
-    assert says in json.loads(capsys.readouterr().out)["error"]
+    assert error in json.loads(capsys.readouterr().out)["error"]
     assert [path.name for path in tmp_path.iterdir()] == ["other.npz"]

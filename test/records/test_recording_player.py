@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording played as a scene: everything comes back, in order and as old as it was, and never beside a charger."""
+"""A recording played as a scene: complete, in order, with the original ages, and never beside a charger."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from .docking_tapes import KINDS, decision, docking, in_order, raw, refused, wri
 pytestmark = pytest.mark.ros
 
 PLAYER = "recording_player_node"
-ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins a compressed piece
-AGE = 5_000_000  # ns between the sampling of what is recorded here and its arrival
+ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins a compressed chunk
+AGE = 5_000_000  # ns between sampling and reception of the recorded messages
 
 
 def stamped(message: Raw) -> Raw:
-    """Return a message with the stamp of a header, where it has one."""
+    """Return a message with a stamp in its header, if it has one."""
     content = deserialize_message(message.data, KINDS[message.topic])
     if not hasattr(content, "header"):
         return message
@@ -55,44 +55,44 @@ def stamped(message: Raw) -> Raw:
 
 
 def tape() -> list[Raw]:
-    """Return a docking that is refused, with a command to the arm near its end."""
+    """Return a refused docking, with a command to the arm near its end."""
     command = raw(3.5, "joint_trajectory", JointTrajectory(joint_names=["limb_0_arm_joint"]))
     return [stamped(each) for each in in_order([*docking(*refused(Code.CRITICAL_ANGLE, "tilted"), command)])]
 
 
 class Audience:
-    """Hears what is played in a namespace of its own, and what the player says about it."""
+    """Receives the played topics of its own namespace, and the player's diagnostics."""
 
     def __init__(self, context: Any) -> None:
         self.namespace = new_namespace()
-        self.heard: dict[str, list[tuple[int, Any]]] = {topic.name: [] for topic in TOPICS}
-        self.told: list[DiagnosticStatus] = []
+        self.received: dict[str, list[tuple[int, Any]]] = {topic.name: [] for topic in TOPICS}
+        self.diagnostics: list[DiagnosticStatus] = []
         self.node = Node("audience", **options(context, self.namespace))
         for topic in TOPICS:
             self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estimates: Any = self.node.create_client(PredictMisalignment, "predict_misalignment")
-        self._executor = SingleThreadedExecutor(context=context)  # Spinner's hands no MessageInfo over
+        self._executor = SingleThreadedExecutor(context=context)  # Spinner's passes no MessageInfo
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin)
         self._thread.start()
 
     def _taker(self, name: str) -> Callable[[Any, Any], None]:
         def take(message: Any, info: Any) -> None:
-            self.heard[name].append((int(info["source_timestamp"]), message))
+            self.received[name].append((int(info["source_timestamp"]), message))
 
         return take
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.told += [each for each in message.status if each.name == f"{self.namespace}/{PLAYER}: playback"]
+        self.diagnostics += [each for each in message.status if each.name == f"{self.namespace}/{PLAYER}: playback"]
 
-    def says(self, text: str) -> DiagnosticStatus:
-        """Return the first diagnostic with the text, once it has come."""
-        found = wait_until(lambda: [each for each in list(self.told) if text in each.message], f"'{text}'")
+    def diagnostic(self, text: str) -> DiagnosticStatus:
+        """Return the first diagnostic with the text, once received."""
+        found = wait_until(lambda: [each for each in list(self.diagnostics) if text in each.message], f"'{text}'")
         return found[0]
 
     def values(self, name: str, field: str) -> list[Any]:
-        return [getattr(message, field) for _, message in list(self.heard[name])]
+        return [getattr(message, field) for _, message in list(self.received[name])]
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -115,30 +115,30 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def playing(path: Path, context: Any, namespace: str, **parameters: Any) -> Composition:
     """Return the packaged scene with a file and other parameters of the player."""
     scene = load_scene("replay")
-    told = {
+    settings = {
         PLAYER: {"file": str(path), "delay": 0.0, **parameters},
         "misalignment_node": {"max_age": 5.0, "timeout": 10.0},
     }
-    return Composition(dataclasses.replace(scene, parameters=told), context, namespace)
+    return Composition(dataclasses.replace(scene, parameters=settings), context, namespace)
 
 
 def alone(path: Path, context: Any, **parameters: Any) -> RecordingPlayerNode:
     return RecordingPlayerNode(**options(context, new_namespace(), file=str(path), **parameters))
 
 
-def test_all_of_it_comes_in_order_at_its_pace_and_as_old_as_it_was(
+def test_all_messages_are_played_in_order_at_their_rate_with_their_age(
     audience: Audience, recording: Path, context: Any
 ) -> None:
     began = time.time_ns()
     with playing(recording, context, audience.namespace, rate=2.0):
-        assert audience.says("the recording is over").level == DiagnosticStatus.OK
-        wait_until(lambda: len(audience.heard["docking_state"]) >= 6, "the last state")
+        assert audience.diagnostic("the recording is over").level == DiagnosticStatus.OK
+        wait_until(lambda: len(audience.received["docking_state"]) >= 6, "the last state")
     for name, field in (("docking_state", "state"), ("docking_decision", "kind")):
         wanted = [deserialize_message(each.data, KINDS[each.topic]) for each in tape() if each.topic == f"/a/{name}"]
         assert audience.values(name, field) == [getattr(each, field) for each in wanted]
     assert [list(each.uuid) for each in audience.values("dock/_action/feedback", "goal_id")[:1]] == [[7] * 16]
     ages, stamps = [], []
-    for sent, message in audience.heard["servo_state"]:
+    for sent, message in audience.received["servo_state"]:
         stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
         ages.append(sent - stamps[-1])
     assert stamps[0] > began - AGE
@@ -148,56 +148,54 @@ def test_all_of_it_comes_in_order_at_its_pace_and_as_old_as_it_was(
     assert [each.stamp.sec > 0 for each in audience.values("joint_trajectory", "header")] == [True]
 
 
-def test_misalignment_is_felt_from_what_is_played_again_and_again(
-    audience: Audience, recording: Path, context: Any
-) -> None:
+def test_misalignment_is_estimated_from_a_looped_recording(audience: Audience, recording: Path, context: Any) -> None:
     with playing(recording, context, audience.namespace, loop=True, rate=4.0) as composition:
         assert audience.estimates.wait_for_service(DEADLINE)
 
-        def felt() -> Any:
+        def estimate() -> Any:
             asked = audience.estimates.call_async(PredictMisalignment.Request(frames=4))
             wait_until(asked.done, "an estimate")
             return asked.result() if asked.result().success else None
 
-        assert wait_until(felt, "frames that allow an estimate").misalignment.contact
+        assert wait_until(estimate, "frames that allow an estimate").misalignment.contact
         wait_until(lambda: composition.node(PLAYER).passes >= 2, "a second pass")
     states = audience.values("docking_state", "state")
     once = [deserialize_message(each.data, KINDS[each.topic]).state for each in tape() if "docking_state" in each.topic]
     assert states[: 2 * len(once)] == 2 * once
 
 
-def test_it_never_commands_an_arm_beside_which_it_is_played(audience: Audience, recording: Path, context: Any) -> None:
+def test_it_never_commands_the_arm_of_a_charger_that_appears(audience: Audience, recording: Path, context: Any) -> None:
     with playing(recording, context, audience.namespace) as composition:
-        wait_until(lambda: audience.heard["servo_state"], "the first messages")
+        wait_until(lambda: audience.received["servo_state"], "the first messages")
         servos = audience.node.create_publisher(ServoState, "servo_state", qos.LATEST)
-        assert "somebody else publishes" in audience.says("a charger runs here").message
-        assert audience.told[-1].level == DiagnosticStatus.ERROR
-        assert composition.failed() == [], "what it said last may still be looked at"
+        assert "another node publishes" in audience.diagnostic("a charger runs here").message
+        assert audience.diagnostics[-1].level == DiagnosticStatus.ERROR
+        assert composition.failed() == [], "its last messages remain available"
         audience.node.destroy_publisher(servos)
-    assert audience.heard["joint_trajectory"] == []
+    assert audience.received["joint_trajectory"] == []
 
 
-def test_it_does_not_begin_where_a_charger_runs(audience: Audience, recording: Path, context: Any) -> None:
+def test_it_does_not_begin_beside_a_running_charger(audience: Audience, recording: Path, context: Any) -> None:
     servos = audience.node.create_publisher(ServoState, "servo_state", qos.LATEST)
     with playing(recording, context, audience.namespace, delay=60.0) as composition:
-        audience.says("a charger runs here")
+        audience.diagnostic("a charger runs here")
         assert composition.node(PLAYER).passes == 0
-    assert not any(audience.heard.values())
+    assert not any(audience.received.values())
     audience.node.destroy_publisher(servos)
 
 
-def test_a_file_that_a_kill_cut_short_is_played_as_far_as_it_goes(
+def test_a_file_truncated_by_a_kill_is_played_up_to_its_end(
     audience: Audience, recording: Path, context: Any, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap.partial"
     cut.write_bytes(recording.read_bytes()[:-2000])
     with playing(cut, context, audience.namespace, rate=20.0):
-        told = audience.says("the recording is over")
-    assert (told.level, "ends early" in told.message) == (DiagnosticStatus.WARN, True)
+        status = audience.diagnostic("the recording is over")
+    assert (status.level, "ends early" in status.message) == (DiagnosticStatus.WARN, True)
 
 
 def damaged(folder: Path) -> Path:
-    """Return a recording whose last piece is spoilt."""
+    """Return a recording with a damaged last chunk."""
     path = folder / "damaged.mcap"
     with McapWriter(path, KINDS) as writer:
         for message in tape():
@@ -221,36 +219,36 @@ def text(folder: Path, content: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "error"),
     [
         (lambda folder: "", "--recording FILE"),
         (lambda folder: folder / "none.mcap", "there is no such file"),
         (lambda folder: folder, "it is a folder"),
         (lambda folder: text(folder, ""), "is empty"),
         (lambda folder: text(folder, "a scene: {}\n" * 9), "is no MCAP file"),
-        (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "tells no docking_state"),  # type: ignore[arg-type]
+        (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "has no readable docking_state"),  # type: ignore[arg-type]
         (damaged, "is damaged from here on"),
         (of_two, "parameter 'charger'"),
     ],
     ids=["none named", "missing", "folder", "empty", "text", "foreign", "damaged", "two chargers"],
 )
-def test_what_cannot_be_played_is_refused_at_the_start(
-    make: Callable[[Path], Path], says: str, context: Any, tmp_path: Path
+def test_unplayable_files_are_refused_at_the_start(
+    make: Callable[[Path], Path], error: str, context: Any, tmp_path: Path
 ) -> None:
     with pytest.raises(StartupError, match=PLAYER) as caught:
         alone(make(tmp_path), context)
-    assert says in str(caught.value)
+    assert error in str(caught.value)
 
 
-def test_one_charger_of_several_is_played_by_its_name(context: Any, tmp_path: Path) -> None:
+def test_one_charger_of_several_is_selected_by_name(context: Any, tmp_path: Path) -> None:
     player = alone(of_two(tmp_path), context, charger="b")
     player.close()
     player.destroy_node()
-    with pytest.raises(StartupError, match=r"no docking_state of /c; there is /a, /b"):
+    with pytest.raises(StartupError, match=r"no docking_state of /c; it holds /a, /b"):
         alone(of_two(tmp_path), context, charger="c")
 
 
-def test_up_plays_a_recording_says_what_there_is_and_ends_in_order(
+def test_up_plays_a_recording_reports_its_content_and_ends_in_order(
     start: Callable[..., Process], deltacharger: tuple[str, ...], recording: Path, namespace: str
 ) -> None:
     scene = start(*deltacharger, "up", "--recording", str(recording), "--namespace", namespace)

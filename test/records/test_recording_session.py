@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions of touching in virtual time: the real steps of docking against the simulated world, without ROS."""
+"""Recording sessions in virtual time: docking's real steps in the simulated world, without ROS."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def part_of(kind: str, **changes: object) -> Part:
 
 
 class Ear:
-    """A keeper that hears the world's frames, and knows the truth beside them."""
+    """A keeper that takes the world's frames, and knows the true pose."""
 
     def __init__(self, charger: VirtualCharger) -> None:
-        self.felt: list[tuple[int, Rested, np.ndarray, Snapshot]] = []
+        self.kept_rows: list[tuple[int, Rested, np.ndarray, Snapshot]] = []
         self.refuse: Exception | None = None
         self._charger = charger
         self._frames: list[np.ndarray] = []
@@ -55,9 +55,9 @@ class Ear:
         return len(self._frames) == FRAMES
 
     def keep(self, touch: Rested) -> None:
-        assert self._charger.world.snapshot().misalignment is None, "kept before the arm had let go"
+        assert self._charger.world.snapshot().misalignment is None, "kept before the arm had released the target"
         assert self._truth is not None
-        self.felt.append((self._number, touch, np.mean(self._frames, axis=0), self._truth))
+        self.kept_rows.append((self._number, touch, np.mean(self._frames, axis=0), self._truth))
 
     def kept(self) -> bool:
         if self.refuse is not None:
@@ -99,16 +99,16 @@ class Bench:
 
 
 @pytest.mark.parametrize("degrees", [0.0, -3.0])
-def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
+def test_the_target_is_measured_at_the_commanded_pose(degrees: float) -> None:
     roll = math.radians(degrees)
     bench, corners = Bench(roll), [CommandedPose(x, y, roll) for x in (-0.006, 0.006) for y in (-0.004, 0.004)]
     assert bench.run(corners) is Code.NONE
-    assert [number for number, *_ in bench.ear.felt] == [0, 1, 2, 3]
-    for number, touch, frames, truth in bench.ear.felt:
+    assert [number for number, *_ in bench.ear.kept_rows] == [0, 1, 2, 3]
+    for number, touch, frames, truth in bench.ear.kept_rows:
         assert truth.misalignment is not None
         x, y, angle = truth.misalignment
         pose = corners[number]
-        # A docking's jitter, four times its standard deviation, and what friction holds back.
+        # A docking's jitter, four standard deviations, and the offset held back by friction.
         assert abs(x - pose.horizontal) < 4 * DOCKING_JITTER + 0.001
         assert abs(y - pose.vertical) < 4 * DOCKING_JITTER + 0.001
         assert abs(angle - roll) < math.radians(0.6)
@@ -118,7 +118,7 @@ def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
     assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
 
 
-def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_tared_once() -> None:
+def test_between_dockings_the_arm_stays_before_the_target_and_the_pads_are_tared_once() -> None:
     bench = Bench()
     bench.start([CommandedPose(0.0, 0.0, 0.0)] * 3)
     tares, lowest = 0, []
@@ -132,7 +132,7 @@ def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_t
     bench.charger._accept = count  # type: ignore[method-assign]
 
     def ended() -> bool:
-        if 0 < len(bench.ear.felt) < 3:
+        if 0 < len(bench.ear.kept_rows) < 3:
             lowest.append(bench.charger.world.snapshot().position[2])
         return bench.charger.outcome is not None
 
@@ -143,7 +143,7 @@ def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_t
 
 
 @pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT, State.MEASURE, State.RETRACT, State.ALIGN])
-def test_a_cancel_in_every_step_takes_the_arm_home_and_the_torque_off(state: State) -> None:
+def test_a_cancel_in_any_step_returns_the_arm_home_and_switches_the_torque_off(state: State) -> None:
     bench = Bench()
     bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
     bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
@@ -163,7 +163,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("state", [State.CONTACT, State.MEASURE])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_ends_the_session_safe_and_only_what_may_pass_is_worth_another(state: State, fault: str) -> None:
+def test_a_fault_ends_the_session_safely_and_only_temporary_faults_permit_a_retry(state: State, fault: str) -> None:
     changes, code, retriable = FAULTS[fault]
     bench = Bench()
     bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
@@ -175,28 +175,26 @@ def test_a_fault_ends_the_session_safe_and_only_what_may_pass_is_worth_another(s
     bench.charger.distort = distort
     outcome = bench.charger.finish(LIMIT)
     assert (outcome.code, outcome.retriable) == (code, retriable)
-    assert not bench.ear.felt
+    assert not bench.ear.kept_rows
     bench.charger.distort = lambda observation: observation
     bench.charger.run(0.2)
     bench.assert_safe()
-    assert bench.run([CommandedPose(0.0, 0.0, 0.0)]) is Code.NONE, (
-        "the next session begins from wherever the last one ended"
-    )
+    assert bench.run([CommandedPose(0.0, 0.0, 0.0)]) is Code.NONE, "the next session begins at the last one's end"
 
 
-def test_what_cannot_be_kept_ends_the_session_with_the_arm_home() -> None:
+def test_a_docking_that_cannot_be_written_ends_the_session_with_the_arm_home() -> None:
     bench = Bench()
     bench.ear.refuse = NotKept("the disk is full")
     bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
     outcome = bench.charger.finish(LIMIT)
     assert outcome.message == "the disk is full"
     assert not outcome.retriable
-    assert len(bench.ear.felt) == 1
+    assert len(bench.ear.kept_rows) == 1
     assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
     bench.assert_safe()
 
 
-def test_nothing_moves_toward_what_is_out_of_reach_or_while_a_session_runs() -> None:
+def test_targets_out_of_reach_and_second_sessions_are_refused_without_motion() -> None:
     bench = Bench()
     with pytest.raises(Unreachable, match="out of the arm's reach"):
         bench.start([CommandedPose(0.0, 0.0, 0.0), CommandedPose(0.2, 0.0, 0.0)])
@@ -207,7 +205,7 @@ def test_nothing_moves_toward_what_is_out_of_reach_or_while_a_session_runs() -> 
 
 
 @pytest.mark.parametrize("kind", SETS)
-def test_a_plan_is_the_same_for_the_same_arguments_and_only_for_them(kind: str) -> None:
+def test_a_plan_depends_on_its_arguments_only(kind: str) -> None:
     part = part_of(kind)
     assert part.poses() == part.poses() == Part.from_dict(asdict(part)).poses()
     angle = math.radians(part.angle_deg)
@@ -235,7 +233,7 @@ def test_the_sets_are_the_papers() -> None:
     assert 0.008 < sweep.max() <= 0.012
 
 
-def test_electrodes_that_hang_on_the_battery_are_not_pressed_on_a_target_to_record() -> None:
+def test_electrodes_connected_to_the_battery_are_not_used_for_recording() -> None:
     machine = VirtualCharger(parameters=DockingParameters(power="none")).machine
-    with pytest.raises(Rejected, match="take the electrodes' leads off"):
+    with pytest.raises(Rejected, match="disconnect the electrodes"):
         check_places(machine, [(0.0, 0.0, 0.080)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger replay`: why a recorded docking ended, in words and numbers that a person can act on."""
+"""`deltacharger replay`: why a recorded docking ended, in text and numbers that a person can act on."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def tilted(path: Path) -> Path:
 
 
 def charged(path: Path, seconds: float = 5.0) -> Path:
-    """Dock, charge for so long and undock."""
+    """Dock, charge for some seconds and undock."""
     end = 3.0 + seconds
     tape = docking(
         measured(2.8, 3.0, vertical=1e-3),
@@ -61,7 +61,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, captured.out, captured.err
 
 
-def test_a_critical_angle_is_explained_by_the_clearance_it_would_leave(tmp_path: Path) -> None:
+def test_a_critical_angle_is_explained_by_the_remaining_clearance(tmp_path: Path) -> None:
     assert why(replay(tilted(tmp_path))) == (
         "Charging was refused: the angle was measured as 12.6° ± 0.3° in two dockings; even without an offset across "
         "the bars the clearance would be −0.3 mm, 0.3 mm are needed. Level the target or the charger. The arm was home "
@@ -69,13 +69,13 @@ def test_a_critical_angle_is_explained_by_the_clearance_it_would_leave(tmp_path:
     )
 
 
-def test_an_angle_that_only_its_error_makes_critical_is_explained_by_that(tmp_path: Path) -> None:
+def test_an_angle_that_is_critical_only_with_its_error_is_explained_by_the_error(tmp_path: Path) -> None:
     tape = docking(measured(2.7, 10.6), measured(2.9, 10.6), *refused(Code.CRITICAL_ANGLE, "tilted by 10.6°"))
     text = why(replay(write(tmp_path / "a.mcap", tape)))
     assert "the clearance would be 0.9 mm, 0.3 mm less three standard deviations, 0.3 mm are needed" in text
 
 
-def test_a_roll_that_was_given_is_refused_before_anything_is_touched(tmp_path: Path) -> None:
+def test_a_given_roll_is_refused_before_any_contact(tmp_path: Path) -> None:
     tape = [state(0.0, State.IDLE), *readings(0.0, 2.0), *refused(Code.CRITICAL_ANGLE, "the roll is 17.2°", at=1.0)]
     assert "refused: before anything was touched, the roll is 17.2°." in why(replay(write(tmp_path / "a.mcap", tape)))
 
@@ -88,7 +88,7 @@ def test_a_roll_that_was_given_is_refused_before_anything_is_touched(tmp_path: P
             "no electrodes were found: dark",
             ["in MEASURE by ELECTRODES_NOT_FOUND", "dark", "Move"],
         ),
-        (Code.CANCELED, "cancelled by the client", ["The client took the goal back in MEASURE after 2.0 s."]),
+        (Code.CANCELED, "cancelled by the client", ["The client canceled the goal in MEASURE after 2.0 s."]),
         (Code.STUCK, "the magnets held against 2.8 A", ["STUCK", "free the target by hand"]),
         (
             Code.MISALIGNED,
@@ -100,7 +100,7 @@ def test_a_roll_that_was_given_is_refused_before_anything_is_touched(tmp_path: P
         (Code.INTERNAL, "internal error", ["in MEASURE by INTERNAL: internal error."]),
     ],
 )
-def test_every_way_out_is_told_with_what_to_do(tmp_path: Path, code: Code, message: str, parts: list[str]) -> None:
+def test_every_ending_is_explained_with_a_remedy(tmp_path: Path, code: Code, message: str, parts: list[str]) -> None:
     verdict = decision(2.8, State.MEASURE, "verdict", "too close", clearance_m=0.0041)
     tape = docking(measured(2.8, 3.0, vertical=1e-3), verdict, *refused(code, message))
     text = why(replay(write(tmp_path / "a.mcap", tape, result(code, message))))
@@ -108,7 +108,7 @@ def test_every_way_out_is_told_with_what_to_do(tmp_path: Path, code: Code, messa
     assert text.endswith("The arm was home again at 3.0 s.")
 
 
-def test_a_docking_that_charged_is_told_in_figures(tmp_path: Path) -> None:
+def test_a_docking_that_charged_is_described_with_numbers(tmp_path: Path) -> None:
     text = why(replay(charged(tmp_path)))
     assert text == (
         "Docked and charging in 3.0 s; the electrodes rest with 0.45 A of contact current, 17.2 N; the target lies "
@@ -126,16 +126,18 @@ def test_the_story_is_in_order_with_every_state_and_decision(tmp_path: Path) -> 
         *("idle", "accepted", "approach", "contact", "contact", "measure", "measured", "measured"),
         *("interrupted", "retract", "retracted", "idle"),
     ]
-    told = "angle 12.5° ± 0.3°, vertical 0.0 mm ± 0.1 mm, horizontal 0.0 mm ± 1.0 mm, across 0.0 mm ± 0.1 mm"
-    assert f"measured: sure ({told})" in lines[6]
+    numbers_text = "angle 12.5° ± 0.3°, vertical 0.0 mm ± 0.1 mm, horizontal 0.0 mm ± 1.0 mm, across 0.0 mm ± 0.1 mm"
+    assert f"measured: sure ({numbers_text})" in lines[6]
 
 
 def test_numbers_have_the_unit_of_their_name() -> None:
     values = {"angle_rad": 0.1, "x_m": -0.00125, "share": 0.036467, "margin_3_sigma_m": 0.005, "v_V": float("inf")}
     assert numbers(values) == "angle 5.7°, x −1.2 mm, share 0.0365, margin at 3σ 5.0 mm, v infinite"
+    stiffness = {"felt_Nm_per_rad": 17.284, "told_Nm_per_rad": 15.0}
+    assert numbers(stiffness) == "felt 17.3 N·m/rad, told 15.0 N·m/rad"
 
 
-def test_json_holds_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_contains_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, str(tilted(tmp_path)), "--json")
     found = json.loads(out)
     assert code == 0
@@ -177,7 +179,7 @@ def test_a_folder_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.999])
-def test_a_truncated_record_is_read_as_far_as_it_goes(tmp_path: Path, share: float) -> None:
+def test_a_truncated_record_is_read_up_to_its_end(tmp_path: Path, share: float) -> None:
     path = tmp_path / "a.mcap.partial"
     messages = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
     with path.open("wb") as stream:
@@ -213,7 +215,7 @@ def test_a_damaged_record_is_read_up_to_the_damage(tmp_path: Path) -> None:
     assert found.outcome()["success"] is None
 
 
-def test_a_recording_of_the_states_alone_is_enough(tmp_path: Path) -> None:
+def test_a_recording_of_docking_state_alone_is_enough(tmp_path: Path) -> None:
     kinds = {NAMES["docking_state"]: DockingState}
     tape = docking(*refused(Code.NO_CONTACT, "nothing is there"))
     found = replay(write(tmp_path / "a.mcap", tape, kinds=kinds))
@@ -228,7 +230,7 @@ def test_a_recording_of_the_states_alone_is_enough(tmp_path: Path) -> None:
         (lambda path: path.write_bytes(b""), "is empty"),
         (lambda path: path.write_bytes(b"PNG and so on" * 100), "no MCAP file"),
         (lambda path: write(path, readings(0.0, 0.1), kinds={NAMES["servo_state"]: ServoState}), "no docking_state"),
-        (lambda path: write(path, []), "tells no docking_state: there is no message of it"),
+        (lambda path: write(path, []), "has no readable docking_state: no messages"),
         (lambda path: None, "no such file"),
     ],
 )
@@ -244,13 +246,13 @@ def test_wrong_input_ends_with_2_and_the_reason(
     assert (code, json.loads(out)["success"]) == (2, False)
 
 
-def test_two_chargers_in_one_recording_must_be_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "two.mcap"
     kinds = {"/left/docking_state": DockingState, "/right/docking_state": DockingState}
     with McapWriter(path, kinds) as writer:
         for topic, code in (("/left/docking_state", 302), ("/right/docking_state", 305)):
-            for time, told in ((1, DockingState(state=2)), (2, DockingState(state=0, error_code=code))):
-                writer.add(Raw(topic, time * 10**9, time * 10**9, serialize_message(told)))
+            for time, state_message in ((1, DockingState(state=2)), (2, DockingState(state=0, error_code=code))):
+                writer.add(Raw(topic, time * 10**9, time * 10**9, serialize_message(state_message)))
     code, _, err = run(capsys, str(path))
     assert code == 2
     assert "/left, /right: name one with --namespace" in err
@@ -272,27 +274,25 @@ def test_it_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str], tape: s
     assert picture.stat().st_size > 20_000
 
 
-def test_a_picture_that_cannot_be_written_is_refused_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unwritable_picture_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = run(capsys, str(tilted(tmp_path)), "--picture", str(tmp_path / "no" / "run.png"))
     assert code == 2
     assert "--picture" in err
 
 
-def test_clearance_is_that_of_the_offset_across_the_bars_which_an_older_record_leaves_to_the_pose(
+def test_clearance_uses_the_offset_across_the_bars_and_older_records_derive_it_from_the_pose(
     tmp_path: Path,
 ) -> None:
-    told = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3)
+    newer = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3)
     older = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3, without=("across_m", "across_stddev_m"))
     (new,), (old,) = (
         replay(write(tmp_path / f"{name}.mcap", docking(each, until=3.0))).run.touches
-        for name, each in (("new", told), ("old", older))
+        for name, each in (("new", newer), ("old", older))
     )
     across = 2e-3 * math.cos(math.radians(6.0)) - 4e-3 * math.sin(math.radians(6.0))
     assert math.isnan(old.across)
     assert new.estimate.across == pytest.approx(across)
     assert old.estimate.across == pytest.approx(across)
-    # The pads know it better than the pose does, along whose horizontal a lean leaks.
+    # The pads' own value is better than the pose's: a lean affects the pose's horizontal.
     assert new.estimate.across_stddev == pytest.approx(1e-4)
     assert old.estimate.across_stddev > new.estimate.across_stddev

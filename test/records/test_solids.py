@@ -55,7 +55,7 @@ def test_a_bar_reaches_from_its_first_to_its_last_point() -> None:
 
 
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
-def test_what_is_nearer_comes_last(eye: tuple[float, float, float]) -> None:
+def test_nearer_faces_come_last(eye: tuple[float, float, float]) -> None:
     solids = Solids()
     solids.add(_box((0.0, 0.0, eye[2] * 2.0), BLUE))
     solids.add(_box((0.0, 0.0, 0.0), RED))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile record` against a charger that runs: real nodes, real bytes, simulated world."""
+"""`deltacharger tactile record` with a running charger: real nodes, real bytes, simulated world."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ QUICK = {
     "tactile_age_max": 1.0,
     "power_age_max": 1.0,
 }
-"""Of docking_node: large steps, and patience with a loaded machine."""
+"""Of docking_node: large steps, and timeouts that tolerate a loaded computer."""
 FRAMES = 3
 NODES = ["servo_node", "tactile_node", "docking_node"]
 
 
 class Charger:
-    """A simulated charger with its target level at (0, 0, 80) mm, and the truth about it."""
+    """A simulated charger with its target level at (0, 0, 80) mm, and its true state."""
 
     def __init__(self, composition: Composition, namespace: str) -> None:
         assert composition.charger is not None
@@ -100,7 +100,7 @@ Recorder = Callable[..., Process]
 def record(
     start: Callable[..., Process], deltacharger: tuple[str, ...], charger: Charger, tmp_path: Path
 ) -> Iterator[Recorder]:
-    """Start the command on the charger; F.npz is the data set unless the words say otherwise."""
+    """Start the command on the charger; F.npz is the data set unless the options differ."""
 
     def begin(*words: str) -> Process:
         place = ("--namespace", charger.namespace, "--out", str(tmp_path / "F.npz"), "--json")
@@ -118,7 +118,7 @@ def answer(process: Process, code: int, number: int | None = None) -> dict[str, 
 
 
 def complete(record: Recorder, *words: str) -> dict[str, Any]:
-    """Call until the set is complete: on a loaded computer servos lose their torque, and the same call goes on."""
+    """Call until the set is complete: on a loaded computer servos lose their torque, and the next call continues."""
     for _ in range(4):
         process = record(*words)
         if process.end() == DONE:
@@ -128,22 +128,22 @@ def complete(record: Recorder, *words: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_papers_sets_go_into_one_file_whose_offsets_the_estimator_feels(
+def test_the_papers_sets_make_one_file_whose_offsets_the_estimator_finds(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
     shape = ("--frames", str(FRAMES), "--rows", "2", "--rig", "7")
     position = ("--set", "position", "--repeat", "1", "--offsets-mm", "-5", "5", *shape)
-    told = complete(record, *position)
-    assert (told["dockings"], told["remaining"], told["n"], told["simulated"]) == (4, 0, 8, True)
+    result = complete(record, *position)
+    assert (result["dockings"], result["remaining"], result["n"], result["simulated"]) == (4, 0, 8, True)
     charger.assert_safe()
 
     contacts = charger.world.record.contacts
-    again = record(*position, "--namespace", "nobody_here")  # what is complete needs no charger
+    again = record(*position, "--namespace", "nobody_here")  # a complete set needs no charger
     assert answer(again, DONE)["recorded"] == 0
     assert charger.world.record.contacts == contacts
 
     other = record(*position, "--rig", "8", "--repeat", "2")
-    assert all(name in answer(other, WRONG_INPUT)["error"] for name in ("--rig 7 and not 8", "--repeat 1 and not 2"))
+    assert all(name in answer(other, WRONG_INPUT)["error"] for name in ("--rig 7 (not 8)", "--repeat 1 (not 2)"))
 
     charger.turn(4.0)
     turned = ("--set", "angle", "--angle-deg", "4", "--repeat", "1", *shape)
@@ -166,13 +166,13 @@ def test_the_papers_sets_go_into_one_file_whose_offsets_the_estimator_feels(
     assert np.isnan(data.contact_pose[:, 2]).all()
     smallest = data.left[data.left > 0.0].min()
     assert smallest >= 0.25
-    felt = [default_model().predict(left, right) for left, right in zip(*data.robot_frames(), strict=True)]
+    estimates = [default_model().predict(left, right) for left, right in zip(*data.robot_frames(), strict=True)]
     # Of one docking the estimate is 2 mm off (one standard deviation), of the difference of two pairs as much.
-    horizontal = np.array([each.horizontal for each in felt[:8]])
+    horizontal = np.array([each.horizontal for each in estimates[:8]])
     apart = horizontal[data.horizontal[:8] > 0.0].mean() - horizontal[data.horizontal[:8] < 0.0].mean()
     assert apart == pytest.approx(0.010, abs=0.007)
-    assert [each.vertical for each in felt] == pytest.approx(list(data.vertical), abs=0.0045)
-    assert [each.angle for each in felt] == pytest.approx(list(data.angle), abs=math.radians(1.5))
+    assert [each.vertical for each in estimates] == pytest.approx(list(data.vertical), abs=0.0045)
+    assert [each.angle for each in estimates] == pytest.approx(list(data.angle), abs=math.radians(1.5))
     assert_rows_are_in_the_raw_messages(tmp_path / "F.recording" / "docking-000000.mcap", data)
     assert np.abs(data.poses() - np.column_stack([data.horizontal, data.vertical, data.angle])).max() < 0.001
 
@@ -188,9 +188,9 @@ def assert_rows_are_in_the_raw_messages(path: Path, data: Dataset) -> None:
     left = np.where(data.dead[:2, 0], np.nan, data.left[:2]).reshape(2, 100)
     found = [np.flatnonzero([np.allclose(mean, row, equal_nan=True) for mean in means]) for row in left]
     assert found[0] + FRAMES == found[1]
-    felt = np.nanmax(frames, axis=1)
-    assert felt[0] < 1.0 < felt[found[0][0]]
-    assert felt[-1] < 1.0  # until the arm has let go
+    strongest = np.nanmax(frames, axis=1)
+    assert strongest[0] < 1.0 < strongest[found[0][0]]
+    assert strongest[-1] < 1.0  # until the arm has released the target
 
 
 def _messages(path: Path, name: str, kind: Any) -> list[Any]:
@@ -200,7 +200,7 @@ def _messages(path: Path, name: str, kind: Any) -> list[Any]:
 
 
 @pytest.mark.slow
-def test_a_kill_loses_nothing_that_was_reported_and_the_same_call_goes_on(
+def test_a_kill_loses_no_reported_docking_and_the_same_call_continues(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
     words = ("--set", "reference", "--repeat", "3", "--tare-every", "2")
@@ -217,8 +217,8 @@ def test_a_kill_loses_nothing_that_was_reported_and_the_same_call_goes_on(
     composed = record("--compose")
     assert answer(composed, DONE)["n"] == len(before)
 
-    told = complete(record, *words)
-    assert (told["remaining"], told["n"]) == (0, 3)
+    result = complete(record, *words)
+    assert (result["remaining"], result["n"]) == (0, 3)
     charger.assert_safe()
     assert {name: (folder / name).read_bytes() for name in before} == before
     with Journal(tmp_path / "F.npz") as journal:
@@ -235,28 +235,28 @@ def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     process = record("--set", "reference", "--repeat", "9")
     process.wait_for_line("1 of 9", process.err)
     wait_until(charger.touches, "the second contact")
-    told = answer(process, INTERRUPTED, number)
+    result = answer(process, INTERRUPTED, number)
     charger.assert_safe()
-    assert (told["success"], told["recorded"], told["remaining"]) == (False, 1, 8)
+    assert (result["success"], result["recorded"], result["remaining"]) == (False, 1, 8)
     assert len(Dataset.load(tmp_path / "F.npz")) == 1
 
 
 @pytest.mark.slow
-def test_a_docking_that_begins_meanwhile_keeps_arm_and_torque(record: Recorder, charger: Charger) -> None:
+def test_a_docking_that_begins_during_a_recording_keeps_arm_and_torque(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference")
     process.wait_for_line("1 of 10", process.err)
     with ChargerClient(charger.namespace) as client:
         assert client.wait_until_it_answers(DEADLINE)
         docked = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=120.0)
     assert "docking_node is at work" in answer(process, FAILED)["error"]
-    # Nobody serves estimates here: it came as far as asking for one, so nobody took its torque away.
+    # No node serves estimates here: docking got as far as requesting one, so its torque was not switched off.
     assert docked.error_name == "TACTILE_STALE"
     assert "predict_misalignment" in docked.error_message
     charger.assert_safe()
 
 
 @pytest.mark.slow
-def test_a_silence_of_the_pads_is_tried_again_and_given_up_where_it_lasts(record: Recorder, charger: Charger) -> None:
+def test_silent_pads_cause_retries_and_then_a_failure(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference", "--repeat", "2")
     process.wait_for_line("1 of 2", process.err)
     charger.faults.begin(Fault(kind="board_silent", last=2.0))
@@ -267,13 +267,13 @@ def test_a_silence_of_the_pads_is_tried_again_and_given_up_where_it_lasts(record
     process = record("--set", "angle", "--angle-deg", "0", "--repeat", "1")
     process.wait_for_line("keep clear", process.err)
     charger.faults.begin(Fault(kind="board_silent"))
-    told = answer(process, FAILED)
-    assert "failed 3 times, TACTILE_STALE" in told["error"]
-    assert (told["recorded"], told["remaining"], told["dockings"]) == (0, 1, 2)
+    result = answer(process, FAILED)
+    assert "failed 3 times, TACTILE_STALE" in result["error"]
+    assert (result["recorded"], result["remaining"], result["dockings"]) == (0, 1, 2)
     charger.assert_safe()
 
 
-def test_an_arm_that_another_program_has_switched_on_is_left_alone(record: Recorder, charger: Charger) -> None:
+def test_an_arm_powered_by_another_program_is_left_alone(record: Recorder, charger: Charger) -> None:
     import rclpy
     from rclpy.context import Context
 
@@ -295,13 +295,13 @@ def test_an_arm_that_another_program_has_switched_on_is_left_alone(record: Recor
 
 def test_places_out_of_reach_are_refused_before_anything_moves(record: Recorder, charger: Charger) -> None:
     contacts = charger.world.record.contacts
-    told = answer(record("--set", "position", "--x-mm", "80"), WRONG_INPUT)
-    assert "out of the arm's reach" in told["error"]
+    result = answer(record("--set", "position", "--x-mm", "80"), WRONG_INPUT)
+    assert "out of the arm's reach" in result["error"]
     assert charger.world.record.contacts == contacts
     charger.assert_safe()
 
 
-def test_without_a_charger_it_is_1_and_leaves_nothing(record: Recorder, tmp_path: Path) -> None:
-    told = answer(record("--set", "reference", "--namespace", "nobody_here"), FAILED)
-    assert "deltacharger up" in told["error"]
+def test_without_a_charger_it_exits_with_1_and_leaves_no_files(record: Recorder, tmp_path: Path) -> None:
+    result = answer(record("--set", "reference", "--namespace", "nobody_here"), FAILED)
+    assert "deltacharger up" in result["error"]
     assert not list(tmp_path.iterdir())

@@ -44,7 +44,7 @@ CALIBRATED = DeltaGeometry(
 
 
 def poses(geometry: DeltaGeometry) -> Array:
-    """Return points of the whole workspace, its corners among them, that every limb reaches within its limits."""
+    """Return points of the complete workspace, including its corners, that every limb reaches within its limits."""
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T, indexing="ij"), axis=-1).reshape(-1, 3)
     drawn = np.random.default_rng(3).uniform(low, high, (75, 3))
@@ -75,7 +75,7 @@ def check_loops(tree: UrdfTree, geometry: DeltaGeometry) -> None:
 
 
 def foot(geometry: DeltaGeometry, index: int, share: float) -> Array:
-    """Where a rod ends on the platform, from the definition of a limb alone."""
+    """End of a rod on the platform, from the definition of a limb alone."""
     azimuth = 2.0 * math.pi * index / 3.0
     outward = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     along = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
@@ -97,14 +97,14 @@ def test_a_calibrated_arm_closes_as_well(tmp_path: Path) -> None:
     check_loops(UrdfTree(expanded(geometry_file=tmp_path / "geometry.yaml")), CALIBRATED)
 
 
-def test_the_committed_urdf_is_what_the_xacro_says() -> None:
+def test_the_committed_urdf_equals_the_xacro() -> None:
     def plain(text: str) -> list[tuple[str, dict[str, str]]]:
         return [(each.tag, each.attrib) for each in ElementTree.fromstring(text).iter()]
 
     assert plain(expanded()) == plain(BAKED.read_text(encoding="utf-8"))
 
 
-def test_limits_dimensions_and_names_are_those_of_the_geometry() -> None:
+def test_limits_dimensions_and_names_equal_the_geometrys() -> None:
     geometry, terminal = DeltaGeometry(), Terminal()
     tree = UrdfTree(BAKED.read_text(encoding="utf-8"))
     for index in range(3):
@@ -139,7 +139,7 @@ def two_chargers() -> ElementTree.Element:
     return ElementTree.fromstring(document.toxml())
 
 
-def test_two_chargers_fit_into_one_robot_by_the_macro() -> None:
+def test_the_macro_adds_two_chargers_to_one_robot() -> None:
     robot, alone = two_chargers(), ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
     for kind in ("link", "joint", "material"):
         names = [each.attrib["name"] for each in robot.findall(kind)]
@@ -166,7 +166,7 @@ def test_two_chargers_fit_into_one_robot_by_the_macro() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_what_is_solid_has_collision_geometry_of_simple_shapes_around_what_is_seen() -> None:
+def test_solid_links_have_simple_collision_shapes_around_their_visuals() -> None:
     robot = ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
     solid = {each.attrib["name"] for each in robot.findall("link[collision]")}
     limbs = {f"limb_{index}_{part}" for index in range(3) for part in ("motor", "arm")}
@@ -175,7 +175,7 @@ def test_what_is_solid_has_collision_geometry_of_simple_shapes_around_what_is_se
     platform = robot.findall("link[@name='end_effector']/collision")
     _, block = platform
     top = _number(block, "origin", "xyz", 2) + 0.5 * _number(block, "geometry/box", "size", 2)
-    assert top == pytest.approx(0.0, abs=1e-12), "to the contact plane and not beyond it"
+    assert top == pytest.approx(0.0, abs=1e-12), "up to the contact plane, not beyond"
 
 
 def _number(element: ElementTree.Element, path: str, key: str, index: int) -> float:
@@ -184,13 +184,13 @@ def _number(element: ElementTree.Element, path: str, key: str, index: int) -> fl
     return float(found.attrib[key].split()[index])
 
 
-def test_only_what_is_linear_is_mimicked() -> None:
+def test_only_linear_joints_are_mimicked() -> None:
     mimics = UrdfTree(BAKED.read_text(encoding="utf-8")).mimics()
     assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
     assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
 
 
-def test_frames_lie_as_the_interface_says(tmp_path: Path) -> None:
+def test_frames_are_where_the_interface_defines_them(tmp_path: Path) -> None:
     joints = {f"limb_{index}_arm_joint": 0.0 for index in range(3)} | passive_joints(ScalarDelta(), (0.0, 0.0, 0.0))
     frames = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(joints)
     base = frames["charger_base"]
@@ -224,7 +224,7 @@ def test_pinocchio_reads_it_and_agrees() -> None:
             np.testing.assert_allclose(data.oMf[model.getFrameId(link)].homogeneous, frame, atol=1e-12)
 
 
-def test_angles_that_meet_nowhere_have_no_passive_joints() -> None:
+def test_angles_without_a_solution_have_no_passive_joints() -> None:
     assert passive_joints(ScalarDelta(), (math.nan, 0.0, 0.0)) == {}
     assert elbows(DeltaGeometry(), (0.0, 0.0, 0.0)).shape == feet(DeltaGeometry()).shape == (3, 3)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger view`: what a recording holds is what the file for Rerun shows, and what cannot be shown is said."""
+"""`deltacharger view`: the Rerun file shows the recording's content; content that cannot be shown is reported."""
 
 from __future__ import annotations
 
@@ -55,16 +55,16 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
         try:
             assert client.wait_until_ready(DEADLINE)
 
-            def docks() -> bool:  # a computer that stood still is no reason to fail
+            def docks() -> bool:  # a stalled computer is not a failure
                 came.clear()
                 return client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
 
-            def tells() -> bool:  # the recorder may hear of it later than the client
-                told = [each.data for each in list(came) if each.topic.endswith("/docking_state")]
-                return bool(told) and bool(deserialize_message(told[-1], DockingState).charging)
+            def reports() -> bool:  # the recorder may receive it later than the client
+                states = [each.data for each in list(came) if each.topic.endswith("/docking_state")]
+                return bool(states) and bool(deserialize_message(states[-1], DockingState).charging)
 
             wait_until(docks, "a docking that succeeds")
-            wait_until(tells, "the state that says so")
+            wait_until(reports, "the state that reports it")
         finally:
             spinner.close()
     path = tmp_path_factory.mktemp("docking") / "docking.mcap"
@@ -76,27 +76,27 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
 
 @pytest.fixture(scope="module")
 def shown(docking: Path) -> Recording:
-    """Return what `view --recording` made of it."""
+    """Return the output of `view --recording` for it."""
     path = docking.with_suffix(".rrd")
     assert main(["view", "--recording", str(docking), "--save", str(path)]) == 0
     return Recording(path)
 
 
 class Recording:
-    """A file of Rerun, read back: rows of each entity in the order of the timeline `run`."""
+    """A Rerun file: rows of each entity in the order of the timeline `run`."""
 
     def __init__(self, path: Path) -> None:
         self._rows: dict[str, list[dict[str, Any]]] = {}
         for chunk in rr.chunk.RrdReader(str(path)).stream().to_chunks():
             batch = chunk.to_record_batch()
             for index, field in enumerate(batch.schema):
-                if pyarrow.types.is_temporal(field.type):  # without pandas no Python value is made of nanoseconds
+                if pyarrow.types.is_temporal(field.type):  # without pandas, nanoseconds have no Python value
                     batch = batch.set_column(index, field.name, batch.column(index).cast("int64"))
             self._rows.setdefault(str(chunk.entity_path).strip("/"), []).extend(batch.to_pylist())
         self.entities = set(self._rows)
 
     def rows(self, entity: str, component: str) -> list[tuple[float, Any]]:
-        """Return (s of `run`, value) of what an entity has of a component; static values have NaN for a time."""
+        """Return (s of `run`, value) of an entity's component; static values have the time NaN."""
         found = []
         for row in self._rows.get(entity, []):
             if row.get(component) is not None:
@@ -123,7 +123,7 @@ def view(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, 
     return run(capsys, "view", *words)
 
 
-def test_everything_that_a_docking_has_is_shown(shown: Recording) -> None:
+def test_all_data_of_a_docking_are_shown(shown: Recording) -> None:
     charger = ("arms", "rods", "platform", "trail", "base", "platform/body", "camera/body", "target/given/terminal")
     plots = ("height", "contact/measured", "contact/reported", "contact/band", "servos", "misalignment/horizontal")
     plots += ("misalignment/vertical", "angle", "pads", "charge/current", "charge/voltages", "energy")
@@ -145,7 +145,7 @@ def test_time_runs_forward_from_zero_in_every_plot(shown: Recording) -> None:
     assert max(ends) - min(ends) < max(ends)
 
 
-def test_fast_topics_are_thinned_and_slow_ones_are_whole(shown: Recording, docking: Path) -> None:
+def test_fast_topics_are_thinned_and_slow_ones_are_complete(shown: Recording, docking: Path) -> None:
     measured = shown.scalars("plots/contact/measured")
     seconds = measured[-1, 0] - measured[0, 0]
     assert 5 < len(measured) <= 30.0 * seconds + 2 < count(docking, "servo_state")
@@ -180,16 +180,14 @@ def test_the_drawn_rods_keep_their_length_and_the_arms_theirs(shown: Recording) 
             np.testing.assert_allclose(np.linalg.norm(strips[:, 1] - strips[:, 0], axis=-1), length, atol=1e-6)
 
 
-def test_one_object_tells_what_was_shown(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_json_object_counts_the_messages(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = view(capsys, "--recording", docking, "--save", tmp_path / "a.rrd", "--json")
-    told = json.loads(out)
-    assert (code, told["success"], told["saved"]) == (0, True, str(tmp_path / "a.rrd"))
-    assert told["messages"]["servo_state"] == count(docking, "servo_state")
+    result = json.loads(out)
+    assert (code, result["success"], result["saved"]) == (0, True, str(tmp_path / "a.rrd"))
+    assert result["messages"]["servo_state"] == count(docking, "servo_state")
 
 
-def test_a_calibrated_geometry_is_the_one_that_is_drawn(
-    docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_calibrated_geometry_is_drawn(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from deltacharger.msg import ServoState
 
     from deltacharger_core.mcap_file import McapFile
@@ -198,13 +196,13 @@ def test_a_calibrated_geometry_is_the_one_that_is_drawn(
 
     scene = tmp_path / "long.yaml"
     scene.write_text("parameters: {kinematics_node: {arm: 0.11}}\nsimulation: {}\n")
-    told = tmp_path / "told.mcap"
+    settled = tmp_path / "told.mcap"
     file = McapFile(docking)
-    with McapWriter(told, {topic: ServoState for topic in file.types if topic.endswith("/servo_state")}) as writer:
+    with McapWriter(settled, {topic: ServoState for topic in file.types if topic.endswith("/servo_state")}) as writer:
         for message in itertools.islice((each for each in file.messages() if each.topic.endswith("/servo_state")), 50):
             writer.add(message)
         writer.tell(PARAMETERS, {"arm": "0.11", "gravity_z": "9.81"})
-    for words in (("--recording", docking, "--scene", scene), ("--recording", told)):
+    for words in (("--recording", docking, "--scene", scene), ("--recording", settled)):
         code, _, err = view(capsys, *words, "--save", tmp_path / "a.rrd")
         assert code == 0, err
         (_, strips), *_ = Recording(tmp_path / "a.rrd").rows("charger/arms", "LineStrips3D:strips")
@@ -212,7 +210,7 @@ def test_a_calibrated_geometry_is_the_one_that_is_drawn(
         np.testing.assert_allclose(np.linalg.norm(arms[:, 1] - arms[:, 0], axis=-1), 0.11, atol=1e-6)
 
 
-def test_what_is_no_recording_is_refused(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_without_recording_is_refused(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, other = tmp_path / "a.mcap", tmp_path / "other.mcap"
     text.write_text("no recording")
     write(other, {"/chatter": 1})
@@ -239,7 +237,7 @@ def test_of_two_chargers_in_a_recording_one_is_chosen(tmp_path: Path, capsys: py
 
 
 def write(path: Path, topics: dict[str, int]) -> None:
-    """Write a recording with so many messages of each topic."""
+    """Write a recording with a number of messages of each topic."""
     from deltacharger.msg import DockingState
     from std_msgs.msg import Header
 
@@ -263,7 +261,7 @@ def write(path: Path, topics: dict[str, int]) -> None:
         (("--recording", __file__, "--stop-after-s", "3", "--save", "a.rrd"), "for a running charger"),
     ],
 )
-def test_places_that_cannot_be_are_refused_before_anything_starts(
+def test_impossible_destinations_are_refused_before_anything_starts(
     words: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -273,7 +271,7 @@ def test_places_that_cannot_be_are_refused_before_anything_starts(
     assert not list(tmp_path.iterdir())
 
 
-def test_without_a_screen_it_says_what_works_there(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+def test_without_a_screen_the_message_names_alternatives(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -287,16 +285,16 @@ def test_the_viewer_beside_this_python_is_found(
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("PATH", "/nowhere")
-    told: list[str] = []
+    paths: list[str] = []
 
     def spawn(recording: Any, **options: Any) -> None:
-        told.append(os.environ["PATH"])
-        recording.memory_recording()  # somewhere to go, without a window
+        paths.append(os.environ["PATH"])
+        recording.memory_recording()  # a destination without a window
 
     monkeypatch.setattr(rr.RecordingStream, "spawn", spawn)
     code, _, err = view(capsys, "--recording", docking)
     assert code == 0, err
-    assert told == [os.pathsep.join([str(Path(sys.executable).parent), "/nowhere"])]
+    assert paths == [os.pathsep.join([str(Path(sys.executable).parent), "/nowhere"])]
 
 
 def test_a_docking_is_drawn_as_an_animated_picture(
@@ -319,7 +317,7 @@ def test_a_docking_is_drawn_as_an_animated_picture(
 
 
 @pytest.mark.slow
-def test_a_silent_charger_is_named_and_ctrl_c_ends_it(
+def test_silent_topics_are_reported_and_ctrl_c_ends_it(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path
 ) -> None:
     namespace, path = new_namespace(), tmp_path / "live.rrd"
@@ -342,12 +340,12 @@ def test_a_running_charger_is_shown_live(
         words = ("--save", str(path), "--stop-after-s", "8", "--json")
         process = start(*deltacharger, "view", "--namespace", namespace, *words)
         assert process.end() == 0, process.err
-    told = json.loads(process.out[-1])
-    assert told["silent"] == []
-    assert told["messages"]["servo_state"] > 10
+    result = json.loads(process.out[-1])
+    assert result["silent"] == []
+    assert result["messages"]["servo_state"] > 10
     live = Recording(path)
     assert {"charger/arms", "pads/left", "plots/contact/band", "state/1_docking"} <= live.entities
-    assert len(live.scalars("plots/contact/measured")) < told["messages"]["servo_state"]
+    assert len(live.scalars("plots/contact/measured")) < result["messages"]["servo_state"]
 
 
 def test_a_message_that_cannot_be_shown_does_not_stop_the_others(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""launch/view.launch.py: the model that it publishes is the xacro's, with the files that it was told."""
+"""launch/view.launch.py publishes the xacro's model, with the given files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation"
 FILE = Path(__file__).resolve().parents[2] / "launch" / "view.launch.py"
 
 
-def wired(argv: list[str] | None = None, **told: str) -> list[Any]:
+def wired(argv: list[str] | None = None, **arguments: str) -> list[Any]:
     spec = importlib.util.spec_from_file_location("view_launch", FILE)
     assert spec is not None
     assert spec.loader is not None
@@ -30,19 +30,19 @@ def wired(argv: list[str] | None = None, **told: str) -> list[Any]:
     context = launch.LaunchContext(argv=argv)
     for argument in module.generate_launch_description().get_launch_arguments():
         default = "".join(part.perform(context) for part in argument.default_value)
-        context.launch_configurations[argument.name] = told.get(argument.name, default)
+        context.launch_configurations[argument.name] = arguments.get(argument.name, default)
     found: list[Any] = module._wire(context)
     return found
 
 
-def test_rviz_comes_unless_it_is_declined(tmp_path: Path) -> None:
+def test_rviz_starts_unless_disabled(tmp_path: Path) -> None:
     names = [node.node_executable for node in wired()]
     assert names == ["robot_state_publisher", "passive_joints_node", "rviz2"]
     assert [node.node_executable for node in wired(rviz="false")] == names[:2]
 
 
 @pytest.mark.parametrize("argument", ["geometry_file", "mount_file"])
-def test_a_file_that_cannot_be_read_is_named_in_one_line(argument: str, tmp_path: Path) -> None:
+def test_an_unreadable_file_is_reported_in_one_line(argument: str, tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.yaml"
     with pytest.raises(ValueError, match=rf"^{argument}: '{wrong}': No such file or directory$"):
         wired(**{argument: str(wrong)})
@@ -51,21 +51,21 @@ def test_a_file_that_cannot_be_read_is_named_in_one_line(argument: str, tmp_path
         wired(**{argument: str(wrong)})
 
 
-def test_a_slip_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_misspelt_argument_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(FILE), "geometri_file:=arm.yaml"])
     with pytest.raises(ValueError, match="'geometri_file'; did you mean 'geometry_file'"):
         wired(argv=["geometri_file:=arm.yaml"])
 
 
-def test_a_prefix_of_joints_reaches_the_model_and_what_moves_it() -> None:
+def test_a_joint_prefix_reaches_the_model_and_its_joint_states() -> None:
     publisher, joints, _ = wired(joint_prefix="left_")
     text = str([getattr(value, "value", value) for value in publisher._Node__parameters[0].values()])
     assert 'joint name="left_limb_0_arm_joint"' in text
-    told = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
-    assert yaml.safe_load("".join(part.text for part in told["joint_prefix"])) == "left_"
+    parameters = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
+    assert yaml.safe_load("".join(part.text for part in parameters["joint_prefix"])) == "left_"
 
 
-def test_a_prefix_reaches_frames_and_leaves_joints_to_the_servos() -> None:
+def test_a_frame_prefix_changes_frames_but_not_joints() -> None:
     publisher, joints, _ = wired(frame_prefix="left/")
     text = str([getattr(value, "value", value) for value in publisher._Node__parameters[0].values()])
     assert 'link name="left/charger_base"' in text
@@ -78,7 +78,7 @@ def test_a_prefix_reaches_frames_and_leaves_joints_to_the_servos() -> None:
 
 def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_geometry(DeltaGeometry(arm=0.1234), tmp_path / "arm.yaml")
-    monkeypatch.chdir(tmp_path)  # where a relative path begins
+    monkeypatch.chdir(tmp_path)  # base of relative paths
     for file in (str(tmp_path / "arm.yaml"), "arm.yaml"):
         text = wired(geometry_file=file)[0]._Node__parameters[0]
         assert "0.1234" in str([getattr(value, "value", value) for value in text.values()])

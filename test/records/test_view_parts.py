@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parts of the view that need no viewer: shapes, colours, words, and what is said where Rerun is missing."""
+"""Parts of the view that need no viewer: shapes, colours, texts, and the message without Rerun."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_pad_is_shown_as_seen_from_the_charger() -> None:
     assert {tuple(pixel) for pixel in picture.reshape(-1, 3)} == {EMPTY, TOP}
 
 
-def test_the_scale_is_fixed_rises_and_ends_where_the_sensor_does() -> None:
+def test_the_scale_is_fixed_rises_and_ends_at_the_sensors_range() -> None:
     forces = np.linspace(0.3, FULL, 88)
     shades = pad_picture([0.0, *forces], 1, 89)[0].astype(int)
     assert (np.diff(shades.sum(axis=1)) > 0).all()
@@ -39,12 +39,12 @@ def test_the_scale_is_fixed_rises_and_ends_where_the_sensor_does() -> None:
     assert tuple(pad_picture([0.9 * NOISE], 1, 1)[0, 0]) == EMPTY
 
 
-def test_a_dead_taxel_is_grey_and_no_force_is() -> None:
+def test_dead_taxels_are_grey_and_forces_never_are() -> None:
     assert tuple(pad_picture([math.nan], 1, 1)[0, 0]) == DEAD
     assert DEAD not in {tuple(shade) for shade in pad_picture(np.linspace(0.0, FULL, 200), 1, 200)[0]}
 
 
-def test_numbers_that_fit_no_array_are_refused() -> None:
+def test_wrong_numbers_of_forces_are_refused() -> None:
     with pytest.raises(ValueError, match="reshape"):
         pad_picture([0.0] * 99, 10, 10)
 
@@ -70,7 +70,7 @@ def test_electrodes_of_both_sides_touch_at_the_contact_plane() -> None:
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_without_rerun_the_remedy_is_told(as_json: bool, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+def test_without_rerun_the_remedy_is_given(as_json: bool, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     code = main(["view", *(["--json"] if as_json else [])])
     captured = capsys.readouterr()
@@ -79,7 +79,7 @@ def test_without_rerun_the_remedy_is_told(as_json: bool, capsys: pytest.CaptureF
     assert (json.loads(captured.out)["success"] is False) if as_json else captured.out == ""
 
 
-def test_another_package_of_that_name_is_told_apart(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+def test_another_package_named_rerun_is_recognised(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     monkeypatch.setitem(sys.modules, "rerun", type(sys)("rerun"))
     assert main(["view"]) == 2
     assert "deltacharger[view]" in capsys.readouterr().err

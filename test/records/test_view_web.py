@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger view --web`: this computer alone gets the page and the data, until the command ends."""
+"""`deltacharger view --web`: only this computer gets the page and the data, until the command ends."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _serves(port: int, host: str = "127.0.0.1") -> bool:
     return False
 
 
-def test_the_page_is_served_here_alone_and_until_the_end(
+def test_the_page_is_served_only_on_this_computer_until_the_end(
     start: Start, deltacharger: tuple[str, ...], port: int
 ) -> None:
     process = start(*deltacharger, "view", "--namespace", new_namespace(), "--web", f"127.0.0.1:{port}")
@@ -57,7 +57,7 @@ def test_the_page_is_served_here_alone_and_until_the_end(
 
 
 @pytest.mark.parametrize("offset", [0, 1])
-def test_a_port_that_is_taken_is_named(start: Start, deltacharger: tuple[str, ...], port: int, offset: int) -> None:
+def test_a_port_in_use_is_reported(start: Start, deltacharger: tuple[str, ...], port: int, offset: int) -> None:
     with socket.create_server(("127.0.0.1", port + offset)):
         process = start(*deltacharger, "view", "--web", f"127.0.0.1:{port}")
         assert process.end() == 1
@@ -65,7 +65,7 @@ def test_a_port_that_is_taken_is_named(start: Start, deltacharger: tuple[str, ..
 
 
 @pytest.mark.parametrize("address", ["here", "1.2.3", "127.0.0.1:0", "127.0.0.1:65535", "127.0.0.1:x", ":9090"])
-def test_what_is_no_address_is_refused(start: Start, deltacharger: tuple[str, ...], address: str) -> None:
+def test_an_invalid_address_is_refused(start: Start, deltacharger: tuple[str, ...], address: str) -> None:
     process = start(*deltacharger, "view", "--web", address)
     assert process.end() == 2
     assert f"'{address}' is not an IP address" in process.err[-1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A URDF as frames: what a robot_state_publisher does, small enough to be read."""
+"""Frames of a URDF, like robot_state_publisher's, in little code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class UrdfTree:
-    """The frames of a URDF whose joints are fixed, revolute or prismatic."""
+    """The frames of a URDF with fixed, revolute or prismatic joints."""
 
     def __init__(self, text: str) -> None:
         self.root = ElementTree.fromstring(text)
@@ -22,7 +22,7 @@ class UrdfTree:
         self.links = [link.attrib["name"] for link in self.root.findall("link")]
 
     def mimics(self) -> dict[str, tuple[str, float, float]]:
-        """Return, by joint, whom it mimics, times what, plus what."""
+        """Return, for each mimic joint: the mimicked joint, factor and offset."""
         found = {}
         for name, joint in self.joints.items():
             mimic = joint.find("mimic")
@@ -33,16 +33,16 @@ class UrdfTree:
 
     def frames(self, values: Mapping[str, float]) -> dict[str, Array]:
         """Return (4, 4) of every link in base_link; every joint that is neither fixed nor a mimic needs a value."""
-        told = dict(values)
+        joint_values = dict(values)
         for name, (other, factor, offset) in self.mimics().items():
-            told[name] = factor * told[other] + offset
+            joint_values[name] = factor * joint_values[other] + offset
         found, waiting = {"base_link": np.eye(4)}, dict(self.joints)
         while waiting:
             ready = {name: each for name, each in waiting.items() if _link(each, "parent") in found}
             assert ready, f"not connected to base_link: {sorted(waiting)}"
             for name, joint in ready.items():
                 del waiting[name]
-                moved = _moved(joint, told[name]) if joint.attrib["type"] != "fixed" else np.eye(4)
+                moved = _moved(joint, joint_values[name]) if joint.attrib["type"] != "fixed" else np.eye(4)
                 found[_link(joint, "child")] = found[_link(joint, "parent")] @ _origin(joint) @ moved
         assert set(found) == set(self.links)
         return found

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A double of an RGB-D driver: one image of a target at a known place, again and again, and whatever goes wrong."""
+"""A substitute of an RGB-D driver: repeats one image of a target at a known pose, with faults on request."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PERIOD = 50_000_000  # ns
 
 
 def picture(target: bool = True) -> RgbdImage:
-    """What a camera at the default mount sees of a target at TARGET."""
+    """Image of a target at TARGET, from a camera at the default mount."""
     pose = np.eye(4)
     c, s = math.cos(TARGET[3]), math.sin(TARGET[3])
     pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], TARGET[:3]
@@ -38,7 +38,7 @@ def picture(target: bool = True) -> RgbdImage:
 
 
 class Driver(Node):
-    """An RGB-D driver that repeats one image at 20 Hz, with faults to order."""
+    """An RGB-D driver that repeats one image at 20 Hz, with faults on request."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("driver", **options(context, namespace))
@@ -63,7 +63,7 @@ class Driver(Node):
         if self.silent:
             return
         now = self.get_clock().now().nanoseconds
-        now -= now % PERIOD + round(1e9 * self.age)  # a camera exposes by its own clock, however late it is served
+        now -= now % PERIOD + round(1e9 * self.age)  # a camera exposes by its own clock, even if it is served late
         messages = []
         for make, content, late in (
             (color_message, self.image.color, 0.0),

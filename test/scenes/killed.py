@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated charger with each of its nodes as a process of its own, which may be killed, stopped and started anew."""
+"""A simulated charger with each node in a separate process that may be killed, stopped and restarted."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from ..sim.fault_pulse import Pulse
 from ..sim.fault_world import CONTACTOR, RecordedCharger
 
 NODE_NAMES = ("servo_node", "tactile_node", "misalignment_node", "kinematics_node", "docking_node")
-OLDEST = 1.5  # s that data may be old, so that a loaded machine is not taken for a broken cable
+OLDEST = 1.5  # s of permitted age, so that a loaded computer does not look like a broken cable
 SCENE = {
     "nodes": [*NODE_NAMES, "mock_detector_node"],
     "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}, "target": {"x": 0.006, "y": 0.006}}},
     "parameters": {
-        # Steps are large and waits short, but slow enough that a phase is still under way when it has been told.
+        # Steps are large and waits short, but slow enough that a phase still lasts when it has been published.
         "docking_node": {
             "servo_damping": 0.3,
             "home_z": 0.05,
@@ -58,8 +58,8 @@ class Rig:
 
     Attributes:
         state: latest docking_state.
-        outcome: of the goal under way; None while it has none.
-        error: why the client has given the goal up; '' = it has not.
+        outcome: of the current goal; None before its end.
+        error: why the client has abandoned the goal; '' = it has not.
     """
 
     def __init__(self, context: Any, namespace: str) -> None:
@@ -68,8 +68,8 @@ class Rig:
         self.charger = RecordedCharger.build(self._scene, namespace)
         self.pulse = Pulse()
         self._processes: dict[str, Process] = {}
-        self._sent: dict[str, int] = {}  # the last signal
-        self.state = DockingState()  # until the first comes
+        self._sent: dict[str, int] = {}  # the last signal of each node
+        self.state = DockingState()  # until the first message
         self.outcome: Outcome | None = None
         self.error = ""
         self.phase = ""
@@ -96,14 +96,14 @@ class Rig:
         self._processes[name] = Process(*words)
 
     def ready(self) -> None:
-        """Wait until all nodes are there, and publish: one that was killed stays in the graph for a while."""
-        said = {name: each.err[-3:] for name, each in self._processes.items()}
-        assert self.client.wait_until_ready(DEADLINE), said
+        """Wait until all nodes are present and publish: a killed one stays in the graph for a while."""
+        errors = {name: each.err[-3:] for name, each in self._processes.items()}
+        assert self.client.wait_until_ready(DEADLINE), errors
         for service in ("set_torque", "probe", "predict_misalignment", "detect_electrodes"):
             wait_until(lambda service=service: self._serves(service), service)  # type: ignore[misc]
         for topic in self._inputs:
             topic.take()
-            wait_until(topic.take, "what docking decides by")
+            wait_until(topic.take, "inputs of docking")
 
     def _serves(self, name: str) -> bool:
         known = {each for each, _ in self.client.node.get_service_names_and_types()}
@@ -117,7 +117,7 @@ class Rig:
         return at
 
     def restart(self, name: str) -> None:
-        """Start a node anew that was killed, or let one go on that was stopped."""
+        """Start a killed node again, or continue a stopped one."""
         process = self._processes[name].process
         if self._sent.pop(name, None) == signal.SIGKILL:
             self.reap(name)
@@ -126,13 +126,13 @@ class Rig:
             self.start(name)
 
     def reap(self, name: str) -> None:
-        """Wait until a killed node is gone."""
+        """Wait until a killed node has ended."""
         self._processes[name].process.wait(DEADLINE)
 
     def begin(self, phase: str) -> None:
-        """Send goals until one has come to a phase; charging and retract begin behind a docking.
+        """Send goals until one has reached a phase; charging and retract begin after a docking.
 
-        On a loaded machine a goal may end before; and docking may hear a node that was started anew later than we do.
+        On a loaded computer a goal may end earlier, and docking may discover a restarted node later than this client.
         """
         end = time.monotonic() + DEADLINE
         while True:
@@ -152,7 +152,7 @@ class Rig:
             wait_until(lambda: self.phase == phase, phase)
 
     def _dock(self, phase: str) -> None:
-        """Send a goal, and wait for a phase on the way or for its end."""
+        """Send a goal, and wait for a phase or for its end."""
         self.outcome, self.error, self.phase = None, "", ""
         request = DockRequest(None if phase == "locate" else Pose(0.0, 0.0, 0.080))
         self._run(lambda: self.client.dock(request, self._on_progress, give_up=self._give_up))
@@ -172,13 +172,13 @@ class Rig:
         self._goal.start()
 
     def give_up(self) -> None:
-        """Await the goal no longer: its server is known to be gone."""
+        """Stop waiting for the goal: its server has ended."""
         self._give_up.set()
         if self._goal is not None:
             self._goal.join(DEADLINE)
 
     def opened(self, since: float) -> float:
-        """Return how long (s of the world) after an instant the contactor opened, once it has."""
+        """Return the time (s of the world) from an instant until the contactor opened, once it has."""
         events = self.charger.world.events
         times = wait_until(
             lambda: [event.time for event in list(events) if event.time >= since and event[1:3] == (CONTACTOR, False)],
@@ -188,7 +188,7 @@ class Rig:
         return float(times[0] - since)
 
     def wait(self, seconds: float) -> None:
-        """Let so much time of the world pass."""
+        """Wait for some seconds of the world."""
         end = self.charger.world.time + seconds
         wait_until(lambda: self.charger.world.time >= end, "the world to go on")
 
@@ -205,15 +205,15 @@ class Rig:
         assert record.unpowered_live == 0
 
     def go_home(self) -> None:
-        """Undock until that works, as a fleet would, and see that everything is safe."""
-        said: list[str] = []
+        """Undock until that works, as a fleet would, and check that everything is safe."""
+        messages: list[str] = []
 
         def done() -> bool:
             outcome = self.client.undock(deadline=DEADLINE)
-            said.append(outcome.error_message)
+            messages.append(outcome.error_message)
             return outcome.success
 
-        wait_until(done, f"the arm home {said}")
+        wait_until(done, f"the arm home {messages}")
         wait_until(lambda: not any(self.charger.world.torque), "no torque", 5.0)
         assert not self.charger.world.circuit.closed
 

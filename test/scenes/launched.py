@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chargers started by launch: charger.launch.py under launch_testing's runner, or under `ros2 launch` as a process.
 
-launch and launch_testing come with a ROS installation, not from PyPI; where they are missing, tests that import this
+launch and launch_testing come with a ROS installation, not from PyPI; without them, tests that import this
 module are skipped. The executables are those of the installed package, which ament must find.
 """
 
@@ -23,8 +23,8 @@ pytest.importorskip("launch_ros", reason=_WHY)
 
 FILE = Path(__file__).resolve().parents[2] / "launch" / "charger.launch.py"
 QUICK = Path(__file__).with_name("quick.yaml")
-PATIENCE = "60"  # s until launch presses a node to end, so that a loaded machine fails no test
-QUICK_NODES = 6  # that quick.yaml starts
+PATIENCE = "60"  # s until launch forces a node to end, so that a loaded computer fails no test
+QUICK_NODES = 6  # started by quick.yaml
 
 
 def charger(**arguments: str) -> Any:
@@ -32,12 +32,12 @@ def charger(**arguments: str) -> Any:
     from launch.actions import IncludeLaunchDescription
     from launch.launch_description_sources import PythonLaunchDescriptionSource
 
-    told = {"scene": str(QUICK), "log_level": "warn", "sigterm_timeout": PATIENCE} | arguments
-    return IncludeLaunchDescription(PythonLaunchDescriptionSource(str(FILE)), launch_arguments=told.items())
+    settings = {"scene": str(QUICK), "log_level": "warn", "sigterm_timeout": PATIENCE} | arguments
+    return IncludeLaunchDescription(PythonLaunchDescriptionSource(str(FILE)), launch_arguments=settings.items())
 
 
 def description(*chargers: Any) -> Any:
-    """Return what generate_test_description has to: the tests begin at once, and wait for what they need."""
+    """Return the launch description of generate_test_description: tests begin at once, and wait for what they need."""
     from launch_testing.actions import ReadyToTest
 
     return launch.LaunchDescription([*chargers, ReadyToTest()])
@@ -45,7 +45,7 @@ def description(*chargers: Any) -> Any:
 
 @contextmanager
 def domain(offset: int) -> Iterator[None]:
-    """Have this process, and those that it starts, in a ROS domain beside that of the other tests."""
+    """Run this process, and those that it starts, in a ROS domain different from the other tests'."""
     before = os.environ["ROS_DOMAIN_ID"]
     os.environ["ROS_DOMAIN_ID"] = str((int(before) + offset) % 233)
     try:
@@ -55,17 +55,17 @@ def domain(offset: int) -> Iterator[None]:
 
 
 def need_the_package() -> None:
-    """Skip where ament does not find the executables."""
+    """Skip if ament does not find the executables."""
     from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
     try:
         get_package_prefix("deltacharger")
     except PackageNotFoundError:
-        pytest.skip("deltacharger is not installed where ament finds it: launch looks executables up there")
+        pytest.skip("ament does not find deltacharger: launch needs it for the executables")
 
 
 def run_launch_tests(module: str, offset: int) -> None:
-    """Run generate_test_description and the TestCases of a test module, in a domain of its own."""
+    """Run generate_test_description and the TestCases of a test module, in a separate domain."""
     from launch_testing.loader import LoadTestsFromPythonModule
     from launch_testing.test_runner import LaunchTestRunner
 
@@ -80,6 +80,6 @@ def run_launch_tests(module: str, offset: int) -> None:
 
 
 def assert_all_ended_with_0(proc_info: Any, count: int) -> None:
-    """Judge the last end of each process."""
+    """Check the last exit code of each process."""
     launch_testing.asserts.assertExitCodes(proc_info)
     assert len(proc_info.processes()) == count

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger of real processes on the ports of emulators in this one, which charges until signals stop it.
+"""A charger of real processes on emulated ports of this process, which charges until signals stop it.
 
-When the contactor opened and the torque went is read off the emulators, from the devices' side of the wires.
+The emulators, the devices' side of the wires, show when the contactor opened and when the torque was lost.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ from ..quick import DAMPING, STEPS
 from ..sim.fault_world import CONTACTOR, RecordedCharger
 
 ROOT = Path(__file__).resolve().parents[2]
-OPEN = 0.35  # s from the signal to the open contactor
+OPEN = 0.35  # s from the signal until the contactor is open
 LEADER = ("setsid",)
-"""Begins a command line whose processes are a process group of their own, as those of a shell's job are."""
+"""Prefix of a command line: its processes form a separate process group, as a shell's job does."""
 TERMINAL = (
     sys.executable,
     "-c",
     "import os, sys; outer, inner = os.openpty(); os.set_inheritable(outer, True); os.dup2(inner, 0); "
     "os.execvp(sys.argv[1], sys.argv[1:])",
 )
-"""Begins a command line whose program reads from a terminal."""
+"""Prefix of a command line: its program reads from a terminal."""
 CONTAINER = ("unshare", "--pid", "--fork", str(ROOT / "config" / "container" / "entrypoint.sh"))
-"""Begins a command line whose program is process 1 of a container, with whose end all others in it are killed."""
+"""Prefix of a command line: its program is process 1 of a container, whose end kills all others in it."""
 ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]|Traceback")
-"""In a line that nobody shall see when all is well."""
+"""Marks lines that must not appear if all is well."""
 needs_containers = pytest.mark.skipif(
     subprocess.run(["unshare", "--pid", "--fork", "true"], capture_output=True, check=False).returncode != 0,
-    reason="needs the right to make a namespace of processes, as root has",
+    reason="needs the right to create a process namespace, as root has",
 )
-_PATIENT = {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0}  # a busy computer is no broken cable
+_PATIENT = {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0}  # a busy computer is not a broken cable
 
 
 class Stopped:
-    """The emulators, and what starts and stops a charger on their ports.
+    """The emulators, with start and stop of a charger on their ports.
 
     Attributes:
-        scene: file of the scene on these ports.
+        scene: file of the scene with these ports.
         charger: the emulators.
     """
 
@@ -68,7 +68,7 @@ class Stopped:
         self.scene.write_text(json.dumps(content), encoding="utf-8")
 
     def charge(self, process: Process) -> None:
-        """Wait for a charger that has been started, and let it charge."""
+        """Wait for a started charger, and let it charge."""
         with ChargerClient(self._namespace, self._context) as client:
             assert client.wait_until_ready(DEADLINE), (process.out, process.err)
             dock_at_last(client, DockRequest(Pose(0.0, 0.0, 0.080)))
@@ -83,7 +83,7 @@ class Stopped:
         return opened[0].time - at
 
     def assert_safe(self) -> None:
-        """See that the torque goes, and that nothing parted or moved while it was live."""
+        """Check that the torque is lost, and that nothing parted or moved while it was live."""
         wait_until(lambda: not any(self.charger.world.torque), "no torque", 10.0)
         assert not self.charger.world.circuit.closed
         record = self.charger.world.record
@@ -91,24 +91,24 @@ class Stopped:
 
 
 def first(process: Process) -> int:
-    """Return the id, as seen from here, of process 1 of a container."""
+    """Return the id, in this namespace, of process 1 of a container."""
     pid = process.process.pid
     return int(wait_until(lambda: Path(f"/proc/{pid}/task/{pid}/children").read_text().split(), "process 1")[0])
 
 
 def lives(process: int) -> bool:
-    """Return whether a process has not ended; one that nobody has waited for has."""
+    """Return whether a process still runs; a zombie does not."""
     return _status(process)[:1] not in ([], ["Z"])
 
 
 def left(group: int) -> list[int]:
-    """Return the processes of a group that have not ended."""
+    """Return the running processes of a group."""
     every = [int(folder.name) for folder in Path("/proc").iterdir() if folder.name.isdecimal()]
     return [each for each in every if lives(each) and _status(each)[2:3] == [str(group)]]
 
 
 def _status(process: int) -> list[str]:
-    """Return state, parent, group and more of a process; empty where there is none."""
+    """Return state, parent, group and more of a process; empty if it does not exist."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:

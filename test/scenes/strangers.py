@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program of somebody else in a charger's namespace, which says, asks and answers what it likes."""
+"""A foreign program in a charger's namespace that publishes, calls and serves arbitrary messages."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from deltacharger_ros.executor import Spinner
 
 from ..nodes import options
 
-PACE = 0.01  # s between two acts
+PACE = 0.01  # s between two actions
 BURST = 50  # messages of a flood
-GOALS_EVERY = 10  # acts; each goal that is taken has a feedback and a result
-LATE = 0.7  # s, older than anything that docking still believes
+GOALS_EVERY = 10  # actions; each accepted goal has feedback and a result
+LATE = 0.7  # s, older than anything that docking accepts
 LONG = 100_000  # characters of a long name
 _KEPT = 200  # genuine messages of the last seconds
 _NUMBERS = (0.0, -1.0, 1.0, 0.08, math.pi, 1e9, -1e300, 1e-300, math.nan, math.inf, -math.inf)
 
 
 def lie(kind: type[Any], dice: random.Random) -> Any:
-    """Return a message of a class, of values that are allowed by its type and by nothing else."""
+    """Return a message of a class with random values within its types."""
     message = kind()
-    for name, told in kind.get_fields_and_field_types().items():
+    for name, of in kind.get_fields_and_field_types().items():
         present = getattr(message, name)
         if hasattr(type(present), "get_fields_and_field_types"):
             setattr(message, name, lie(type(present), dice))
@@ -45,59 +45,59 @@ def lie(kind: type[Any], dice: random.Random) -> Any:
         elif isinstance(present, bool):
             setattr(message, name, dice.random() < 0.5)
         elif isinstance(present, float):
-            setattr(message, name, _fitting(dice.choice(_NUMBERS), told))
+            setattr(message, name, _fitting(dice.choice(_NUMBERS), of))
         elif isinstance(present, int):
-            setattr(message, name, _whole(told, dice))
+            setattr(message, name, _whole(of, dice))
         elif isinstance(present, array):
             count = dice.choice((0, 1, 3, 3, 3, 9, 100, 5000))
             values = (
-                [_fitting(dice.choice(_NUMBERS), told) for _ in range(count)]
+                [_fitting(dice.choice(_NUMBERS), of) for _ in range(count)]
                 if present.typecode in "fd"
-                else [_whole(told, dice) for _ in range(count)]
+                else [_whole(of, dice) for _ in range(count)]
             )
             setattr(message, name, array(present.typecode, values))
         elif isinstance(present, list):
-            setattr(message, name, _several(told.removeprefix("sequence<").rstrip(">"), dice))
+            setattr(message, name, _several(of.removeprefix("sequence<").rstrip(">"), dice))
     return message
 
 
-def _several(told: str, dice: random.Random) -> list[Any]:
-    """Return what a field of several words, truth values or messages may hold; often the words that are known."""
-    if told == "string":
+def _several(of: str, dice: random.Random) -> list[Any]:
+    """Return random content for a field of texts, truth values or messages; often known texts."""
+    if of == "string":
         return dice.choice(([], list(JOINTS), list(JOINTS), list(reversed(JOINTS)), ["x" * LONG], [""] * 3))
     count = dice.choice((0, 1, 3, 3, 100))
-    if told == "boolean":
+    if of == "boolean":
         return [dice.random() < 0.5 for _ in range(count)]
-    package, _, kind = told.partition("/")
+    package, _, kind = of.partition("/")
     return [lie(getattr(importlib.import_module(f"{package}.msg"), kind), dice) for _ in range(count)]
 
 
 def broken(data: bytes, dice: random.Random) -> bytes:
-    """Return a serialised message with some of its bytes changed and perhaps its end cut off."""
-    told = bytearray(data)
+    """Return a serialised message with some bytes changed and perhaps its end cut off."""
+    changed = bytearray(data)
     for _ in range(dice.randrange(1, 20)):
-        told[dice.randrange(len(told))] = dice.randrange(256)
-    return bytes(told[: dice.choice((len(told), dice.randrange(len(told) + 1)))])
+        changed[dice.randrange(len(changed))] = dice.randrange(256)
+    return bytes(changed[: dice.choice((len(changed), dice.randrange(len(changed) + 1)))])
 
 
-def _fitting(value: float, told: str) -> float:
-    return max(min(value, 3e38), -3e38) if "float" in told and "32" in told and math.isfinite(value) else value
+def _fitting(value: float, of: str) -> float:
+    return max(min(value, 3e38), -3e38) if "float" in of and "32" in of and math.isfinite(value) else value
 
 
-def _whole(told: str, dice: random.Random) -> int:
-    bits = next((bits for bits in (64, 32, 16) if str(bits) in told), 8)
-    unsigned = "uint" in told or told in ("byte", "octet")
+def _whole(of: str, dice: random.Random) -> int:
+    bits = next((bits for bits in (64, 32, 16) if str(bits) in of), 8)
+    unsigned = "uint" in of or of in ("byte", "octet")
     low, high = (0, 2**bits - 1) if unsigned else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
     return dice.choice((0, 1, low, high, 120))
 
 
 class Stranger(Node):
-    """Acts a hundred times a second until it leaves: it lies, breaks bytes, repeats, is late, says it twice or floods.
+    """Acts a hundred times a second until it leaves: random, damaged, repeated, late, doubled or flooding messages.
 
     Args:
         context: a running rclpy context.
         namespace: of the charger.
-        seed: of its dice.
+        seed: of its random numbers.
     """
 
     def __init__(self, context: Any, namespace: str, seed: int = 0) -> None:
@@ -111,7 +111,7 @@ class Stranger(Node):
         self._thread = threading.Thread(target=self._act, name="stranger", daemon=True)
 
     def begin(self) -> Stranger:
-        """Act from now on."""
+        """Start acting."""
         self._spinner = Spinner(self)
         self._thread.start()
         return self
@@ -126,7 +126,7 @@ class Stranger(Node):
             self._spinner = None
 
     def speaks(self, kind: type[Any], topic: str) -> None:
-        """Publish what others publish, as it likes."""
+        """Publish a topic of other nodes with arbitrary messages."""
         publisher = self.create_publisher(kind, topic, QoSProfile(depth=10))
         genuine: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
         best = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -147,7 +147,7 @@ class Stranger(Node):
         self._acting.append(act)
 
     def asks(self, kind: type[Any], service: str) -> None:
-        """Call a service again and again, never waiting for an answer."""
+        """Call a service repeatedly, without waiting for responses."""
         client: Any = self.create_client(kind, service)
         calls: deque[Any] = deque()
 
@@ -161,7 +161,7 @@ class Stranger(Node):
         self._acting.append(act)
 
     def sends_goals(self, kind: type[Any], name: str) -> None:
-        """Send goals again and again, never waiting for a result."""
+        """Send goals repeatedly, without waiting for results."""
         client: Any = ActionClient(self, kind, name)
         self._actions.append(client)
 
@@ -172,7 +172,7 @@ class Stranger(Node):
         self._acting.append(act)
 
     def answers(self, kind: type[Any], service: str) -> None:
-        """Serve what others serve, with lies, at once or late."""
+        """Serve a service of other nodes, with arbitrary responses, at once or late."""
 
         def serve(request: Any, response: Any) -> Any:
             if self.dice.random() < 0.3:

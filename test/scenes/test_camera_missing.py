@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera that is missing, with whatever it needs, leaves a charger at work that docks to coordinates."""
+"""A charger without a camera, or without the camera's libraries, still docks to coordinates."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Shadow = Callable[[str, str], None]
 
 @pytest.fixture
 def shadow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shadow:
-    """Put a module of the given text before the installed one, for processes that are started from now on."""
+    """Put a module with the given text before the installed one, for processes started from now on."""
     folder = tmp_path / "shadow"
     folder.mkdir()
     monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
@@ -50,43 +50,43 @@ def shadow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shadow:
 
 
 @pytest.fixture
-def said(context: Any, spin: Spin) -> list[DiagnosticStatus]:
+def seen(context: Any, spin: Spin) -> list[DiagnosticStatus]:
     heard: list[DiagnosticStatus] = []
     node: Node = spin(Node("listener", **options(context)))
     node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 10)
     return heard
 
 
-def hears(said: list[DiagnosticStatus], name: str, level: bytes, text: str) -> DiagnosticStatus:
+def await_status(seen: list[DiagnosticStatus], name: str, level: bytes, text: str) -> DiagnosticStatus:
     """Wait for a status, and return it."""
     found: list[DiagnosticStatus] = []
 
     def came() -> bool:
-        found[:] = [each for each in list(said) if (each.name, each.level) == (name, level) and text in each.message]
+        found[:] = [each for each in list(seen) if (each.name, each.level) == (name, level) and text in each.message]
         return bool(found)
 
     wait_until(came, f"'{text}' from {name}")
     return found[0]
 
 
-def test_camera_node_lives_without_depthai_and_finds_what_is_installed_later(
-    start: Start, shadow: Shadow, said: list[DiagnosticStatus], namespace: str
+def test_camera_node_runs_without_depthai_and_finds_it_once_installed(
+    start: Start, shadow: Shadow, seen: list[DiagnosticStatus], namespace: str
 ) -> None:
     shadow("depthai", ABSENT)
     scene = parse_scene({"nodes": ["camera_node"]}, "alone")
     process, part = start(*arguments(scene, "camera_node", namespace)), f"{namespace}/camera_node: camera"
     for text in ("depthai is not installed: install it with pip install 'deltacharger[oak]'",) * 2:
-        assert hears(said, part, DiagnosticStatus.ERROR, text).hardware_id == "OAK-D"
-        said.clear()
+        assert await_status(seen, part, DiagnosticStatus.ERROR, text).hardware_id == "OAK-D"
+        seen.clear()
     shadow("depthai", INSTALLED)
-    hears(said, part, DiagnosticStatus.ERROR, "USB: no access")
-    hears(said, part, DiagnosticStatus.ERROR, "no OAK camera found: plug it in")
+    await_status(seen, part, DiagnosticStatus.ERROR, "USB: no access")
+    await_status(seen, part, DiagnosticStatus.ERROR, "no OAK camera found: plug it in")
     assert process.end(signal.SIGINT) == 0
     assert sum("depthai is not installed" in line for line in process.err) == 1, process.err
 
 
 @pytest.mark.parametrize(
-    ("nodes", "missing", "part", "says"),
+    ("nodes", "missing", "part", "why"),
     [
         (["camera_node"], "depthai", "camera_node: camera", "depthai is not installed"),
         (["camera_node"], "cv2", "electrode_detector_node: detector", "OpenCV is not installed"),
@@ -97,7 +97,7 @@ def test_camera_node_lives_without_depthai_and_finds_what_is_installed_later(
 def test_a_charger_without_its_camera_docks_to_coordinates(
     start: Start,
     shadow: Shadow,
-    said: list[DiagnosticStatus],
+    seen: list[DiagnosticStatus],
     deltacharger: tuple[str, ...],
     quick_file: Path,
     tmp_path: Path,
@@ -106,7 +106,7 @@ def test_a_charger_without_its_camera_docks_to_coordinates(
     nodes: list[str],
     missing: str,
     part: str,
-    says: str,
+    why: str,
 ) -> None:
     if missing:
         shadow(missing, ABSENT)
@@ -117,9 +117,9 @@ def test_a_charger_without_its_camera_docks_to_coordinates(
     process = start(*deltacharger, "up", "--scene", str(tmp_path / "blind.yaml"), "--namespace", namespace)
     with ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE), process.err
-        hears(said, f"{namespace}/{part}", DiagnosticStatus.ERROR if missing else DiagnosticStatus.WARN, says)
+        await_status(seen, f"{namespace}/{part}", DiagnosticStatus.ERROR if missing else DiagnosticStatus.WARN, why)
         blind = client.dock(DockRequest(None), deadline=DEADLINE)
         assert blind.error_code == Code.ELECTRODES_NOT_FOUND, blind
-        assert says in blind.error_message, blind
+        assert why in blind.error_message, blind
         dock_at_last(client, DockRequest(Pose(0.0, 0.0, 0.080)))
     assert process.end(signal.SIGTERM) == 0, process.err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking from the picture to charging, and all that a picture can say against it, on simulated camera and hardware."""
+"""Docking from the image to charging, and every refusal by the image, with simulated camera and hardware."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BY_CAMERA = DockRequest(None)
 
 
 def scene(steps: Mapping[str, Any] = MappingProxyType({}), **target: Any) -> Scene:
-    """The packaged scene with quick steps, others of docking_node in their place, and another target."""
+    """The packaged scene with quick steps, other parameters of docking_node, and another target."""
     packaged = quick_simulation("camera", steps)
     assert packaged.simulation is not None
     world = packaged.simulation.world
@@ -44,7 +44,7 @@ def charger(context: Any, what: Scene) -> Iterator[tuple[Composition, ChargerCli
 
 
 def refused(context: Any, what: Scene) -> Outcome:
-    """Dock where nothing may move, and return why."""
+    """Dock with a refusal and no motion, and return the outcome."""
     with charger(context, what) as (composition, client):
         assert composition.charger is not None
         world = composition.charger.world
@@ -63,7 +63,7 @@ def with_opencv() -> None:
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 
-def test_from_the_picture_to_charging(context: Any) -> None:
+def test_it_docks_from_the_image_and_charges(context: Any) -> None:
     with charger(context, scene()) as (composition, client):
         phases: list[str] = []
         with Recorder(context, client.node.get_namespace()) as recorder:
@@ -82,7 +82,7 @@ def test_from_the_picture_to_charging(context: Any) -> None:
         assert client.undock(deadline=60.0).success
 
 
-def test_nothing_in_the_picture_leaves_the_arm_alone(context: Any) -> None:
+def test_without_electrodes_in_the_image_the_arm_does_not_move(context: Any) -> None:
     outcome = refused(context, scene({"locate_timeout": 3.0}, present=False))
     assert outcome.error_name == "ELECTRODES_NOT_FOUND"
     assert "no electrodes in the image" in outcome.error_message
@@ -94,7 +94,7 @@ def test_a_roll_that_could_be_critical_is_refused_before_contact(context: Any) -
     assert outcome.error_name == "CRITICAL_ANGLE"
 
 
-def test_a_target_out_of_reach_tells_where_to_stand(context: Any) -> None:
+def test_a_target_out_of_reach_is_refused_with_the_robots_correction(context: Any) -> None:
     place = {"x": 0.02, "y": 0.01, "z": 0.22}
     outcome = refused(context, scene(**place))
     assert outcome.error_name == "UNREACHABLE"
@@ -103,9 +103,9 @@ def test_a_target_out_of_reach_tells_where_to_stand(context: Any) -> None:
     assert there == pytest.approx([0.0, 0.0, 0.080], abs=0.02)  # the camera's mount is off by 2 mm and half a degree
 
 
-def test_a_simulated_camera_never_stands_beside_real_servos() -> None:
+def test_a_simulated_camera_is_refused_beside_real_servos() -> None:
     nodes = ["servo_node", "simulated_camera_node", "electrode_detector_node", "docking_node"]
-    with pytest.raises(SceneError, match="real servos would go there"):
+    with pytest.raises(SceneError, match="real servos would move there"):
         parse_scene({"nodes": nodes, "ports": {"servo": "/dev/ttyUSB0"}}, "mixed")
 
 

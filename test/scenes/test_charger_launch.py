@@ -37,7 +37,7 @@ def generate_test_description() -> Any:
 
 
 class TestDocking(unittest.TestCase):
-    """While it runs; collected by launch_testing alone."""
+    """While it runs; collected by launch_testing only."""
 
     __test__ = False
     client: ChargerClient
@@ -89,7 +89,7 @@ class TestDocking(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestShutdown(unittest.TestCase):
-    """After SIGINT to all of it; collected by launch_testing alone."""
+    """After SIGINT to all processes; collected by launch_testing only."""
 
     __test__ = False
 

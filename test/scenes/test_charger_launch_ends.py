@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How `ros2 launch` of charger.launch.py ends: with 0 by Ctrl-C, with 1 and a reason where a part has ended or refuses.
+"""How `ros2 launch` of charger.launch.py ends: 0 after Ctrl-C; 1 and a reason if a part has ended or refuses.
 
-Without launch: test_up_and_dock.py has the exit codes of `deltacharger up`, test_scene_overrides.py the arguments that
-are refused, test_processes.py a node whose port is missing, test_killed_nodes.py nodes that are killed.
+Without launch: test_up_and_dock.py has the exit codes of `deltacharger up`, test_scene_overrides.py the refused
+arguments, test_processes.py a node with a missing port, test_killed_nodes.py killed nodes.
 """
 
 from __future__ import annotations
@@ -38,47 +38,47 @@ def launched(start: Launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     with domain(4):
-        told = {"sigterm_timeout": PATIENCE}
-        yield lambda **more: start(*COMMAND, *(f"{name}:={value}" for name, value in (told | more).items()))
+        options = {"sigterm_timeout": PATIENCE}
+        yield lambda **more: start(*COMMAND, *(f"{name}:={value}" for name, value in (options | more).items()))
 
 
-def told(process: Process) -> str:
+def output(process: Process) -> str:
     return "\n".join([*process.out, *process.err])
 
 
 def pid(process: Process, name: str) -> int:
-    """Return the process id that launch tells of an executable."""
-    found = re.search(rf"\[{name}-\d+\]: process started with pid \[(\d+)\]", told(process))
+    """Return the process id of an executable in launch's output."""
+    found = re.search(rf"\[{name}-\d+\]: process started with pid \[(\d+)\]", output(process))
     return int(found[1]) if found else 0
 
 
 def finished_cleanly(process: Process) -> int:
-    return told(process).count("process has finished cleanly")
+    return output(process).count("process has finished cleanly")
 
 
-def test_ctrl_c_ends_it_with_0_and_the_emulators_folder_is_gone(
+def test_ctrl_c_ends_it_with_0_and_removes_the_emulators_folder(
     launched: Launch, namespace: str, tmp_path: Path
 ) -> None:
     process = launched(namespace=namespace)
     with ChargerClient(namespace) as client:
-        assert client.wait_until_ready(DEADLINE), told(process)
+        assert client.wait_until_ready(DEADLINE), output(process)
         assert list(tmp_path.glob("deltacharger-*"))
-    assert process.end(signal.SIGINT) == 0, told(process)
-    assert finished_cleanly(process) == 6, told(process)  # five nodes, and the hardware
+    assert process.end(signal.SIGINT) == 0, output(process)
+    assert finished_cleanly(process) == 6, output(process)  # five nodes, and the hardware
     assert not list(tmp_path.glob("deltacharger-*"))
 
 
-def test_a_docking_node_that_is_killed_ends_the_charger_with_1(launched: Launch, namespace: str) -> None:
+def test_a_killed_docking_node_ends_the_charger_with_1(launched: Launch, namespace: str) -> None:
     process = launched(scene=QUICK, namespace=namespace)
     with ChargerClient(namespace) as client:
-        assert client.wait_until_ready(DEADLINE), told(process)
+        assert client.wait_until_ready(DEADLINE), output(process)
         os.kill(pid(process, "docking_node"), signal.SIGKILL)
-        assert process.end() == 1, told(process)
-    assert "docking_node ended with code -9; ending the charger" in told(process)
-    assert finished_cleanly(process) == QUICK_NODES - 1, told(process)
+        assert process.end() == 1, output(process)
+    assert "docking_node ended with code -9; ending the charger" in output(process)
+    assert finished_cleanly(process) == QUICK_NODES - 1, output(process)
 
 
-def test_a_camera_that_is_missing_does_not_end_it(
+def test_a_missing_camera_does_not_end_it(
     launched: Launch, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shadow = tmp_path / "shadow"
@@ -92,26 +92,24 @@ def test_a_camera_that_is_missing_does_not_end_it(
     scene.write_text(QUICK.read_text(encoding="utf-8").replace("mock_detector_node", nodes), encoding="utf-8")
     process = launched(scene=scene, namespace=namespace)
     with ChargerClient(namespace) as client:
-        assert client.wait_until_ready(DEADLINE), told(process)
-        wait_until(lambda: "depthai is not installed" in told(process), "what camera_node lacks")
-        wait_until(lambda: "OpenCV is not installed" in told(process), "what the detector lacks")
+        assert client.wait_until_ready(DEADLINE), output(process)
+        wait_until(lambda: "depthai is not installed" in output(process), "what camera_node lacks")
+        wait_until(lambda: "OpenCV is not installed" in output(process), "what the detector lacks")
         dock_at_last(client, DockRequest(Pose(0.0, 0.0, 0.080)))
-    assert process.end(signal.SIGINT) == 0, told(process)
-    assert finished_cleanly(process) == QUICK_NODES + 1, told(process)
+    assert process.end(signal.SIGINT) == 0, output(process)
+    assert finished_cleanly(process) == QUICK_NODES + 1, output(process)
 
 
-def test_hardware_without_its_ports_ends_with_1_and_names_the_port(
-    launched: Launch, namespace: str, tmp_path: Path
-) -> None:
+def test_missing_ports_end_it_with_1_and_are_named(launched: Launch, namespace: str, tmp_path: Path) -> None:
     scene = tmp_path / "mine.yaml"
     scene.write_text("ports: {servo: /dev/no_servo, board: /dev/no_board}\n", encoding="utf-8")
     process = launched(scene=scene, namespace=namespace)
     assert process.end() == 1
-    assert re.search(r"/dev/no_(servo|board): there is no such port; plug the adapter in", told(process))
-    assert re.search(r"(servo|tactile)_node cannot start as configured; ending the charger", told(process))
+    assert re.search(r"/dev/no_(servo|board): there is no such port; plug the adapter in", output(process))
+    assert re.search(r"(servo|tactile)_node cannot start as configured; ending the charger", output(process))
 
 
-def test_mocks_launched_alone_are_in_the_domain_of_simulated_chargers_and_how_to_reach_them_is_said(
+def test_mocks_launched_alone_use_the_domain_of_simulated_chargers_and_the_log_states_how_to_reach_them(
     launched: Launch, namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
@@ -120,13 +118,13 @@ def test_mocks_launched_alone_are_in_the_domain_of_simulated_chargers_and_how_to
     context = Context()
     rclpy.init(context=context, args=[], domain_id=87, signal_handler_options=SignalHandlerOptions.NO)
     with ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE), told(process)
+        assert client.wait_until_ready(DEADLINE), output(process)
     rclpy.try_shutdown(context=context)
     assert process.end(signal.SIGINT) == 0
-    assert "export ROS_DOMAIN_ID=87 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in told(process)
+    assert "export ROS_DOMAIN_ID=87 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in output(process)
 
 
-def test_included_they_are_in_the_domain_of_the_launch_file_that_includes_them(
+def test_included_mocks_use_the_domain_of_the_including_launch_file(
     launched: Launch, start: Launch, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID")
@@ -136,11 +134,11 @@ def test_included_they_are_in_the_domain_of_the_launch_file_that_includes_them(
     file.write_text(f'<launch><include file="{FILE}">{each}</include></launch>', encoding="utf-8")
     process = start(*COMMAND[:-1], str(file))
     process.wait_for_line("in ROS domain 0,", process.out)
-    assert process.end(signal.SIGINT) == 0, told(process)
+    assert process.end(signal.SIGINT) == 0, output(process)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         ({"scene": "simulatd"}, "did you mean 'simulated'"),
         ({"scen": "mocks"}, "did you mean 'scene'"),
@@ -151,12 +149,12 @@ def test_included_they_are_in_the_domain_of_the_launch_file_that_includes_them(
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
 )
 def test_a_wrong_argument_ends_it_with_1_before_anything_starts(
-    launched: Launch, arguments: dict[str, str], says: str
+    launched: Launch, arguments: dict[str, str], expected: str
 ) -> None:
     process = launched(**arguments)
     assert process.end() == 1
-    assert says in told(process)
-    assert "process started" not in told(process)
+    assert expected in output(process)
+    assert "process started" not in output(process)
 
 
 def test_a_node_that_may_restart_but_refuses_its_parameters_ends_the_charger(
@@ -167,4 +165,4 @@ def test_a_node_that_may_restart_but_refuses_its_parameters_ends_the_charger(
     scene.write_text(text, encoding="utf-8")
     process = launched(scene=scene, namespace=namespace)
     assert process.end() == 1
-    assert "misalignment_node cannot start as configured" in told(process)
+    assert "misalignment_node cannot start as configured" in output(process)

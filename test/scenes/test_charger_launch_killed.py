@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""charger.launch.py: nodes that move nothing and carry no current are killed, come again by themselves, and serve.
+"""charger.launch.py: killed nodes that move nothing and carry no current restart by themselves, and serve again.
 
-Without launch: test_killed_nodes.py starts such nodes anew by hand, beside a charger that goes on. What ends the
-charger as a whole stands in test_charger_launch_ends.py.
+Without launch: test_killed_nodes.py restarts such nodes by hand, beside a running charger. Causes that end the
+complete charger are in test_charger_launch_ends.py.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def generate_test_description() -> Any:
 
 
 class TestKilled(unittest.TestCase):
-    """While it runs; collected by launch_testing alone."""
+    """While it runs; collected by launch_testing only."""
 
     __test__ = False
 
-    def test_killed_nodes_come_again_and_serve(self, proc_info: Any) -> None:
+    def test_killed_nodes_restart_and_serve(self, proc_info: Any) -> None:
         with ChargerClient(NAMESPACE) as client:
             assert client.wait_until_ready(DEADLINE)
             docking = self.pid(proc_info, "/docking_node")
@@ -58,11 +58,11 @@ class TestKilled(unittest.TestCase):
             answer = service.call_async(SolveForwardKinematics.Request(angles=[0.0, 0.0, 0.0]))
             wait_until(answer.done, "kinematics_node to answer")
             assert list(answer.result().status) == [0]
-            assert self.pid(proc_info, "/docking_node") == docking, "the others live on"
+            assert self.pid(proc_info, "/docking_node") == docking, "the others keep running"
 
     @staticmethod
     def pid(proc_info: Any, name: str) -> int:
-        """Return the process of an executable; 0 while it has none."""
+        """Return the process of an executable; 0 without one."""
         from launch.events.process import ProcessStarted
 
         events = [event for event in list(proc_info) if event.cmd[0].endswith(name)]
@@ -71,7 +71,7 @@ class TestKilled(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestShutdown(unittest.TestCase):
-    """After SIGINT to all of it; collected by launch_testing alone."""
+    """After SIGINT to all processes; collected by launch_testing only."""
 
     __test__ = False
 
@@ -79,5 +79,5 @@ class TestShutdown(unittest.TestCase):
         assert_all_ended_with_0(proc_info, QUICK_NODES)
 
 
-def test_killed_nodes_come_again_when_launched() -> None:
+def test_killed_nodes_restart_when_launched() -> None:
     run_launch_tests(__name__, 2)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""charger.launch.py in a group of another launch file: namespace, remaps, parameters and environment hold.
+"""charger.launch.py in a group of another launch file: namespace, remaps, parameters and environment apply.
 
-A simulated scene and one on hardware, whose ports are those of emulators, obey alike: their names in the graph are the
-same, but for the namespace that the group gives them.
+A simulated scene and one on hardware, with emulated ports, behave equally: their names in the graph differ only by
+the group's namespace.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def pushed(group: str) -> str:
 
 
 def domain_of_the_groups() -> int:
-    """Return the ROS domain that the groups set in their environment, not that of the launch."""
+    """Return the ROS domain set in the groups' environment, not the launch's."""
     return (int(os.environ["ROS_DOMAIN_ID"]) + 1) % 233
 
 
@@ -57,7 +57,7 @@ def generate_test_description() -> Any:
 
 
 def group(name: str, included: Any) -> Any:
-    """Return a group with everything that an integrator sets around a charger."""
+    """Return a group with all settings that an integrator may put around a charger."""
     from launch.actions import GroupAction, SetEnvironmentVariable
     from launch_ros.actions import PushRosNamespace, SetParameter, SetRemap
 
@@ -73,7 +73,7 @@ def group(name: str, included: Any) -> Any:
 
 
 class TestScope(unittest.TestCase):
-    """While they run; collected by launch_testing alone."""
+    """While they run; collected by launch_testing only."""
 
     __test__ = False
 
@@ -90,7 +90,7 @@ class TestScope(unittest.TestCase):
         cls.spinner.close()
         rclpy.try_shutdown(context=cls.context)
 
-    def test_simulation_and_hardware_have_the_names_and_the_clock_that_the_group_gives_them(self) -> None:
+    def test_simulation_and_hardware_have_the_groups_names_and_clock(self) -> None:
         wanted = {f"/arm/{name}" for name in (*NODES, *REMAPS.values(), "undock/_action/send_goal")}
         wait_until(lambda: wanted <= self.names("simulated"), f"{wanted} in the graph")
         wait_until(lambda: self.names("simulated") == self.names("hardware"), "the same names of both")
@@ -99,10 +99,10 @@ class TestScope(unittest.TestCase):
             for name in NODES:
                 asked = self.node.create_client(GetParameters, f"/{pushed(each)}/arm/{name}/get_parameters")
                 wait_until(asked.service_is_ready, f"{name} of {each}")
-                told = call(asked, GetParameters.Request(names=["use_sim_time"]))
-                assert told.values[0].bool_value, f"{name} of {each}"
+                response = call(asked, GetParameters.Request(names=["use_sim_time"]))
+                assert response.values[0].bool_value, f"{name} of {each}"
 
-    def test_a_fault_finds_the_simulated_charger_by_the_whole_namespace(self) -> None:
+    def test_a_fault_finds_the_simulated_charger_by_its_full_namespace(self) -> None:
         path = runtime.charger(domain_of_the_groups(), f"{pushed('simulated')}/arm")
         wait_until(path.is_symlink, str(path))
 
@@ -116,7 +116,7 @@ class TestScope(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestShutdown(unittest.TestCase):
-    """After SIGINT to all of it; collected by launch_testing alone."""
+    """After SIGINT to all processes; collected by launch_testing only."""
 
     __test__ = False
 
@@ -124,6 +124,6 @@ class TestShutdown(unittest.TestCase):
         assert_all_ended_with_0(proc_info, 2 * len(NODES) + 1)
 
 
-def test_a_group_is_obeyed_when_launched() -> None:
+def test_a_groups_settings_apply_when_launched() -> None:
     with OPENED:
         run_launch_tests(__name__, 5)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 launch` of a charger that charges, ended by each signal that people, containers and systemd send.
+"""`ros2 launch` of a charging charger, ended by each signal that people, containers and systemd send.
 
-Each time the contactor is open within 350 ms, the arm has no torque in the end, and no process is left. Without launch:
+Each time, the contactor is open within 350 ms, the arm ends without torque, and no process is left. Without launch:
 test_stops.py.
 """
 
@@ -32,7 +32,7 @@ from .stopping import (
     left,
     needs_containers,
 )
-from .test_charger_launch_ends import COMMAND, finished_cleanly, told
+from .test_charger_launch_ends import COMMAND, finished_cleanly, output
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -85,14 +85,14 @@ def test_a_signal_to_launch_makes_a_charging_charger_safe(
         before = len(process.out)
         kill = os.killpg if group else os.kill
         assert stopped.stop(lambda: [kill(pid, number) for number in signals]) < OPEN
-        assert process.end() == code, told(process)
+        assert process.end() == code, output(process)
         stopped.assert_safe()
         wait_until(lambda: not left(pid), "the end of all processes", 10.0)
     finally:
         kill_what_is_left(pid)
     if code == 0:
-        assert finished_cleanly(process) == NODES, told(process)
-        assert not [line for line in process.out[before:] if "_node-" in line and ALARM.search(line)], told(process)
+        assert finished_cleanly(process) == NODES, output(process)
+        assert not [line for line in process.out[before:] if "_node-" in line and ALARM.search(line)], output(process)
 
 
 @needs_containers
@@ -102,13 +102,13 @@ def test_docker_stop_of_launch_makes_a_charging_charger_safe(
     process = start(*CONTAINER, *COMMAND, f"scene:={stopped.scene}", f"namespace:={namespace}")
     stopped.charge(process)
     assert stopped.stop(lambda: os.kill(first(process), INT)) < OPEN  # STOPSIGNAL SIGINT
-    assert process.end() == 0, told(process)
+    assert process.end() == 0, output(process)
     stopped.assert_safe()
-    assert finished_cleanly(process) == NODES, told(process)
+    assert finished_cleanly(process) == NODES, output(process)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_systemd_takes_the_unit() -> None:
+def test_systemd_accepts_the_unit() -> None:
     file = ROOT / "config" / "systemd" / "deltacharger.service"
-    said = subprocess.run(["systemd-analyze", "verify", str(file)], capture_output=True, text=True, check=False)
-    assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
+    checked = subprocess.run(["systemd-analyze", "verify", str(file)], capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""charger.launch.py twice in one launch, told apart by namespace alone: what one does leaves the other as it is.
+"""charger.launch.py twice in one launch, distinguished by namespace only; neither affects the other.
 
 Without launch: test_two_chargers.py.
 """
@@ -35,11 +35,11 @@ def generate_test_description() -> Any:
 
 
 class TestTwo(unittest.TestCase):
-    """While they run; collected by launch_testing alone."""
+    """While they run; collected by launch_testing only."""
 
     __test__ = False
 
-    def test_what_one_does_leaves_the_other_alone(self) -> None:
+    def test_neither_affects_the_other(self) -> None:
         context = Context()
         rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         left, right = (Watched(name, context) for name in NAMES)
@@ -62,7 +62,7 @@ class TestTwo(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestShutdown(unittest.TestCase):
-    """After SIGINT to all of it; collected by launch_testing alone."""
+    """After SIGINT to all processes; collected by launch_testing only."""
 
     __test__ = False
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Composition: what fails to start leaves nothing behind, and the simulated charger goes last."""
+"""Composition: a failed start leaves nothing running, and the simulated charger closes last."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def spinning() -> set[str]:
     return {thread.name for thread in threading.enumerate() if thread.name.startswith("spin ")}
 
 
-def test_a_node_that_refuses_its_parameters_ends_those_that_run(context: Any, namespace: str) -> None:
+def test_a_node_that_rejects_its_parameters_ends_the_running_ones(context: Any, namespace: str) -> None:
     before = spinning()
     nodes = ["mock_servo_node", "mock_detector_node", "docking_node"]
     scene = parse_scene({"nodes": nodes, "parameters": {"docking_node": {"standof": 0.01}}}, "broken")
@@ -33,7 +33,7 @@ def test_a_node_that_refuses_its_parameters_ends_those_that_run(context: Any, na
     assert spinning() == before
 
 
-def test_nodes_carry_their_namespace_and_parameters(context: Any, namespace: str) -> None:
+def test_nodes_have_their_namespace_and_parameters(context: Any, namespace: str) -> None:
     values = {"parameters": {"mock_servo_node": {"rate": 50.0}}, "nodes": ["mock_servo_node"]}
     with Composition(parse_scene(values, "x"), context, namespace) as composition:
         node = composition.node("mock_servo_node")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a whole charger publishes, before and during a goal: frames in every header, diagnostics as REP 107 has them."""
+"""All messages of a complete charger, before and during a goal: frames in every header, diagnostics as in REP 107."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ HARDWARE = {
     "tactile_node": r"/.+",
     "camera_node": r".+",
 }
-"""hardware_id by node: ports, and the camera that it looks for."""
+"""hardware_id by node: ports, and the expected camera."""
 QUIET = {"/rosout", "/parameter_events", "/diagnostics"}  # no data with a frame
 OF_A_GOAL = {"joint_trajectory", "docking_state", "docking_decision", "end_effector_pose", "electrode_detection"}
-"""Published by a goal, the detection once and at its very beginning."""
+"""Published during a goal; the detection once, at its very beginning."""
 
 
 def type_of(name: str) -> Any:
-    """Return the class of a type as the graph names it."""
+    """Return the class of a type by its name in the graph."""
     package, kind, rest = name.split("/")
     module = importlib.import_module(f"{package}.{kind}")
     if kind == "action":
@@ -66,12 +66,12 @@ def headers(message: Any) -> Iterator[Header]:
 
 
 class Listener(Node):
-    """Hears every topic of a namespace, and diagnostics.
+    """Receives every topic of a namespace, and diagnostics.
 
     Attributes:
         frames: frame_ids of every header so far, by topic.
         statuses: so far, of this namespace.
-        heard: names of the topics that it has subscribed to.
+        heard: names of the subscribed topics.
     """
 
     def __init__(self, context: Any, namespace: str) -> None:
@@ -89,10 +89,10 @@ class Listener(Node):
             if not ours or name in self.heard or not offered:
                 continue
             quality = QoSProfile(depth=100, reliability=offered[0].reliability, durability=offered[0].durability)
-            self.create_subscription(type_of(kind), name, self._hears(name), quality)
+            self.create_subscription(type_of(kind), name, self._receiver(name), quality)
             self.heard.add(name)
 
-    def _hears(self, topic: str) -> Callable[[Any], None]:
+    def _receiver(self, topic: str) -> Callable[[Any], None]:
         return lambda message: self.frames[topic].update(each.frame_id for each in headers(message))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -117,15 +117,15 @@ def mocks() -> Scene:
 
 @pytest.fixture(params=[camera, mission, mocks], ids=lambda each: each.__name__)
 def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Iterator[Listener]:
-    """A charger of each kind, heard from its first message to the end of a goal."""
+    """A charger of each kind, with all its messages from the first to the end of a goal."""
     scene = request.param()
     if "docking_recorder_node" in scene.nodes:
-        told = {**scene.parameters, "docking_recorder_node": {"folder": str(tmp_path)}}
-        scene = replace(scene, parameters=told)
+        parameters = {**scene.parameters, "docking_recorder_node": {"folder": str(tmp_path)}}
+        scene = replace(scene, parameters=parameters)
     heard = spin(Listener(context, namespace))
     with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE)
-        wait_until(lambda: diagnosed(heard) >= told_by(scene), "diagnostics of every node before a goal")
+        wait_until(lambda: diagnosed(heard) >= nodes_with_diagnostics(scene), "diagnostics of every node before a goal")
         wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
         if "mission_node" in scene.nodes:
             errand(heard)
@@ -143,8 +143,8 @@ def diagnosed(listener: Listener) -> set[str]:
     return {each.name.partition(":")[0].rpartition("/")[2] for each in listener.statuses}
 
 
-def told_by(scene: Scene) -> set[str]:
-    """Return the nodes of a scene that have diagnostics; the mock of the servos has them where it refuses something."""
+def nodes_with_diagnostics(scene: Scene) -> set[str]:
+    """Return a scene's nodes with diagnostics; the servos' mock has them only when it refuses a request."""
     silent = ("mock_", "simulated_camera", "kinematics", "misalignment")
     return {name for name in scene.nodes if not name.startswith(silent)}
 
@@ -161,7 +161,7 @@ def errand(listener: Listener) -> None:
     client.destroy()
 
 
-def test_every_header_has_a_frame_and_every_diagnostic_says_what_it_knows(listener: Listener) -> None:
+def test_every_header_has_a_frame_and_every_diagnostic_known_values_only(listener: Listener) -> None:
     frames = {topic: found for topic, found in listener.frames.items() if found}
     assert {topic: found for topic, found in frames.items() if "" in found} == {}
     assert names(frames) >= OF_A_GOAL | {"servo_state", "joint_states", "tactile_frame", "charger_power"}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes as processes, killed (SIGKILL) and stopped (SIGSTOP, then SIGCONT) while one charger docks again and again.
+"""Nodes as processes, killed (SIGKILL) and stopped (SIGSTOP, then SIGCONT) during the dockings of one charger.
 
-Every node that matters to a phase is struck in it; what is the same for all phases is gone through in virtual time in
-test/docking/test_silent_nodes.py. One simulated charger serves all, before a world that remembers; only what was killed
-is started anew, and every goal that follows shows that nothing else had to be. With DELTACHARGER_WHOLE_MATRIX=1 every
-node is struck in every phase.
+Each node is struck in the phases in which it matters; behaviour common to all phases is tested in virtual time in
+test/docking/test_silent_nodes.py. One simulated charger with a recording world serves all tests. Only killed nodes are
+restarted, and every following goal confirms that this is enough. With DELTACHARGER_WHOLE_MATRIX=1 every node is struck
+in every phase.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 PHASES = ("locate", "approach", "contact", "measure", "align", "energise", "charging", "retract")
 LIMITS = {"servo_node": 0.35, "tactile_node": 0.1, "docking_node": 0.35}  # s until the contactor is open
-SLACK = 0.1  # s: an opening's ramp (0.05) and its confirmation, the power stage's turn and the world's step
+SLACK = 0.1  # s: an opening's ramp (0.05) and its confirmation, the power stage's cycle and the world's step
 STOPPED = 1.0  # s
-SETTLING = 0.003  # m by which a loaded arm comes to rest where it was stopped
+SETTLING = 0.003  # m, settling of a loaded arm after a stop
 ENDS = {
     "servo_node": {"SERVO_FAULT"},
     "tactile_node": {"TACTILE_STALE", "POWER_STALE", "CONTACTOR_WELDED"},
     "misalignment_node": {"TACTILE_STALE"},
     "mock_detector_node": {"ELECTRODES_NOT_FOUND"},
-    "docking_node": {"POWER_STALE", "SERVO_FAULT", "TACTILE_STALE"},  # what it finds old or open when it goes on
+    "docking_node": {"POWER_STALE", "SERVO_FAULT", "TACTILE_STALE"},  # what it finds stale or open when it continues
     "kinematics_node": set(),
 }
 CELLS = [
@@ -66,11 +66,11 @@ in_a_child = pytest.mark.skipif(_CHILD not in os.environ, reason="run by test_no
 @pytest.mark.timeout(3600 if "DELTACHARGER_WHOLE_MATRIX" in os.environ else 600)
 @pytest.mark.skipif(_CHILD in os.environ, reason="this is the child")
 def test_nodes_are_struck() -> None:
-    """Run the tests below in a process of their own: rclpy has crashed in a client whose action server was killed."""
+    """Run the tests below in a separate process: rclpy has crashed in a client whose action server was killed."""
     command = [sys.executable, "-m", "pytest", "-q", "--durations=0", __file__]
     for _ in range(2):
         child = subprocess.run(command, env=os.environ | {_CHILD: "1"}, capture_output=True, text=True, check=False)
-        if child.returncode >= 0:  # else a signal ended it, not a law that was broken
+        if child.returncode >= 0:  # else a signal ended it, not a failed test
             break
     assert child.returncode == 0, child.stdout[-6000:] + child.stderr[-2000:]
     print(child.stdout[-6000:])
@@ -89,12 +89,12 @@ def rig(context: Any) -> Iterator[Rig]:
     ("name", "number", "phase"), CELLS, ids=lambda value: value.name if isinstance(value, signal.Signals) else value
 )
 def test_a_node_is_struck(rig: Rig, name: str, number: int, phase: str) -> None:
-    rig.pulse.attempt(lambda: suffer(rig, name, number, phase), lambda: recover(rig, name))
+    rig.pulse.attempt(lambda: strike(rig, name, number, phase), lambda: recover(rig, name))
 
 
-def suffer(rig: Rig, name: str, number: int, phase: str) -> None:
+def strike(rig: Rig, name: str, number: int, phase: str) -> None:
     rig.begin(phase)
-    before = rig.charger.world.time  # an opening under way may come between the next lines
+    before = rig.charger.world.time  # an opening in progress may end between the next lines
     closed, start = rig.charger.world.circuit.closed, rig.place
     rig.send(name, number)
     if closed and name in LIMITS:
@@ -105,13 +105,13 @@ def suffer(rig: Rig, name: str, number: int, phase: str) -> None:
         rig.wait(0.6)
         place = rig.place
         rig.wait(1.0)
-        assert max(abs(a - b) for a, b in zip(place, rig.place, strict=True)) < SETTLING, "nothing moves on"
+        assert max(abs(a - b) for a, b in zip(place, rig.place, strict=True)) < SETTLING, "nothing keeps moving"
         assert rig.place[2] - start[2] < 0.02
     elif (name, phase) == ("tactile_node", "approach"):
         rig.wait(OLDEST + 0.2)
         place = rig.place
         rig.wait(1.0)
-        assert rig.place[2] - place[2] < SETTLING, "without touch only the way back is open"
+        assert rig.place[2] - place[2] < SETTLING, "without touch only retraction is possible"
     if number == STOP:
         rig.wait(STOPPED)
         rig.restart(name)
@@ -121,7 +121,7 @@ def suffer(rig: Rig, name: str, number: int, phase: str) -> None:
 
 
 def ends(rig: Rig, name: str, number: int, phase: str) -> None:
-    """Wait for the end of the goal, or of the watch after its success, and judge it."""
+    """Wait for the end of the goal, or of supervision after its success, and check it."""
     if name == "docking_node" and number == KILL:
         rig.reap(name)
         wait_until(lambda: not rig.client.answers(), "the client to see that the server is gone")
@@ -148,8 +148,8 @@ def recover(rig: Rig, name: str) -> None:
 
 @in_a_child
 @pytest.mark.timeout(300)
-def test_all_are_stopped_at_once_and_go_on(rig: Rig) -> None:
-    """As a computer that is suspended: nobody has noticed the time, and nothing that opened meanwhile closes again."""
+def test_all_nodes_are_stopped_at_once_and_continue(rig: Rig) -> None:
+    """Like a suspended computer: no node notices the time, and nothing that opened closes again."""
     rig.begin("charging")
     at = [rig.send(name, STOP) for name in NODE_NAMES][-1]
     assert rig.opened(at) <= LIMITS["tactile_node"] + SLACK
@@ -166,7 +166,7 @@ def test_all_are_stopped_at_once_and_go_on(rig: Rig) -> None:
 
 @in_a_child
 @pytest.mark.timeout(300)
-def test_after_all_of_them_it_docks(rig: Rig) -> None:
+def test_after_all_cases_it_docks(rig: Rig) -> None:
     rig.begin("charging")
     rig.go_home()
     rig.assert_never_hurt()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs that a person can use: a line for each goal, phase and failure at INFO; WARN and ERROR only where one must act.
+"""Useful logs: one line at INFO for each goal, phase and failure; WARN and ERROR only if a person must act.
 
-Read where a person reads them: in the standard error of the nodes' processes, as launch shows it, and in /rosout.
+Read as a person reads them: in the standard error of the nodes' processes, as launch shows it, and in /rosout.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]")
 
 
 class Charger:
-    """A charger of mocks in this process, a client, and what its nodes log."""
+    """A charger of mocks in this process, a client, and the nodes' logs."""
 
     def __init__(self, scene: Scene, context: Any) -> None:
         self.namespace = new_namespace()
@@ -63,12 +63,12 @@ class Charger:
         if message.name.startswith(f"{self.namespace}."):
             self.heard.append(message)
 
-    def told(self, name: str = "docking_node") -> list[str]:
+    def log_lines(self, name: str = "docking_node") -> list[str]:
         return [each.msg for each in list(self.heard) if each.name == f"{self.namespace}.{name}"]
 
     def wait_for(self, text: str) -> str:
-        wait_until(lambda: any(text in line for line in self.told()), f"'{text}' in {self.told()}")
-        return next(line for line in self.told() if text in line)
+        wait_until(lambda: any(text in line for line in self.log_lines()), f"'{text}' in {self.log_lines()}")
+        return next(line for line in self.log_lines() if text in line)
 
     def close(self) -> None:
         self.composition.close()
@@ -83,8 +83,8 @@ def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
     charger.close()
 
 
-def assert_told_in_order(lines: list[str], title: str) -> None:
-    """Every passage begins where the one before it ended, between the goal that was accepted and its end."""
+def assert_logged_in_order(lines: list[str], title: str) -> None:
+    """Every transition begins where the previous one ended, between acceptance and end of the goal."""
     accepted = next(index for index, line in enumerate(lines) if f"{title}: accepted" in line)
     ended = next(index for index, line in enumerate(lines) if f"{title}: done in" in line)
     found = [re.search(rf"{title}: (\w+) → (\w+)", line) for line in lines[accepted:ended]]
@@ -96,14 +96,14 @@ def assert_told_in_order(lines: list[str], title: str) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
-def test_a_good_docking_in_processes_is_told_from_goal_to_end_without_a_warning(
+def test_a_good_docking_in_processes_is_logged_from_goal_to_end_without_a_warning(
     start: Callable[..., Process], quick_scene: Scene, context: Any, namespace: str, number: int
 ) -> None:
     processes = {name: start(*arguments(quick_scene, name, namespace)) for name in quick_scene.start_order()}
     alarms: list[Log] = []
     with ChargerClient(namespace, context) as client:
         client.node.create_subscription(
-            Log, "/rosout", lambda told: alarms.append(told) if told.name.startswith(namespace) else None, ROSOUT
+            Log, "/rosout", lambda entry: alarms.append(entry) if entry.name.startswith(namespace) else None, ROSOUT
         )
         assert client.wait_until_ready(DEADLINE), {name: each.err for name, each in processes.items()}
         dock_at_last(client, DockRequest(PLACE))
@@ -115,15 +115,15 @@ def test_a_good_docking_in_processes_is_told_from_goal_to_end_without_a_warning(
         for name, each in processes.items():
             assert each.end() == 0, (name, each.err)
         assert outcome.success, outcome
-        assert not [told for told in alarms if told.level >= WARN]
-    said = {name: each.err for name, each in processes.items()}
-    assert_told_in_order(said["docking_node"], "dock order-1")
-    assert any("contactor closed" in line for line in said["docking_node"])
-    assert any("contactor open after" in line for line in said["docking_node"])
-    assert not [line for lines in said.values() for line in lines if ALARM.search(line)], said
+        assert not [entry for entry in alarms if entry.level >= WARN]
+    logs = {name: each.err for name, each in processes.items()}
+    assert_logged_in_order(logs["docking_node"], "dock order-1")
+    assert any("contactor closed" in line for line in logs["docking_node"])
+    assert any("contactor open after" in line for line in logs["docking_node"])
+    assert not [line for lines in logs.values() for line in lines if ALARM.search(line)], logs
 
 
-def test_a_failed_goal_is_told_with_code_number_and_phase_at_info(charger: Charger) -> None:
+def test_a_failed_goal_is_logged_with_code_number_and_phase_at_info(charger: Charger) -> None:
     charger.composition.node("mock_tactile_node").set_parameters([Parameter("fault", value="short")])
     outcome = charger.client.dock(DockRequest(PLACE, request_id="order-2"), deadline=DEADLINE)
     assert outcome.error_name == "SHORT_CIRCUIT", outcome
@@ -134,7 +134,7 @@ def test_a_failed_goal_is_told_with_code_number_and_phase_at_info(charger: Charg
     assert not [each for each in charger.heard if each.level >= WARN]
 
 
-def test_a_refused_goal_is_told_with_its_reason_and_cannot_write_on_the_terminal(charger: Charger) -> None:
+def test_a_refused_goal_is_logged_with_its_reason_without_control_characters(charger: Charger) -> None:
     outcome = charger.client.dock(DockRequest(Pose(0.0, 0.0, 0.9), request_id="a\x1b[31m\nb"), deadline=DEADLINE)
     assert outcome.error_name == "UNREACHABLE", outcome
     line = charger.wait_for("refused, 301 UNREACHABLE: ")
@@ -142,7 +142,7 @@ def test_a_refused_goal_is_told_with_its_reason_and_cannot_write_on_the_terminal
     assert not [each for each in charger.heard if each.level >= WARN]
 
 
-def test_a_cancel_and_a_client_that_goes_are_told(charger: Charger) -> None:
+def test_a_cancel_and_a_client_that_leaves_are_logged(charger: Charger) -> None:
     charger.client.close()
     client: Any = ActionClient(charger.reader, Dock, "dock")
     assert client.wait_for_server(DEADLINE)
@@ -157,8 +157,8 @@ def test_a_cancel_and_a_client_that_goes_are_told(charger: Charger) -> None:
     goal.request_id = "order-4"
     answer(answer(charger.reader.executor.call_soon(client.send_goal_async, goal)))
     charger.wait_for("dock order-4: accepted")
-    time.sleep(2.5)  # longer than a look: while the client is there nothing is said
-    assert not any("client has gone" in line for line in charger.told())
+    time.sleep(2.5)  # longer than a check: nothing is logged while the client is present
+    assert not any("client has gone" in line for line in charger.log_lines())
     client.destroy()
     charger.wait_for("dock order-4: its client has gone")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mocks' arm and power stage keep the laws that the nodes above them rely on."""
+"""The mocks' arm and power stage obey the laws that the layers above rely on."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def powered(target: MockTarget | None = None) -> MockArm:
 
 
 def aim(arm: MockArm, position: tuple[float, float, float], stiffness: float = 15.0) -> None:
-    """Command `position` with the arm's weight led in, as docking does."""
+    """Command `position` with the arm's weight compensated, as docking does."""
     held = DELTA.holding_torque(*position, GRAVITY)
     arm.goals = [angle + torque / stiffness for angle, torque in zip(DELTA.inverse(*position), held, strict=True)]
 
 
 def push(arm: MockArm) -> float:
-    """Return the force along z on the target that the currents mean."""
+    """Return the force along z on the target that the currents correspond to."""
     held = DELTA.holding_torque(*arm.position, GRAVITY)
     spare = [TORQUE_CONSTANT * current - hold for current, hold in zip(arm.currents, held, strict=True)]
     return DELTA.force(*arm.position, (spare[0], spare[1], spare[2]))[2]
 
 
-def test_it_goes_where_it_is_told_when_its_weight_is_led_in() -> None:
+def test_it_reaches_its_goal_with_compensated_weight() -> None:
     arm = powered()
     aim(arm, (0.01, -0.02, 0.05))
     arm.advance(1.0)
@@ -59,7 +59,7 @@ def test_friction_carries_the_weight_once_it_rests_on_the_target() -> None:
     aim(arm, (0.0, 0.0, 0.083))
     arm.advance(1.0)
     before = arm.position
-    arm.goals = list(DELTA.inverse(0.0, 0.0, 0.083))  # the lead against gravity is gone
+    arm.goals = list(DELTA.inverse(0.0, 0.0, 0.083))  # without compensation of gravity
     arm.advance(1.0)
     assert abs(arm.position[1] - before[1]) < 2e-4
 
@@ -72,7 +72,7 @@ def test_a_bound_clips_every_current() -> None:
     assert max(abs(current) for current in arm.currents) <= 0.3 + 1e-12
 
 
-def test_without_torque_or_jammed_it_stays() -> None:
+def test_it_stays_without_torque_or_when_jammed() -> None:
     for arm in (MockArm(MockTarget()), powered()):
         arm.jammed = all(arm.torque_enabled)
         before = arm.position
@@ -96,7 +96,7 @@ def test_current_flows_only_while_closed_and_in_contact() -> None:
     assert power.current == 0.0
 
 
-def test_a_lease_that_nobody_renews_opens_the_contactor() -> None:
+def test_an_expired_lease_opens_the_contactor() -> None:
     power = leased(MockPower())
     power.advance(0.249, True)
     assert power.closed
@@ -107,15 +107,15 @@ def test_a_lease_that_nobody_renews_opens_the_contactor() -> None:
 
 
 def test_a_short_and_a_reversed_target_refuse_the_close() -> None:
-    for misbehaviour, says in (("short", "short"), ("reverse_polarity", "polarity")):
+    for misbehaviour, expected in (("short", "short"), ("reverse_polarity", "polarity")):
         power = MockPower()
         power.misbehaviour = misbehaviour
         power.probe(0.0, True)
-        with pytest.raises(LeaseRefused, match=says):
+        with pytest.raises(LeaseRefused, match=expected):
             power.close("docking", 0.25, 0.0)
 
 
-def test_no_current_is_a_fault_that_opens_and_that_an_opening_clears() -> None:
+def test_missing_current_is_a_fault_that_opens_and_is_cleared_by_opening() -> None:
     power = MockPower()
     power.misbehaviour = "no_charge_current"
     leased(power)
@@ -128,7 +128,7 @@ def test_no_current_is_a_fault_that_opens_and_that_an_opening_clears() -> None:
     assert power.fault == 0
 
 
-def test_a_welded_contactor_stays_closed_and_says_so() -> None:
+def test_a_welded_contactor_stays_closed_and_reports_it() -> None:
     power = leased(MockPower())
     power.misbehaviour = "contactor_welded"
     power.open()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mock detector tells the lean that it is given, and can have none."""
+"""The mock detector reports the given lean, or none."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every packaged scene is what it says: it starts what exists, explains itself, names the device that is missing."""
+"""Every packaged scene starts existing nodes, explains itself, and names missing devices."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def executables() -> dict[str, str]:
-    """Return what every executable that an installation has runs."""
+    """Return the entry point of every installed executable."""
     parser = configparser.ConfigParser()
     parser.read(ROOT / "setup.cfg")
     lines = parser["options.entry_points"]["console_scripts"].strip().splitlines()
@@ -44,7 +44,7 @@ def explained(name: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return found
 
 
-def test_every_use_that_is_promised_has_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_documented_use_has_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scene", "list", "--json"]) == 0
     kinds = {each["name"]: each["kind"] for each in json.loads(capsys.readouterr().out)["scenes"]}
     assert {
@@ -62,7 +62,7 @@ def test_every_use_that_is_promised_has_a_scene(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_it_starts_only_what_is_installed_and_says_why_and_what_it_lacks(
+def test_it_starts_only_installed_nodes_and_explains_started_and_missing_ones(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene, installed = load_scene(name), executables()
@@ -80,7 +80,7 @@ def test_it_starts_only_what_is_installed_and_says_why_and_what_it_lacks(
 
 
 @pytest.mark.parametrize("name", HARDWARE)
-def test_on_hardware_it_names_its_ports_and_the_one_that_is_missing(
+def test_on_hardware_it_names_its_ports_and_the_missing_one(
     name: str, context: Any, namespace: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = load_scene(name)
@@ -96,31 +96,31 @@ def test_on_hardware_it_names_its_ports_and_the_one_that_is_missing(
         pass
 
 
-def test_ports_are_those_that_the_udev_rules_make() -> None:
+def test_ports_agree_with_the_udev_rules() -> None:
     rules = (ROOT / "config" / "udev" / "99-deltacharger.rules").read_text(encoding="utf-8")
     for name in ("oakd", "rgbd", "tactile_lab"):
         for port in filter(None, dataclasses.astuple(load_scene(name).ports)):
             assert f'SYMLINK+="{Path(port).name}"' in rules
 
 
-def test_topics_of_any_camera_can_be_named_in_the_scene(context: Any, namespace: str) -> None:
+def test_a_scene_can_name_the_topics_of_any_camera(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     own = {"color_topic": "/front/rgb/image", "depth_topic": "/front/depth/image", "camera_info_topic": "rgb/info"}
-    told = load_scene("rgbd").parameters["electrode_detector_node"]
-    assert set(told) == set(own)
+    topics = load_scene("rgbd").parameters["electrode_detector_node"]
+    assert set(topics) == set(own)
     node = {"nodes": ["electrode_detector_node"], "parameters": {"electrode_detector_node": own}}
     with Composition(parse_scene(node, "mine"), context, namespace) as composition:
         names = composition.node("electrode_detector_node")._camera.names
     assert names == ["/front/rgb/image", "/front/depth/image", f"/{namespace}/rgb/info"]
 
 
-def test_the_level_target_stands_where_recording_takes_it_to_be() -> None:
+def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:
     scene = load_scene("level")
     assert scene.simulation is not None
     assert scene.goal is not None
     target = scene.simulation.world.target
-    told = build_parser().parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
-    assert (1e3 * target.x, 1e3 * target.y, 1e3 * target.z) == (told.x_mm, told.y_mm, told.z_mm)
+    options = build_parser().parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
+    assert (1e3 * target.x, 1e3 * target.y, 1e3 * target.z) == (options.x_mm, options.y_mm, options.z_mm)
     assert target.roll == 0.0
     for axis in ("x", "y", "z", "roll"):
         assert getattr(scene.goal, axis) == getattr(target, axis)
@@ -132,16 +132,16 @@ def test_a_scene_without_docking_refuses_goals_with_the_reason(
     name: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([command, "--scene", name]) == WRONG_INPUT
-    told = capsys.readouterr().err
-    assert f"'{name}' starts no docking_node" in told
+    error = capsys.readouterr().err
+    assert f"'{name}' starts no docking_node" in error
 
 
-def test_a_recording_is_refused_by_a_scene_that_plays_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_without_a_player_refuses_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["up", "--scene", "mocks", "--recording", __file__]) == WRONG_INPUT
     assert "--recording: this scene starts no recording_player_node" in capsys.readouterr().err
 
 
-def test_asking_a_camera_that_is_not_there_names_the_scenes_that_have_one(
+def test_a_goal_for_a_missing_camera_names_the_scenes_with_a_camera(
     start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
 ) -> None:
     blind = tmp_path / "blind.yaml"

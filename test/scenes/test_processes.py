@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every node as a process of its own, as `ros2 run` starts them: they find each other, dock, and end with 0."""
+"""Every node in a separate process, as `ros2 run` starts them: they find each other, dock, and end with 0."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_nodes_in_processes_dock_and_end_with_0(
 @pytest.mark.parametrize(
     "name", ["mock_servo_node", *map(slow, ("mock_tactile_node", "mock_detector_node", "kinematics_node"))]
 )
-def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
+def test_an_unknown_parameter_ends_a_node_with_2_and_is_named(
     start: Callable[..., Process], quick_scene: Scene, namespace: str, name: str
 ) -> None:
     process = start(*arguments(quick_scene, name, namespace), "-p", "no_such_parameter:=1")
@@ -55,7 +55,7 @@ def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
 
 
 @pytest.mark.parametrize("name", ["servo_node", "tactile_node"])
-def test_a_missing_port_ends_a_node_with_2_and_says_what_to_do(
+def test_a_missing_port_ends_a_node_with_2_and_a_remedy(
     start: Callable[..., Process], namespace: str, name: str
 ) -> None:
     scene = parse_scene({"ports": {"servo": "/dev/no_servo", "board": "/dev/no_board"}}, "missing")
@@ -66,23 +66,23 @@ def test_a_missing_port_ends_a_node_with_2_and_says_what_to_do(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("-r", "__ns:=/bad name"), "ROS refuses"),
         (("--no-such-flag",), "no-such-flag"),
         (("-r", "__node:=bad-name"), "ROS refuses"),
     ],
 )
-def test_ros_arguments_that_ros_refuses_end_a_node_with_2_and_one_line(
-    start: Callable[..., Process], quick_scene: Scene, words: tuple[str, ...], told: str
+def test_ros_arguments_refused_by_ros_end_a_node_with_2_and_one_line(
+    start: Callable[..., Process], quick_scene: Scene, words: tuple[str, ...], expected: str
 ) -> None:
     process = start(*arguments(quick_scene, "kinematics_node", "x"), *words)
     assert process.end() == 2
-    assert any(told in line for line in process.err), process.err
+    assert any(expected in line for line in process.err), process.err
     assert not any("Traceback" in line for line in process.err)
 
 
-def test_a_domain_that_ros_cannot_use_ends_a_node_with_2(
+def test_an_invalid_ros_domain_ends_a_node_with_2(
     start: Callable[..., Process], quick_scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "233")

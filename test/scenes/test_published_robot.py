@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot as the paper has it, electrodes on the battery, over the real actions, drivers and bytes."""
+"""The paper's robot, electrodes wired to the battery, with the real actions, drivers and bytes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 
 
 class Listener:
-    """What the charger tells meanwhile."""
+    """Messages of the charger during a test."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         self.node = Node("listener", **options(context, namespace))
@@ -43,7 +43,7 @@ class Listener:
         self.node.destroy_node()
 
 
-def test_it_docks_on_real_bytes_and_nothing_claims_a_charge(context: Any) -> None:
+def test_it_docks_on_real_bytes_and_reports_no_charge(context: Any) -> None:
     namespace = new_namespace()
     with (
         Composition(quick_simulation("published_robot"), context, namespace) as charger,
@@ -60,7 +60,7 @@ def test_it_docks_on_real_bytes_and_nothing_claims_a_charge(context: Any) -> Non
             assert math.isnan(outcome.details["energy"])
             assert math.isnan(outcome.details["charge_current"])
             assert "charge – A, – J" in outcome.figures()
-            assert world.snapshot().charge_current > 1.0, "the simulated batteries do what wires do"
+            assert world.snapshot().charge_current > 1.0, "the simulated batteries drive a current"
             refused = client.dock(DockRequest(GOAL.electrodes, start_charging=False), deadline=DEADLINE)
             assert refused.error_name == "REJECTED"
             assert client.undock(deadline=DEADLINE).success
@@ -69,15 +69,15 @@ def test_it_docks_on_real_bytes_and_nothing_claims_a_charge(context: Any) -> Non
             listener.close()
     assert len(listener.power) > 20
     for power in listener.power:
-        told = power.battery_voltage, power.target_voltage, power.charge_current
-        assert all(map(math.isnan, told)), power
+        measured = power.battery_voltage, power.target_voltage, power.charge_current
+        assert all(map(math.isnan, measured)), power
         assert (power.contactor_closed, power.fault) == (False, 0)
     assert any(state.docked for state in listener.states)
     assert not any(state.charging for state in listener.states)
     assert not {state.state for state in listener.states} & {DockingState.STATE_ENERGISE, DockingState.STATE_CHARGING}
 
 
-def test_the_command_docks_its_scene_and_prints_no_ampere(
+def test_the_command_docks_its_scene_and_prints_no_current(
     start: Callable[..., Any], deltacharger: tuple[str, ...], namespace: str
 ) -> None:
     dock = start(*deltacharger, "dock", "--scene", "published_robot", "--namespace", namespace, "--no-picture")

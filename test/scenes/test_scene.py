@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes say exactly what is wrong with them."""
+"""Invalid scenes are refused with the exact problem."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("text", "key", "says"),
+    ("text", "key", "why"),
     [
         ("simulaton: {}", "simulaton", "did you mean 'simulation'"),
         ("simulation: {world: {servo: {stifness: 15}}}", "simulation.world.servo.stifness", "did you mean 'stiffness'"),
@@ -64,18 +64,18 @@ def write(folder: Path, text: str) -> Path:
         ("a: [", "", "not valid YAML: line"),
     ],
 )
-def test_a_bad_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, text: str, key: str, says: str) -> None:
+def test_an_invalid_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, text: str, key: str, why: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(SceneError) as caught:
         load_scene(path)
     assert caught.value.file == str(path)
     assert caught.value.key == key
-    assert says in caught.value.problem
+    assert why in caught.value.problem
     assert str(path) in str(caught.value)
     assert key in str(caught.value)
 
 
-def test_a_scene_that_is_not_there_is_named_with_its_neighbours(tmp_path: Path) -> None:
+def test_a_missing_scene_is_reported_with_similar_names(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="did you mean 'simulated'"):
         load_scene("simulate")
     with pytest.raises(SceneError, match="no such file"):
@@ -83,14 +83,14 @@ def test_a_scene_that_is_not_there_is_named_with_its_neighbours(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", sorted(packaged_scenes()))
-def test_every_packaged_scene_is_sound_and_says_what_it_is(name: str) -> None:
+def test_every_packaged_scene_is_valid_and_described(name: str) -> None:
     scene = load_scene(name)
     assert scene.name == name
     assert len(scene.description) > 20
     assert scene.docks is (name not in ("tactile_lab", "replay"))
 
 
-def test_the_default_scene_hides_an_offset_from_its_goal() -> None:
+def test_the_default_scenes_target_is_offset_from_its_goal() -> None:
     scene = load_scene("simulated")
     assert scene.simulation is not None
     assert scene.goal is not None
@@ -122,14 +122,14 @@ def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: P
         load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
 
 
-def test_who_commands_starts_last_and_so_closes_first() -> None:
+def test_commanding_nodes_start_last_and_close_first() -> None:
     doubles = {spec.stands_in_for for spec in NODES.values()}
     players = {name for name, spec in NODES.items() if spec.plays}
     scene = parse_scene({"nodes": sorted(NODES.keys() - doubles - players)}, "x")
     assert scene.start_order()[-2:] == ["docking_node", "mission_node"]
 
 
-def test_a_node_gets_its_port_from_the_simulated_charger_or_else_from_the_scene() -> None:
+def test_a_node_gets_its_port_from_the_simulated_charger_else_from_the_scene() -> None:
     bench = load_scene("bench")
     assert bench.node_parameters("servo_node", {}) == {"port": bench.ports.servo}
     assert bench.node_parameters("tactile_node", {"board": "board-port"}) == {"port": "board-port"}

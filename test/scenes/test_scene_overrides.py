@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arguments change of a scene, the same for `deltacharger up` and charger.launch.py, and which are refused."""
+"""Arguments that change a scene, equal for `deltacharger up` and charger.launch.py, and refused ones."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def hardware(tmp_path: Path) -> Path:
     return path
 
 
-def test_without_arguments_a_scene_stays_as_it_is() -> None:
+def test_without_arguments_a_scene_is_unchanged() -> None:
     for name in ("simulated", "camera", "mocks", "bench"):
         assert override(load_scene(name), Overrides()) == load_scene(name)
 
 
-def test_ports_win_over_those_of_scene_and_node(hardware: Path, tmp_path: Path) -> None:
+def test_given_ports_override_the_scenes_and_the_nodes(hardware: Path, tmp_path: Path) -> None:
     servo, board = tmp_path / "servo", tmp_path / "board"
     servo.touch()
     board.touch()
@@ -39,19 +39,19 @@ def test_ports_win_over_those_of_scene_and_node(hardware: Path, tmp_path: Path) 
     assert scene.node_parameters("tactile_node", {}) == {"port": str(board)}
 
 
-def test_one_word_gives_every_node_its_prefix(tmp_path: Path) -> None:
+def test_one_argument_sets_the_prefix_of_every_node(tmp_path: Path) -> None:
     for name in ("simulated", "camera", "mocks", "bench", "mission"):
         scene = override(load_scene(name), Overrides(frame_prefix="left/", joint_prefix="left_"))
-        told = {node: scene.node_parameters(node, {}) for node in scene.nodes}
-        without = {node for node, values in told.items() if values.get("frame_prefix") != "left/"}
+        parameters = {node: scene.node_parameters(node, {}) for node in scene.nodes}
+        without = {node for node, values in parameters.items() if values.get("frame_prefix") != "left/"}
         assert without <= {"docking_recorder_node", "recording_player_node", "mock_navigator_node"}
-        assert [node for node, values in told.items() if "joint_prefix" in values] == [
+        assert [node for node, values in parameters.items() if "joint_prefix" in values] == [
             node for node in scene.nodes if node.endswith("servo_node")
         ]
 
 
 @pytest.mark.parametrize("prefix", ["/left/", "left side/", "left/\n", "x" * 65])
-def test_a_prefix_that_tf_takes_for_no_frame_is_refused(prefix: str) -> None:
+def test_a_prefix_that_is_invalid_for_tf_is_refused(prefix: str) -> None:
     with pytest.raises(SceneError, match="frame_prefix"):
         override(load_scene("mocks"), Overrides(frame_prefix=prefix))
     with pytest.raises(SceneError, match="joint_prefix"):
@@ -79,7 +79,7 @@ def test_the_camera_is_chosen_with_its_detector(scene: str, camera: str, here: s
     assert after.start_order()[-1] == "docking_node"
 
 
-def test_files_reach_their_nodes_with_their_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_reach_their_nodes_with_their_full_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.npz").touch()
     scene = override(load_scene("bench"), Overrides(model="mine.npz"))
@@ -89,7 +89,7 @@ def test_files_reach_their_nodes_with_their_whole_path(tmp_path: Path, monkeypat
     assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / "one.mcap")
 
 
-def test_records_go_where_they_are_told_to_or_nowhere(tmp_path: Path) -> None:
+def test_records_go_to_the_given_folder_or_nowhere(tmp_path: Path) -> None:
     bench = load_scene("bench")
     recorded = override(bench, Overrides(record=str(tmp_path)))
     assert recorded.parameters[RECORDER]["folder"] == str(tmp_path)
@@ -101,7 +101,7 @@ def test_records_go_where_they_are_told_to_or_nowhere(tmp_path: Path) -> None:
 
 
 REFUSED = [
-    ("simulated", {"servo_port": "/dev/null"}, "brings its own ports"),
+    ("simulated", {"servo_port": "/dev/null"}, "has its own ports"),
     ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
     ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
     ("bench", {"camera": "usb"}, "give oak, topics, none"),
@@ -114,27 +114,27 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("scene", "told", "says"), REFUSED, ids=lambda value: str(value)[:40])
-def test_what_does_not_fit_is_refused_by_its_name(scene: str, told: dict[str, str], says: str) -> None:
-    with pytest.raises(SceneError, match=says) as caught:
-        override(load_scene(scene), Overrides(**told))
-    assert caught.value.key == next(iter(told))
+@pytest.mark.parametrize(("scene", "arguments", "expected"), REFUSED, ids=lambda value: str(value)[:40])
+def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: dict[str, str], expected: str) -> None:
+    with pytest.raises(SceneError, match=expected) as caught:
+        override(load_scene(scene), Overrides(**arguments))
+    assert caught.value.key == next(iter(arguments))
 
 
-def test_up_refuses_the_same_with_2_before_anything_starts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_up_refuses_it_with_2_before_anything_starts(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["up", "--scene", "mocks", "--board-port", "/dev/null"]) == 2
     assert "--board-port: no node of this scene opens it" in capsys.readouterr().err
 
 
-def test_up_uses_the_ports_that_it_is_told(start: Callable[..., Process], deltacharger: tuple[str, ...]) -> None:
-    """/dev/null is there but no serial port, so the node that is to open it says so."""
+def test_up_uses_the_given_ports(start: Callable[..., Process], deltacharger: tuple[str, ...]) -> None:
+    """/dev/null exists but is not a serial port, so the node that opens it reports that."""
     process = start(*deltacharger, "up", "--scene", "tactile_lab", "--board-port", "/dev/null", "--namespace", "lab")
     assert process.end() == 2
     assert any("tactile_node: /dev/null" in line for line in process.err), process.err
     assert "open to every program on this computer; see docs/security.md" in process.err
 
 
-def test_what_moves_or_carries_current_is_not_started_again_by_itself() -> None:
+def test_nodes_that_move_or_carry_current_do_not_restart() -> None:
     restarted = {name for name, spec in NODES.items() if spec.may_restart}
     hands = {"servo_node", "tactile_node", "docking_node", "mission_node", "recording_player_node"}
     assert not {name for name in restarted if {name, NODES[name].stands_in_for} & hands}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene's parameters are checked without its nodes; what nodes believe of a simulated world is what it is."""
+"""A scene's parameters are checked without its nodes; the nodes' assumptions agree with the simulated world."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def problems_of(parameters: dict[str, Any]) -> list[tuple[str, str]]:
     return list(problems(parse_scene({"nodes": [*parameters], "simulation": {}, "parameters": parameters}, "mine")))
 
 
-def test_packaged_scenes_give_only_what_their_nodes_take() -> None:
+def test_packaged_scenes_set_only_parameters_that_their_nodes_accept() -> None:
     for name in packaged_scenes():
         assert not list(problems(load_scene(name))), name
 
@@ -52,13 +52,13 @@ def test_packaged_scenes_give_only_what_their_nodes_take() -> None:
         ("electrode_detector_node", "gap", "wide", "not a number"),
     ],
 )
-def test_what_a_node_would_refuse_is_told_without_it(node: str, parameter: str, value: Any, problem: str) -> None:
-    ((key, told),) = problems_of({node: {parameter: value}})
+def test_invalid_parameters_are_found_without_the_node(node: str, parameter: str, value: Any, problem: str) -> None:
+    ((key, message),) = problems_of({node: {parameter: value}})
     assert key == f"parameters.{node}.{parameter}"
-    assert problem in told
+    assert problem in message
 
 
-def test_whole_numbers_are_taken_for_floats_by_the_check_and_by_the_nodes(context: Any, namespace: str) -> None:
+def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
     given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
     scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")
     assert not list(problems(scene))
@@ -67,11 +67,11 @@ def test_whole_numbers_are_taken_for_floats_by_the_check_and_by_the_nodes(contex
         assert list(composition.node("kinematics_node").get_parameter("gravity").value) == [0.0, -9.81, 0.0]
 
 
-def test_what_every_node_has_is_taken() -> None:
+def test_parameters_that_every_node_has_are_accepted() -> None:
     assert not problems_of({"servo_node": {"use_sim_time": True, "rate": 50.0}})
 
 
-def test_each_parameter_of_a_node_is_declared_once_and_nothing_heavy_is_loaded_for_it() -> None:
+def test_each_parameter_is_declared_once_without_loading_heavy_modules() -> None:
     for node in NODES:
         names = [each.name for table in tables(node) for each in declared(table)]
         assert names, node
@@ -80,7 +80,7 @@ def test_each_parameter_of_a_node_is_declared_once_and_nothing_heavy_is_loaded_f
     assert ran.returncode == 0, ran.stderr
 
 
-def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
+def test_nodes_follow_the_world_unless_the_scene_sets_other_values() -> None:
     world = {"servo": {"stiffness": 6.0, "torque_constant": 1.2}, "gravity_y": -9.0, "gravity_z": 3.0}
     content = {"simulation": {"world": world}, "parameters": {"docking_node": {"gravity_z": 0.0}}}
     scene = parse_scene(content, "mine")
@@ -112,7 +112,7 @@ def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file()
     assert scene.node_parameters("kinematics_node", {})["gravity"] == [0.0, -9.81, 0.0]
 
 
-def test_check_names_a_contradiction_and_a_wrong_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_contradictions_and_wrong_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("{simulation: {}, parameters: {docking_node: {servo_stiffness: 6.0}}}", encoding="utf-8")
     assert main(["scene", "check", str(path), "--json"]) == 0
@@ -126,7 +126,7 @@ def test_check_names_a_contradiction_and_a_wrong_parameter(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("base", ["ports: {servo: /dev/ttyUSB0}, ", "simulation: {}, "])
-def test_check_names_nodes_that_take_their_servos_from_elsewhere(
+def test_check_reports_nodes_with_a_different_servos_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str
 ) -> None:
     def warnings(**files: str) -> list[str]:
@@ -144,4 +144,4 @@ def test_check_names_nodes_that_take_their_servos_from_elsewhere(
     assert servo.startswith("parameters.servo_node.servos_file: is ''")
     assert kinematics.startswith("parameters.kinematics_node.servos_file: is ''")
     (docking,) = warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="b.yaml")
-    assert "docking_node.servos_file: is 'b.yaml', but that of servo_node is 'a.yaml'" in docking
+    assert "docking_node.servos_file: is 'b.yaml', but servo_node's is 'a.yaml'" in docking

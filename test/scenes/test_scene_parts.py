@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`scene explain` says what a scene starts, loads and leaves out; a real process is asked whether that is so."""
+"""`scene explain` lists what a scene starts, loads and leaves out; real processes confirm it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..chargers import new_namespace
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.ros
 
-# Starts a scene, lets it answer a goal that it refuses before any motion, and tells which modules were loaded.
+# Starts a scene, sends a goal that is refused before any motion, and prints the loaded modules.
 LOADED = """
 import dataclasses, json, sys
 from deltacharger_core import environment
@@ -61,12 +61,12 @@ def explained(capsys: pytest.CaptureFixture[str], name: str) -> dict[str, Any]:
 
 
 def known_libraries() -> set[str]:
-    """Return every library that some part of some scene loads."""
+    """Return every library that a part of a scene loads."""
     return {library for spec in (CHARGER, *NODES.values()) for library in (*spec.needs, *spec.needs_when_used)}
 
 
 @pytest.mark.parametrize("name", ["simulated", "camera"])
-def test_what_it_claims_to_load_is_what_a_real_process_loads(capsys: pytest.CaptureFixture[str], name: str) -> None:
+def test_a_real_process_loads_the_listed_libraries(capsys: pytest.CaptureFixture[str], name: str) -> None:
     if name == "camera":
         pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     found = explained(capsys, name)
@@ -74,9 +74,9 @@ def test_what_it_claims_to_load_is_what_a_real_process_loads(capsys: pytest.Capt
         [sys.executable, "-c", LOADED, name, new_namespace()], capture_output=True, text=True, timeout=100, check=False
     )
     assert ran.returncode == 0, ran.stderr
-    told = json.loads(ran.stdout.splitlines()[-1])
-    assert told["error"] == "CRITICAL_ANGLE"  # the camera has looked, and nothing has moved
-    loaded = set(told["modules"])
+    answer = json.loads(ran.stdout.splitlines()[-1])
+    assert answer["error"] == "CRITICAL_ANGLE"  # the camera was used, and nothing moved
+    loaded = set(answer["modules"])
     at_once, when_used = set(found["imports"]), set(found["imports_when_used"])
     assert at_once <= loaded
     assert loaded & known_libraries() <= at_once | when_used
@@ -87,13 +87,13 @@ def test_what_it_claims_to_load_is_what_a_real_process_loads(capsys: pytest.Capt
     assert ("deltacharger_vision" in loaded) is (name == "camera")
 
 
-def test_parts_are_those_of_the_scene_in_their_order() -> None:
+def test_parts_are_the_scenes_in_start_order() -> None:
     found = describe_parts(load_scene("simulated"))
     assert [part["name"] for part in found["parts"]] == ["simulated charger", *load_scene("simulated").start_order()]
     assert all(importlib.util.find_spec(part["module"]) for part in found["parts"])
     by_name = {entry["name"]: entry for entry in found["left_out"]}
     assert set(NODES) - set(load_scene("simulated").nodes) <= set(by_name)
-    assert by_name["mock_servo_node"]["why"] == "servo_node itself is there"
+    assert by_name["mock_servo_node"]["why"] == "servo_node itself is part of the scene"
     assert "electrode_detector_node" in by_name["cv2"]["why"]
 
 
@@ -101,7 +101,7 @@ def effects(scene: Scene) -> dict[str, str]:
     return {entry["name"]: entry["why"] for entry in describe_parts(scene)["left_out"] if entry["kind"] == "effect"}
 
 
-def test_an_effect_that_is_zero_is_left_out_and_one_that_is_not_is_computed() -> None:
+def test_a_zero_effect_is_left_out_and_others_are_computed() -> None:
     key = "simulation.world.magnets.force"
     off = parse_scene({"simulation": {"world": {"magnets": {"force": 0.0}, "servo": {"backlash": 0.01}}}}, "x")
     assert "is 0" in effects(off)[key]
@@ -126,7 +126,7 @@ def test_mocks_need_no_driver_and_hardware_no_simulated_charger() -> None:
     assert "leaves out:" in tell_parts(bench)
 
 
-# Imports what every node has, then each module in a child of its own, and tells what that loaded besides.
+# Imports what every node has, then each module in a separate child, and prints what that loaded in addition.
 NEEDED = """
 import importlib, json, os, sys
 from deltacharger_core import environment
@@ -149,7 +149,7 @@ def is_library(name: str) -> bool:
     return name not in sys.stdlib_module_names and not MESSAGES.fullmatch(name) and not name.startswith("_")
 
 
-def test_what_the_table_says_a_node_needs_at_once_is_what_its_import_loads() -> None:
+def test_a_nodes_import_loads_the_libraries_in_the_table() -> None:
     table = {spec.module: set(spec.needs) for spec in (CHARGER, *NODES.values())}
     ran = subprocess.run([sys.executable, "-c", NEEDED, *table], capture_output=True, text=True, check=True)
     loaded = {module: set(filter(is_library, found)) for module, found in map(json.loads, ran.stdout.splitlines())}
@@ -157,7 +157,7 @@ def test_what_the_table_says_a_node_needs_at_once_is_what_its_import_loads() -> 
 
 
 @pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.path.rpartition(".")[2])
-def test_what_the_table_says_a_node_needs_is_what_its_sources_import(spec: NodeSpec) -> None:
+def test_a_nodes_sources_import_the_libraries_in_the_table(spec: NodeSpec) -> None:
     finder = ModuleFinder(path=[str(ROOT)], excludes=WITH_RCLPY)
     finder.load_file(str(ROOT.joinpath(*spec.module.split(".")).with_suffix(".py")))
     found = {name.split(".")[0] for name in finder.badmodules} - {"rclpy", *WITH_RCLPY}

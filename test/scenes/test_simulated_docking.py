@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking over the real actions, the real drivers and the real bytes, against the simulated world."""
+"""Docking with the real actions, drivers and bytes, in the simulated world."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def client(charger: Composition) -> Iterator[ChargerClient]:
 
 
 def assert_safe(charger: Composition) -> None:
-    """The truth, which docking never saw: open, no short ever, arm back at its start."""
+    """True state, unknown to docking: contactor open, never a short, arm back at its start."""
     assert charger.charger is not None
     world = charger.charger.world
     truth = world.snapshot()
@@ -69,7 +69,7 @@ def assert_safe(charger: Composition) -> None:
         (DockRequest(None), "ELECTRODES_NOT_FOUND"),
     ],
 )
-def test_a_goal_that_cannot_be_served_is_aborted_with_its_code_and_nothing_moves(
+def test_an_impossible_goal_is_aborted_with_its_code_and_nothing_moves(
     charger: Composition, client: ChargerClient, request_: DockRequest, code: str
 ) -> None:
     outcome = client.dock(request_, deadline=60.0)
@@ -81,7 +81,7 @@ def test_a_goal_that_cannot_be_served_is_aborted_with_its_code_and_nothing_moves
 
 
 @pytest.mark.parametrize("phase", PHASES)
-def test_cancel_in_every_phase_ends_safe_and_the_next_goal_is_served(
+def test_a_cancel_in_any_phase_ends_safely_and_the_next_goal_is_served(
     charger: Composition, client: ChargerClient, phase: str
 ) -> None:
     cancel = threading.Event()
@@ -102,7 +102,7 @@ def test_sigint_cancels_and_exits_with_130(
     start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, namespace: str, tmp_path: Path
 ) -> None:
     scene = tmp_path / "quick.yaml"
-    steps = {"docking_node": {**STEPS, "charge_stable_time": 2.0}}  # so that a signal finds it energising
+    steps = {"docking_node": {**STEPS, "charge_stable_time": 2.0}}  # so that a signal arrives while it energises
     scene.write_text(yaml.safe_dump({**SCENE, "goal": {"z": HERE.z}, "parameters": steps}), encoding="utf-8")
     process = start(*deltacharger, "dock", "--json", "--namespace", namespace, "--scene", str(scene))
     process.wait_for_line(f" s  {phase} ", process.err)

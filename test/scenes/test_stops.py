@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger that charges, ended by each signal that people, containers and systemd send, without launch.
+"""A charging charger, ended by each signal that people, containers and systemd send, without launch.
 
-By `deltacharger up`, and by nodes as processes of their own. Each time the contactor is open within 350 ms and the arm
-has no torque in the end. Under launch: test_charger_launch_stops.py.
+Started by `deltacharger up`, and as nodes in separate processes. Each time, the contactor is open within 350 ms and the
+arm ends without torque. Under launch: test_charger_launch_stops.py.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def test_up_makes_a_charging_charger_safe(
     assert not [line for line in process.err[before:] if ALARM.search(line)], process.err
 
 
-def test_nodes_that_hear_signals_until_they_have_ended_make_a_charging_charger_safe(
+def test_nodes_that_get_signals_until_they_end_make_a_charging_charger_safe(
     stopped: Stopped, start: Start, namespace: str
 ) -> None:
     scene = load_scene(stopped.scene)
@@ -71,13 +71,13 @@ def test_nodes_that_hear_signals_until_they_have_ended_make_a_charging_charger_s
     before = [len(each.err) for each in processes]
     assert stopped.stop(lambda: [send_all(each, (INT,)) for each in processes]) < OPEN
     for each in processes:
-        while each.process.poll() is None:  # as an impatient person does, or a supervisor beside a terminal
+        while each.process.poll() is None:  # as an impatient person or a supervisor does
             each.process.send_signal(INT)
             time.sleep(0.001)
     assert [each.end() for each in processes] == [0] * len(processes), [each.err for each in processes]
     stopped.assert_safe()
-    said = [line for each, count in zip(processes, before, strict=True) for line in each.err[count:]]
-    assert not [line for line in said if ALARM.search(line)], said
+    lines = [line for each, count in zip(processes, before, strict=True) for line in each.err[count:]]
+    assert not [line for line in lines if ALARM.search(line)], lines
 
 
 @needs_containers
@@ -97,18 +97,18 @@ def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) ->
     process = start(sys.executable, "-c", code)
     folder = Path(f"/proc/{process.process.pid}")
 
-    def hears() -> bool:
+    def handles_signals() -> bool:
         caught = int(re.findall(r"SigCgt:\s(\w+)", (folder / "status").read_text())[0], 16)
         return bool(caught >> (TERM - 1) & 1)
 
-    wait_until(hears, "a handler")
-    assert "rclpy" not in (folder / "maps").read_text(), "it hears signals only once it has been imported"
+    wait_until(handles_signals, "a handler")
+    assert "rclpy" not in (folder / "maps").read_text(), "it handles signals only after its import"
     assert process.end(INT) == 0
     assert (process.out, process.err) == ([], [])
 
 
 @pytest.mark.parametrize("what", ["kinematics_node", "simulate"])
-def test_a_process_ends_with_who_started_it(
+def test_a_process_ends_with_its_starter(
     what: str, start: Start, deltacharger: tuple[str, ...], namespace: str, tmp_path: Path
 ) -> None:
     if what == "simulate":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strangers on a simulated charger's topics and services: they move nothing that is live, and no docking fails."""
+"""Foreign nodes on a simulated charger's topics and services: nothing live moves, and no docking fails."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ HOME = (-0.2, -0.2, -0.2)  # rad; far from the target
 
 
 class Stranger(Node):
-    """Says what it likes on joint_trajectory, and hears what is told about it."""
+    """Publishes arbitrary points on joint_trajectory, and receives the diagnostics about it."""
 
     def __init__(self, context: Any) -> None:
         super().__init__("stranger", **options(context, NAMESPACE))
-        self.told: list[str] = []
+        self.messages: list[str] = []
         self.states: list[DockingState] = []
         self._points = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(DockingState, "docking_state", self.states.append, STATE)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.told += [
+        self.messages += [
             status.message for status in message.status if status.name == f"{NAMESPACE}/servo_node: servo bus"
         ]
 
@@ -60,13 +60,13 @@ class Stranger(Node):
         return self._points.get_subscription_count() > 0 and bool(self.states)
 
     def send(self, count: int, frame_id: str = "") -> None:
-        """Order the arm away from the target, `count` times in 5 ms each."""
+        """Command the arm away from the target, `count` times, 5 ms apart."""
         message = JointTrajectory(joint_names=list(JOINTS))
         message.header.frame_id = frame_id
         message.points = [JointTrajectoryPoint(positions=array("d", HOME), effort=array("d", [PULL] * 3))]
         for _ in range(count):
             self._points.publish(message)
-            time.sleep(0.005)  # the sender's pace, not a wait for a condition
+            time.sleep(0.005)  # the sender's period, not a wait for a condition
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def client(charger: Composition, context: Any) -> Iterator[ChargerClient]:
 
 @pytest.fixture
 def stranger(context: Any) -> Iterator[Any]:
-    """Come when called, and go at the end."""
+    """Create a foreign node on request, and remove it at the end."""
     came: list[Spinner] = []
 
     def come() -> Stranger:
@@ -114,7 +114,10 @@ def test_a_strangers_points_part_no_live_electrodes_and_do_not_end_the_charge(
     intruder.send(100)
     first = "" if TELLS_PUBLISHERS else f"one of /{NAMESPACE}/docking_node and "
     words = (ContactorState.CLOSED.value, f"sent by {first}/{NAMESPACE}/stranger")
-    wait_until(lambda: any(all(word in told for word in words) for told in intruder.told), "a diagnostic that names it")
+    wait_until(
+        lambda: any(all(word in text for word in words) for text in intruder.messages),
+        "a diagnostic that names it",
+    )
     after = world(charger).snapshot()
     assert after.contactor_closed
     assert max(abs(a - b) for a, b in zip(after.position, before.position, strict=True)) < 0.001
@@ -125,7 +128,7 @@ def test_a_strangers_points_part_no_live_electrodes_and_do_not_end_the_charge(
 
 
 class Callers:
-    """Calls of one service without end, from several clients at once."""
+    """Calls one service endlessly, from several clients at once."""
 
     def __init__(self, context: Any, kind: Any, name: str, count: int) -> None:
         self.answers = 0
@@ -153,9 +156,7 @@ class Callers:
 
 
 @pytest.mark.slow
-def test_probes_and_tares_without_end_fail_no_docking(
-    charger: Composition, client: ChargerClient, context: Any
-) -> None:
+def test_endless_probes_and_tares_fail_no_docking(charger: Composition, client: ChargerClient, context: Any) -> None:
     callers = [Callers(context, Probe, "probe", 3), Callers(context, Trigger, "tare", 2)]
     try:
         for _ in range(DOCKINGS):
@@ -170,7 +171,7 @@ def test_probes_and_tares_without_end_fail_no_docking(
 
 
 @pytest.mark.parametrize("sec", [-1, -(2**31), 1, 2**31 - 1])
-def test_the_mock_refuses_impossible_stamps_as_well_and_serves_the_next(
+def test_the_mock_also_refuses_impossible_stamps_and_serves_the_next(
     context: Any, namespace: str, spin: Spin, sec: int
 ) -> None:
     mock = spin(MockServoNode(**options(context, namespace)))
@@ -184,7 +185,7 @@ def test_the_mock_refuses_impossible_stamps_as_well_and_serves_the_next(
 
     def followed() -> bool:
         points.publish(message)
-        time.sleep(0.01)  # the sender's pace
+        time.sleep(0.01)  # the sender's period
         return bool(mock._goals.angles == HOME)
 
     wait_until(followed, "the good one's goal")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stranger at every topic and service of a running simulated charger: no harm done, and the next goal is served.
+"""A foreign node with random messages at every topic and service of a simulated charger does no harm.
 
-The charger is real but for its world: drivers, bytes, nodes. The world knows the truth. While the stranger stands
-where docking hears or asks, no contactor closes; elsewhere a docking may succeed or fail, by a code and never by a
-defect, and no current ever flows where it must not.
+Drivers, bytes and nodes are real, the world is simulated and shows the true state. If the foreign node interferes
+with docking's inputs, no contactor closes. Elsewhere a docking may succeed or fail, with a code and without an
+internal error. Current never flows where it must not. The next goal is served.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 Wire: TypeAlias = Callable[[Stranger], None]
 Come: TypeAlias = Callable[[Wire], Stranger]
 
-ACTS = 100  # of a stranger beside live electrodes
+ACTS = 100  # of a foreign node while electrodes are live
 WAITS = {"duplicate_source_timeout": 0.5}
 TOPICS = {
     "servo_state": ServoState,
@@ -66,7 +66,7 @@ ASKED = {
 
 
 class Charger:
-    """A simulated charger, its client, and what its world knows."""
+    """A simulated charger, its client, and its world's records."""
 
     def __init__(self, context: Any) -> None:
         self.namespace = new_namespace()
@@ -92,7 +92,7 @@ class Charger:
         assert self.composition.failed() == []
 
     def serves(self, ask: Callable[[], Outcome]) -> None:
-        """Ask until it is done, as a fleet would; an answer may be lost while somebody leaves the graph."""
+        """Send requests until one succeeds, as a fleet would; a response may be lost while a node leaves the graph."""
 
         def served() -> bool:
             with contextlib.suppress(ClientError):
@@ -119,7 +119,7 @@ def charger(context: Any) -> Iterator[Charger]:
 
 @pytest.fixture
 def stranger(charger: Charger) -> Iterator[Come]:
-    """Let a stranger come, who does what it is wired to do; who has not left goes at the end."""
+    """Add a foreign node, with the given behaviour; remaining ones are removed at the end."""
     came: list[Stranger] = []
 
     def come(wire: Wire) -> Stranger:
@@ -133,10 +133,10 @@ def stranger(charger: Charger) -> Iterator[Come]:
 
 
 def dock_beside(charger: Charger, come: Come, wire: Wire) -> tuple[Outcome, float]:
-    """Dock beside a stranger, without it, and let it come again while current flows.
+    """Dock beside a foreign node, then without it, and add it again while current flows.
 
     Returns:
-        How the first docking ended, and for how long (s) current flowed meanwhile.
+        Outcome of the first docking, and time (s) for which current flowed during it.
     """
     energised = charger.world.record.energised
     visitor = come(wire)
@@ -172,21 +172,21 @@ def test_no_contactor_closes_beside_a_second_server(charger: Charger, stranger: 
 
 
 @pytest.mark.parametrize("service", [slow(name) for name in ASKED])
-def test_who_asks_what_nobody_would_does_no_harm(charger: Charger, stranger: Come, service: str) -> None:
+def test_absurd_service_calls_do_no_harm(charger: Charger, stranger: Come, service: str) -> None:
     dock_beside(charger, stranger, lambda each: each.asks(ASKED[service], service))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("action", [Dock, Undock])
-def test_goals_by_dice_do_no_harm(charger: Charger, stranger: Come, action: Any) -> None:
+def test_random_goals_do_no_harm(charger: Charger, stranger: Come, action: Any) -> None:
     dock_beside(charger, stranger, lambda each: each.sends_goals(action, action.__name__.lower()))
 
 
-def test_lies_are_of_all_kinds() -> None:
+def test_random_messages_cover_all_kinds() -> None:
     dice = random.Random(1)
     points = [point for _ in range(100) for point in lie(JointTrajectory, dice).points]
     assert any(len(point.positions) == 3 for point in points)
-    told = [lie(ServoState, dice) for _ in range(100)]
-    assert {len(message.position) for message in told} >= {0, 1, 3, 100}
-    assert any(message.header.stamp.sec < 0 for message in told)
-    assert any(len(message.header.frame_id) > 1000 for message in told)
+    messages = [lie(ServoState, dice) for _ in range(100)]
+    assert {len(message.position) for message in messages} >= {0, 1, 3, 100}
+    assert any(message.header.stamp.sec < 0 for message in messages)
+    assert any(len(message.header.frame_id) > 1000 for message in messages)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two chargers side by side, told apart by their namespaces alone, of which one lies inside the other's.
+"""Two chargers side by side, distinguished by their namespaces only, one inside the other's.
 
-What one does, suffers and says leaves the other's arm, contactor, states and goals alone.
+Actions, faults and messages of one do not affect the other's arm, contactor, states and goals.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 
 
 class Watched:
-    """A charger of some namespace by what it says; who runs it does not matter."""
+    """A charger of some namespace, observed by its messages; its processes do not matter."""
 
     def __init__(self, namespace: str, context: Any) -> None:
         self.client = ChargerClient(namespace, context)
@@ -49,11 +49,11 @@ class Watched:
         wait_until(lambda: self.states and self.powers and self.angles, "states, power and servos")
 
     def forget(self) -> None:
-        """Look only at what is said from now on."""
+        """Consider only messages from now on."""
         del self.states[:-1], self.powers[:], self.torques[:], self.angles[:]
 
     def assert_at_rest(self) -> None:
-        """Nothing was done since `forget`."""
+        """Nothing has happened since `forget`."""
         wait_until(lambda: self.powers and self.angles, "news")
         assert not any(self.powers)
         assert not any(self.torques)
@@ -61,7 +61,7 @@ class Watched:
         assert max(math.dist(each, self.angles[0]) for each in self.angles) < 1e-3
 
     def assert_charging(self) -> None:
-        """It went on charging since `forget`, without a word."""
+        """It has continued charging since `forget`, without interruption."""
         wait_until(lambda: self.powers, "news")
         assert all(self.powers)
         assert all(self.torques)
@@ -90,7 +90,7 @@ def chargers(
     start: Callable[..., Process],
     deltacharger: tuple[str, ...],
 ) -> Iterator[tuple[Composition, list[Watched]]]:
-    """One in this process, which is returned, and one in another; two in one would starve each other."""
+    """Start one in this process, which is returned, and one in another; two in one would starve each other."""
     name = new_namespace()
     other = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", f"{name}/inner")
     with Composition(quick_scene, context, name) as here:
@@ -103,7 +103,7 @@ def chargers(
             each.client.close()
 
 
-def test_what_one_does_and_suffers_leaves_the_others_alone(chargers: tuple[Composition, list[Watched]]) -> None:
+def test_actions_and_faults_of_one_do_not_affect_the_other(chargers: tuple[Composition, list[Watched]]) -> None:
     composition, (outer, inner) = chargers
     inner.forget()
     assert outer.dock().success

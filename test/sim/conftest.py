@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm in simulated time: servos commanded by platform positions, everything else is the real world model."""
+"""An arm in simulated time: commanded by platform positions, in the real world model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DELTA = ScalarDelta()
 
 
 class Arm:
-    """A world with the weight of the arm led into its commands; `delta` is its kinematics."""
+    """A world whose commands compensate the arm's weight; `delta` is its kinematics."""
 
     delta = DELTA
 
@@ -77,7 +77,7 @@ class Arm:
 
     @property
     def contact_current(self) -> float:
-        """Per-servo current (A) that pushes along +z; weight removed."""
+        """Per-servo current (A) that pushes along +z, without the weight."""
         mechanics = self.world.mechanics
         held = DELTA.holding_torque(*mechanics.position, self.gravity)
         push = [torque - hold for torque, hold in zip(mechanics.torques, held, strict=True)]

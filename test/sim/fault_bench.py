@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger that is brought into the middle of its work, and back there after every fault, without a docking each."""
+"""Bring a charger into each phase of its work, and back there after every fault, without complete dockings."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from .fault_pulse import Pulse
 from .fault_world import CONTACTOR, RecordedCharger
 
 SCENE = {"nodes": [], "simulation": {"seed": 3, "rig_seed": 1, "world": {"target": {"y": -0.003, "z": 0.080}}}}
-_PRESSED = 0.083  # m; the goal behind the target's face, which the servos' springs turn into a push
-_NEAR, _FAR, _PERIOD = 0.010, 0.050, 1.2  # m, m, s: to and fro in free air
-_LINE = 40.0  # s of it
+_PRESSED = 0.083  # m; goal behind the target's face, for a push by the servos' springs
+_NEAR, _FAR, _PERIOD = 0.010, 0.050, 1.2  # m, m, s: motion to and fro in free air
+_LINE = 40.0  # s of that motion
 _PULL = 4.0  # N·m of each servo, enough for the magnets
 _TOUCH = 1.0  # N
 _AT_REST = 0.005  # rad/s
 
 
 class Phase(enum.Enum):
-    """What the charger is doing when a fault comes."""
+    """Activity of the charger at the time of a fault."""
 
     MOVING = "moving"
     PRESSING = "pressing"
@@ -46,7 +46,7 @@ class Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class Mark:
-    """An instant: s of the world, s of the monotonic clock, number of events so far, push in N."""
+    """An instant: s of the world, s of the monotonic clock, number of events so far, push (N)."""
 
     world: float
     host: float
@@ -55,7 +55,7 @@ class Mark:
 
 
 class Bench:
-    """Both drivers on a simulated charger, with a client that stands for docking_node and for its operator."""
+    """Both drivers on a simulated charger, with a client that acts as docking_node and operator."""
 
     def __init__(self, context: Context, namespace: str) -> None:
         self.charger = RecordedCharger.build(parse_scene(SCENE, "faults"), namespace)
@@ -77,7 +77,7 @@ class Bench:
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong."""
+        """Faults of the hardware."""
         assert self.charger.faults is not None
         return self.charger.faults
 
@@ -92,20 +92,20 @@ class Bench:
         wait_until(condition, what, patience)
 
     def mark(self) -> Mark:
-        """Return now, and forget the largest push and the longest pause so far."""
+        """Return the present instant, and reset the largest push and the longest pause."""
         self.world.record.peak_push = self.world.stood = 0.0
         return Mark(self.world.time, time.monotonic(), len(self.world.events), self.world.push())
 
     def reach(self, phase: Phase) -> None:
-        """Bring the charger to where `phase` is going on, from wherever it is, by what a client may ask of it."""
-        if phase is not Phase.CHARGING or not self._is_pressed():  # nobody moves the arm while the contactor is closed
-            self.client.let_open()
+        """Bring the charger from any state into `phase`, with a client's means only."""
+        if phase is not Phase.CHARGING or not self._is_pressed():  # the arm must not move while the contactor is closed
+            self.client.stop_renewing()
             if self.world.circuit.closed:
                 self.ask("set_contactor", close=False)
-            self.wait(lambda: not self.client.power.contactor_closed, "the opening to be told")
+            self.wait(lambda: not self.client.power.contactor_closed, "the opening to be published")
         self.wait(lambda: all(self.client.servo.valid), "all servos to answer")
-        heard = self.client.heard["frame"]
-        self.wait(lambda: self.client.heard["frame"] > heard, "tactile frames")
+        count = self.client.received["frame"]
+        self.wait(lambda: self.client.received["frame"] > count, "tactile frames")
         self.ask("set_torque", data=True)
         if phase is Phase.MOVING:
             self._shuttle()
@@ -119,29 +119,29 @@ class Bench:
             self.wait(self.is_charging, "charge current")
 
     def ask(self, name: str, **fields: Any) -> None:
-        """Ask a service until it does what is wanted; it may be about to finish something else."""
-        said: list[str] = []
+        """Call a service until it succeeds; it may still be finishing another task."""
+        answers: list[str] = []
 
         def done() -> bool:
             answer = self.client.call(name, **fields)
-            said.append(answer.message)
+            answers.append(answer.message)
             return bool(answer.success)
 
         end = time.monotonic() + PATIENCE
         while not done():
-            assert time.monotonic() < end, f"{name} {fields or ''}: {list(dict.fromkeys(said))}"
+            assert time.monotonic() < end, f"{name} {fields or ''}: {list(dict.fromkeys(answers))}"
 
     def is_charging(self) -> bool:
         """Whether the contactor is closed and current flows."""
         return self.world.circuit.closed and self.world.circuit.current > 0.5
 
     def is_moving(self, since: float) -> bool:
-        """Whether all goals have changed after `since` (s of the world)."""
+        """Whether all goals have changed since `since` (s of the world)."""
         return min(self.world.turned) > since
 
     def restore(self) -> None:
-        """Clear whatever a cell that failed has left behind, so that the next one begins like any other."""
-        self.client.let_open()
+        """Clear the effects of a failed cell, so that the next one begins normally."""
+        self.client.stop_renewing()
         self.faults.clear()
         self.wait(lambda: any(self.client.servo.valid), "a servo to answer")
         self.ask("set_contactor", close=False)
@@ -153,7 +153,7 @@ class Bench:
         self.client.untrue.clear()
 
     def tare(self) -> None:
-        """Tare in free air, wherever the arm is."""
+        """Tare in free air, from any position."""
         if self.world.mechanics.contact_force > 0.0:
             self.ask("set_torque", data=True)
             self.client.send([(0.3, self._angles(_FAR))], _PULL)
@@ -165,7 +165,7 @@ class Bench:
         return self._kinematics.inverse(0.0, 0.0, z)
 
     def _shuttle(self) -> None:
-        """Go to and fro in free air for as long as a cell lasts."""
+        """Move to and fro in free air for the duration of a cell."""
         middle, swing = 0.5 * (_NEAR + _FAR), 0.5 * (_FAR - _NEAR)
         times = np.arange(0.3, _LINE, 0.05)
         places = middle + swing * np.sin((times - 0.3) * 2.0 * math.pi / _PERIOD)
@@ -179,11 +179,11 @@ class Bench:
     def _press(self) -> None:
         self.client.send([(0.4, self._angles(_PRESSED))])
         self.wait(self._is_pressed, "the goal behind the target's face")
-        self.wait(lambda: np.nanmax(self.client.taxels()) >= _TOUCH, "the pads to feel the target")
+        self.wait(lambda: np.nanmax(self.client.taxels()) >= _TOUCH, "the pads to measure the target")
         self.wait(lambda: max(map(abs, self.world.mechanics.rates)) < _AT_REST, "the arm at rest")
 
 
 def contactor_opened(bench: Bench, mark: Mark) -> float:
-    """Return when the contactor first opened after a mark, s of the world after it; inf where it did not."""
+    """Return when the contactor first opened after a mark, s of the world after it; inf if it did not."""
     opened = bench.world.since(mark.events, CONTACTOR, False)
     return opened[0].time - mark.world if opened else math.inf

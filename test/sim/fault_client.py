@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who looks at a charger under test and asks its drivers, as docking_node and its operator do."""
+"""A client that observes and commands the drivers of a charger under test, as docking_node and operator do."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from ..chargers import wait_until
 from ..nodes import options
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
-PATIENCE = 10.0  # s; far longer than anything that is no fault takes
+PATIENCE = 10.0  # s; far longer than any fault-free operation
 _RENEWAL = 0.1  # s between renewals of the lease, as docking_node's
 _LEASE = Duration(nanosec=250_000_000)
 _FLOATS = ("position", "velocity", "current", "voltage", "temperature")
 
 
 class FaultClient(Node):
-    """Keeps the latest of each topic, and renews a lease on the contactor whatever it hears.
+    """Keeps the latest message of each topic, and renews a lease on the contactor in any case.
 
     Attributes:
         servo, frame, power: the latest messages; None before the first.
-        heard: how many of each have come, by attribute.
-        untrue: readings that no hardware gives and that should have been NaN.
-        statuses: of /diagnostics with the instant of their arrival (s, monotonic), this charger's only.
+        received: number of messages received, by attribute.
+        untrue: readings that are physically impossible and should have been NaN.
+        statuses: of this charger's /diagnostics, with the time of arrival (s, monotonic).
     """
 
     def __init__(self, context: Context, namespace: str) -> None:
@@ -46,7 +46,7 @@ class FaultClient(Node):
         self.servo: Any = None
         self.frame: Any = None
         self.power: Any = None
-        self.heard = {"servo": 0, "frame": 0, "power": 0}
+        self.received = {"servo": 0, "frame": 0, "power": 0}
         self.untrue: list[str] = []
         self.unknown_at: dict[int, float] = {}
         self.statuses: list[tuple[float, DiagnosticStatus]] = []
@@ -74,11 +74,11 @@ class FaultClient(Node):
 
     def is_connected(self) -> bool:
         ready = all(service.service_is_ready() for service in self.asked.values())
-        heard = None not in (self.servo, self.frame, self.power)
-        return ready and heard and bool(self._trajectories.get_subscription_count())
+        count = None not in (self.servo, self.frame, self.power)
+        return ready and count and bool(self._trajectories.get_subscription_count())
 
     def call(self, name: str, **fields: Any) -> Any:
-        """Call a service and return its answer."""
+        """Call a service and return its response."""
         service = self.asked[name]
         future = service.call_async(service.srv_type.Request(**fields))
         wait_until(future.done, f"an answer from {name}", PATIENCE)
@@ -95,18 +95,18 @@ class FaultClient(Node):
         self._trajectories.publish(message)
 
     def keep_closed(self) -> Any:
-        """Close the contactor, and renew the lease from now on, also where it is refused."""
+        """Close the contactor, and renew the lease from now on, even if it is refused."""
         answer = self.call("set_contactor", close=True, holder="fault_client", lease=_LEASE)
         if answer.success:
             self._wanted.set()
         return answer
 
-    def let_open(self) -> None:
-        """Renew the lease no longer."""
+    def stop_renewing(self) -> None:
+        """Stop renewing the lease."""
         self._wanted.clear()
 
-    def told(self, part: str, words: Sequence[str], since: float) -> bool:
-        """Whether a diagnostic of `part` that came after `since` warns in these words."""
+    def has_warned(self, part: str, words: Sequence[str], since: float) -> bool:
+        """Whether `part` has published a warning with these words after `since`."""
         return any(
             when > since
             and status.name.endswith(part)
@@ -116,14 +116,14 @@ class FaultClient(Node):
         )
 
     def count(self, part: str, key: str) -> int:
-        """Return the latest value that `part` tells of a counter; 0 where it has not told."""
+        """Return the latest value of a counter of `part`; 0 if it was not published."""
         for _, status in reversed(list(self.statuses)):
             if status.name.endswith(part):
                 return next((int(value.value) for value in status.values if value.key == key), 0)
         return 0
 
-    def has_let_go(self, since: float) -> bool:
-        """Whether servo_node said after `since` that it does not drive the servos, whatever they do themselves."""
+    def has_released_servos(self, since: float) -> bool:
+        """Whether servo_node reported after `since` that it has released the servos, regardless of their own state."""
         states = [
             value.value
             for when, status in list(self.statuses)
@@ -134,9 +134,9 @@ class FaultClient(Node):
         return bool(states) and states[-1] in ("torque off", "disconnected")
 
     def messages(self, since: float) -> list[str]:
-        """Return what was told after `since`, for whoever reads a failure."""
-        told = [(status.name, status.message) for when, status in list(self.statuses) if when > since]
-        return [f"{name}: {message}" for name, message in dict.fromkeys(told)]
+        """Return the diagnostics after `since`, for the message of a failure."""
+        messages = [(status.name, status.message) for when, status in list(self.statuses) if when > since]
+        return [f"{name}: {message}" for name, message in dict.fromkeys(messages)]
 
     def _renew(self) -> None:
         service = self.asked["set_contactor"]
@@ -156,19 +156,19 @@ class FaultClient(Node):
             if not any(unknown) and not (5.0 < row[3] < 16.0 and 20.0 < row[4] < 80.0 and abs(row[0]) < 1.5):
                 self.untrue.append(f"servo {index + 1}: {row}")
         self.servo = message
-        self.heard["servo"] += 1
+        self.received["servo"] += 1
 
     def _on_frame(self, message: TactileFrame) -> None:
         if len(message.left) != 100 or len(message.right) != 100 or min(message.left) < 0.0:
             self.untrue.append(f"frame {message.sequence}")
         self.frame = message
-        self.heard["frame"] += 1
+        self.received["frame"] += 1
 
     def _on_power(self, message: ChargerPower) -> None:
         if not 22.0 < message.battery_voltage < 30.0:
             self.untrue.append(f"battery {message.battery_voltage} V")
         self.power = message
-        self.heard["power"] += 1
+        self.received["power"] += 1
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether this process was given the processor when it wanted it: what fails without it may be nobody's fault."""
+"""Detect whether this process was starved of processor time, which can explain a failure."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from collections.abc import Callable
 from deltacharger_driver.servos.port import REPLY_MARGIN
 
 _EVERY = 0.01  # s
-_STARVED = REPLY_MARGIN  # s without the processor after which servos seem not to have answered
+_STARVED = REPLY_MARGIN  # s without the processor after which servos appear silent
 _ATTEMPTS = 3
 
 
 class Pulse:
-    """A thread that wants to run every 10 ms and notes how late it comes to it."""
+    """A thread that should run every 10 ms and records its delays."""
 
     def __init__(self) -> None:
-        self._late: list[tuple[float, float]] = []  # instant, s late; only what is worth remembering
+        self._late: list[tuple[float, float]] = []  # instant, delay (s); only long ones
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
         self._thread.start()
 
     def starved(self, instant: float) -> float:
-        """Return the longest time, s, for which the thread had to wait since an instant (s, monotonic)."""
+        """Return the longest delay (s) of the thread since an instant (s, monotonic)."""
         return max((late for when, late in list(self._late) if when > instant), default=0.0)
 
     def attempt(self, act: Callable[[], None], restore: Callable[[], None]) -> None:
-        """Do something; where it fails, put things right again, and repeat it where the machine was too busy."""
+        """Run `act`; after a failure run `restore`, and repeat `act` if the computer was too busy."""
         for left in reversed(range(_ATTEMPTS)):
             begun = time.monotonic()
             try:

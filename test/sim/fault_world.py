@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated world that remembers when the contactor and the servos' torque came and went, and what its servos pushed.
+"""A simulated world that records switching of contactor and torque, and the push of its servos.
 
-What is asked of a charger under a fault is read off here, from the devices' side of the wires, never from topics.
+It shows the devices' side of the wires; effects of faults are checked here, never on topics.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CONTACTOR = 0
 class Event(NamedTuple):
     """The contactor (0) or the torque of a servo (1 to 3) went on or off at `time` (s of the world).
 
-    `live` tells whether the electrodes carried voltage at that instant.
+    `live` states whether the electrodes carried voltage at that instant.
     """
 
     time: float
@@ -29,12 +29,12 @@ class Event(NamedTuple):
 
 
 class RecordedWorld(World):
-    """A world with a memory, built as a simulated charger builds its own.
+    """A world that records events, built as a simulated charger builds its own.
 
     Attributes:
         events: all so far.
-        turned: s of the world at which the goal of each servo changed last.
-        stood: longest s for which the goal of a servo has stood still; reset it to 0 to look from then on.
+        turned: s of the world of the last change of each servo's goal.
+        stood: longest s without change of a servo's goal; set it to 0 to restart.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -47,7 +47,7 @@ class RecordedWorld(World):
 
     @property
     def torque(self) -> tuple[bool, ...]:
-        """Which servos have torque now."""
+        """Servos that have torque now."""
         return tuple(self._enabled)
 
     def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
@@ -66,12 +66,12 @@ class RecordedWorld(World):
             self.events.append(Event(self.time, CONTACTOR, closed, closed))
 
     def since(self, first: int, what: int, on: bool) -> list[Event]:
-        """Return the events from number `first` on in which `what` went on or off."""
+        """Return the events from number `first` on that switched `what` on or off."""
         return [event for event in self.events[first:] if event.what == what and event.on == on]
 
 
 class RecordedCharger(SimulatedCharger):
-    """A simulated charger before a world with a memory."""
+    """A simulated charger with a recording world."""
 
     world: RecordedWorld
 

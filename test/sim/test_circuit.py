@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power stage: pre-charge, ramp, constant current and voltage, resistance, openings, and what it detects."""
+"""The power stage: pre-charge, ramp, constant current and voltage, resistance, openings and fault detection."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_contact_resistance_falls_with_overlap_and_with_force() -> None:
     assert math.isinf(resistance(FULL, 0.0))
 
 
-def test_the_probe_tells_healthy_short_reversed_and_open_apart() -> None:
+def test_the_probe_distinguishes_healthy_short_reversed_and_open() -> None:
     cases: list[tuple[dict[str, float], Overlap | None]] = [
         ({}, FULL),
         ({}, BRIDGED),
@@ -122,7 +122,7 @@ def test_the_probe_tells_healthy_short_reversed_and_open_apart() -> None:
     assert math.isnan(nothing)
 
 
-def test_a_wanted_opening_ramps_below_one_ampere_within_50_ms() -> None:
+def test_a_normal_opening_ramps_below_one_ampere_within_50_ms() -> None:
     circuit = charging(current_limit=18.0)
     circuit.open(True)
     elapsed, last = 0.0, circuit.current
@@ -136,7 +136,7 @@ def test_a_wanted_opening_ramps_below_one_ampere_within_50_ms() -> None:
     assert circuit.fault == 0
 
 
-def test_an_emergency_opening_takes_no_time() -> None:
+def test_an_emergency_opening_is_immediate() -> None:
     circuit = charging(current_limit=18.0)
     circuit.open(False)
     assert not circuit.closed
@@ -162,7 +162,7 @@ def test_an_opening_during_pre_charge_ends_it() -> None:
         ({"target_voltage": 31.0}, FULL, VOLTAGE),
     ],
 )
-def test_nothing_is_closed_onto_what_is_wrong(changes: dict[str, float], lies: Overlap | None, fault: int) -> None:
+def test_a_wrong_target_prevents_closing(changes: dict[str, float], lies: Overlap | None, fault: int) -> None:
     circuit = make(**changes)
     run(circuit, 0.02, lies)
     circuit.close()
@@ -182,7 +182,7 @@ def test_a_target_that_feeds_back_is_cut_off() -> None:
     assert circuit.fault == REVERSE_CURRENT
 
 
-def test_a_target_that_takes_nothing_is_reported() -> None:
+def test_a_target_that_takes_no_current_is_reported() -> None:
     circuit = make(target_accepts=False)
     run(circuit, 0.02)
     circuit.close()
@@ -191,11 +191,11 @@ def test_a_target_that_takes_nothing_is_reported() -> None:
     assert circuit.fault == NO_CHARGE_CURRENT
 
 
-def test_a_short_while_charging_flows_for_a_step_and_opens() -> None:
+def test_a_short_while_charging_lasts_one_step_and_opens() -> None:
     circuit = charging()
     circuit.step(0.005, BRIDGED, PRESSED)
     assert circuit.closed
-    assert circuit.current > 100.0  # for the time that the stage needs to notice
+    assert circuit.current > 100.0  # until the stage detects it
     circuit.step(0.005, BRIDGED, PRESSED)
     assert not circuit.closed
     assert circuit.fault == SHORT
@@ -230,7 +230,7 @@ def test_a_welded_contactor_is_reported_and_stays_closed(ramp: bool) -> None:
     assert circuit.fault == WELDED
 
 
-def test_an_opening_forgets_the_fault() -> None:
+def test_an_opening_clears_the_fault() -> None:
     circuit = charging()
     run(circuit, 0.01, BRIDGED)
     circuit.open(True)
@@ -243,8 +243,8 @@ def test_worse_contact_means_less_current_at_the_voltage_limit() -> None:
     assert bad.current < 0.8 * good.current
 
 
-def test_a_battery_that_fills_up_draws_constant_current_then_less_and_less() -> None:
-    """At constant voltage the current falls with the time constant of all resistance times the capacity."""
+def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:
+    """At constant voltage, the current falls with the time constant of total resistance times capacity."""
     parameters = CircuitParameters(target_capacity=40.0, contact_resistance=0.01)
     circuit = Circuit(parameters)
     circuit.close()
@@ -301,7 +301,7 @@ def test_a_bar_that_does_not_press_opens_the_circuit(lifted: Bars) -> None:
     assert live.fault == NO_CHARGE_CURRENT
 
 
-def test_heat_is_that_of_the_bar_with_the_larger_resistance() -> None:
+def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:
     circuit = charging()
     circuit.step(0.005, FULL, Bars.flat(80.0))
     assert circuit.heat == pytest.approx(10.0**2 * 0.005)
@@ -318,7 +318,7 @@ def wired(**changes: Any) -> Circuit:
 
 
 @pytest.mark.parametrize(("target", "drives"), [(24.0, 2.0), (26.0, 0.0), (29.0, -3.0), (-24.0, 50.0)])
-def test_electrodes_on_the_battery_carry_what_two_batteries_drive_either_way(target: float, drives: float) -> None:
+def test_current_of_wired_electrodes_follows_both_batteries_in_either_direction(target: float, drives: float) -> None:
     circuit = wired(target_voltage=target, target_resistance=0.15, battery_resistance=0.13, contact_resistance=0.0)
     run(circuit, 0.02)
     assert circuit.current == pytest.approx(drives / 0.28)
@@ -327,7 +327,7 @@ def test_electrodes_on_the_battery_carry_what_two_batteries_drive_either_way(tar
     assert circuit.broken_current == pytest.approx(abs(drives) / 0.28)
 
 
-def test_nothing_measures_detects_or_opens_electrodes_on_the_battery() -> None:
+def test_wired_electrodes_have_no_measurement_detection_or_opening() -> None:
     circuit = wired(battery_voltage=26.0, battery_resistance=0.13)
     circuit.close()
     run(circuit, 1.0, BRIDGED)
@@ -339,5 +339,5 @@ def test_nothing_measures_detects_or_opens_electrodes_on_the_battery() -> None:
     assert (closed, fault) == (False, 0)
 
 
-def test_what_has_a_power_stage_is_measured() -> None:
+def test_a_power_stage_measures() -> None:
     assert charging().measured()[3:] == (True, 0)

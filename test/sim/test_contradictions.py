@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds whose numbers are each possible and together are not, and worlds outside of what is proven."""
+"""Worlds with contradictory parameters, and worlds outside the verified range."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from deltacharger_sim.world import World
             "softer than the springs",
         ),
         ({"servo": {"friction": 1.0, "stall_torque": 0.9}}, "servo.friction", "servo.stall_torque"),
-        ({"servo": {"friction": 1.0, "stall_torque": 1.0}}, "servo.friction", "no servo could turn"),
+        ({"servo": {"friction": 1.0, "stall_torque": 1.0}}, "servo.friction", "no servo could move"),
         ({"servo": {"supply_resistance": 1.0}}, "servo.supply_resistance", "servo.supply_voltage"),
         ({"servo": {"supply_resistance": 0.5, "stall_torque": 12.0}}, "servo.supply_resistance", "smaller"),
     ],
 )
-def test_what_cannot_be_together_is_refused_by_key(content: dict[str, Any], key: str, problem: str) -> None:
+def test_contradictory_parameters_are_refused_by_key(content: dict[str, Any], key: str, problem: str) -> None:
     with pytest.raises(ParameterError, match=problem) as caught:
         from_mapping(content, WorldParameters, "simulation.world")
     assert caught.value.key == f"simulation.world.{key}"
@@ -51,18 +51,18 @@ def test_what_cannot_be_together_is_refused_by_key(content: dict[str, Any], key:
     [
         {"contact": {"stiffness": 9e3, "hard_stop": 0.002}},
         {"contact": {"stiffness": 1e4, "hard_stop": 0.02}},
-        {"contact": {"stiffness": 1e9}},  # its springs never reach the stop, whatever it is like
+        {"contact": {"stiffness": 1e9}},  # its springs never reach any stop
         {"contact": {"stiffness": 1e3, "hard_stop_stiffness": 1e4}},
         {"circuit": {"target_voltage": -24.0}},
         {"servo": {"unpowered_friction": 0.0}},
         {"magnets": {"force": 300.0, "range": 0.0002}},
     ],
 )
-def test_what_is_merely_odd_is_taken(content: dict[str, Any]) -> None:
+def test_unusual_but_possible_parameters_are_accepted(content: dict[str, Any]) -> None:
     from_mapping(content, WorldParameters)
 
 
-def test_the_world_as_delivered_is_proven() -> None:
+def test_the_default_world_is_verified() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         World(WorldParameters())
@@ -71,14 +71,14 @@ def test_the_world_as_delivered_is_proven() -> None:
 @pytest.mark.parametrize("step", [0.0001, 0.0003, 0.001, 0.003, 0.01])
 @pytest.mark.parametrize("stiffness", [1e3, 3e4, 1e5, 2e8, 1e9])
 @pytest.mark.parametrize("servo", [2.5, 4.0, 15.0, 20.0])
-def test_every_stiffness_is_proven_up_to_ten_milliseconds(step: float, stiffness: float, servo: float) -> None:
+def test_every_stiffness_is_verified_up_to_ten_milliseconds(step: float, stiffness: float, servo: float) -> None:
     contact = ContactParameters(stiffness=stiffness)
     assert doubts(WorldParameters(step=step, contact=contact, servo=ServoParameters(stiffness=servo))) == ()
 
 
-def test_a_world_outside_of_what_is_proven_warns_with_the_nearest_that_is() -> None:
+def test_an_unverified_world_warns_with_the_nearest_verified_point() -> None:
     bold = WorldParameters(step=0.1, magnets=MagnetParameters(force=0.0))
-    with pytest.warns(UnprovenWarning, match=r"step 0\.1 s .* nearest that has: step 0\.0\d+ s") as caught:
+    with pytest.warns(UnprovenWarning, match=r"step 0\.1 s .* nearest verified point: step 0\.0\d+ s") as caught:
         World(bold)
     assert len(caught) == 1
     servo, contact, step = nearest(15.0, 1e5, 0.1)
@@ -87,7 +87,7 @@ def test_a_world_outside_of_what_is_proven_warns_with_the_nearest_that_is() -> N
     assert doubts(near) == ()
 
 
-def test_the_map_is_whole_and_nothing_on_it_diverged() -> None:
+def test_the_map_is_complete_and_has_no_divergence() -> None:
     assert len(stability_map.CELLS) == len(stability_map.SERVO_STIFFNESSES)
     for rows in stability_map.CELLS:
         assert len(rows) == len(stability_map.CONTACT_STIFFNESSES)

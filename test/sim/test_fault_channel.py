@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who orders faults is served whoever else does not say or take anything, and who is asked may be anybody."""
+"""Fault requests are served despite silent clients, and clients do not trust the answering program."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def served(place: Path) -> Iterator[ControlServer]:
         server.close()
 
 
-def connected(place: Path, said: bytes = b"") -> socket.socket:
+def connected(place: Path, sent: bytes = b"") -> socket.socket:
     client = socket.socket(socket.AF_UNIX)
-    wait_until(lambda: client.connect_ex(str(place)) == 0, "to be let in")
+    wait_until(lambda: client.connect_ex(str(place)) == 0, "the connection to be accepted")
     client.settimeout(BOUND)
-    client.sendall(said)
+    client.sendall(sent)
     return client
 
 
-def test_a_hundred_that_say_nothing_delay_neither_the_next_one_nor_the_end(place: Path) -> None:
+def test_a_hundred_silent_clients_delay_neither_the_next_client_nor_the_end(place: Path) -> None:
     with contextlib.ExitStack() as clients, served(place) as server:
         for number in range(100):
             clients.enter_context(connected(place, b'{"command"'[:number]))
@@ -57,11 +57,11 @@ def test_a_hundred_that_say_nothing_delay_neither_the_next_one_nor_the_end(place
         assert not place.exists()
 
 
-def test_who_says_a_byte_now_and_then_is_let_go(place: Path) -> None:
+def test_a_client_that_sends_single_bytes_is_dropped(place: Path) -> None:
     with served(place), connected(place) as client:
         client.settimeout(0.05)
 
-        def is_let_go() -> bool:
+        def is_dropped() -> bool:
             try:
                 client.sendall(b" ")
                 return client.recv(1) == b""
@@ -70,19 +70,19 @@ def test_who_says_a_byte_now_and_then_is_let_go(place: Path) -> None:
             except OSError:
                 return True
 
-        wait_until(is_let_go, "its end")
+        wait_until(is_dropped, "its end")
 
 
-@pytest.mark.parametrize("said", [b"{" * 20000, b"[" * 16000 + b"\n", b"9" * 16000 + b"\n", b"\xff\xfe\n", b"\n"])
-def test_a_line_that_is_no_request_is_refused_and_the_next_is_served(place: Path, said: bytes) -> None:
+@pytest.mark.parametrize("sent", [b"{" * 20000, b"[" * 16000 + b"\n", b"9" * 16000 + b"\n", b"\xff\xfe\n", b"\n"])
+def test_an_invalid_line_is_refused_and_the_next_one_is_served(place: Path, sent: bytes) -> None:
     with served(place):
-        with contextlib.suppress(OSError), connected(place, said) as client:
+        with contextlib.suppress(OSError), connected(place, sent) as client:
             reply = client.makefile("rb").readline()
-            assert json.loads(reply)["success"] is (said[0] == b"9") or b"JSON" in reply
+            assert json.loads(reply)["success"] is (sent[0] == b"9") or b"JSON" in reply
         assert ask(place, {"command": "active"}, BOUND)["success"]
 
 
-def test_a_request_that_meets_a_defect_ends_itself_alone(place: Path) -> None:
+def test_an_error_in_one_request_does_not_stop_the_server(place: Path) -> None:
     def defect(request: object) -> dict[str, object]:
         raise KeyError("kind")
 
@@ -95,8 +95,8 @@ def test_a_request_that_meets_a_defect_ends_itself_alone(place: Path) -> None:
 
 
 @contextlib.contextmanager
-def stranger(place: Path, parts: list[bytes], pause: float) -> Iterator[None]:
-    """Something that says `parts` to each who asks, the last of them for ever."""
+def other_program(place: Path, parts: list[bytes], pause: float) -> Iterator[None]:
+    """A program that sends `parts` to each client, the last of them forever."""
     listener, ending = socket.socket(socket.AF_UNIX), threading.Event()
     listener.bind(str(place))
     listener.listen()
@@ -124,8 +124,8 @@ def stranger(place: Path, parts: list[bytes], pause: float) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("part", [b"x", b"x" * 100_000])
-def test_an_answer_without_an_end_is_not_waited_for(place: Path, part: bytes) -> None:
-    with stranger(place, [part], 0.01):
+def test_an_endless_answer_is_given_up(place: Path, part: bytes) -> None:
+    with other_program(place, [part], 0.01):
         began = time.monotonic()
         with pytest.raises(TimeoutError):
             ask(place, {"command": "active"}, timeout=0.5)
@@ -145,19 +145,19 @@ def test_an_answer_without_an_end_is_not_waited_for(place: Path, part: bytes) ->
         b'{"success": true, "active": [{"kind": "a", "servo": 1, "amount": "much"}]}\n',
     ],
 )
-def test_what_answers_and_is_no_charger_is_named(place: Path, capsys: pytest.CaptureFixture[str], reply: bytes) -> None:
-    with stranger(place, [reply], 0.0):
+def test_another_answering_program_is_reported(place: Path, capsys: pytest.CaptureFixture[str], reply: bytes) -> None:
+    with other_program(place, [reply], 0.0):
         code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
     assert (code, out) == (1, "")
-    assert "no charger" in err
+    assert "not a charger" in err
 
 
-def test_a_charger_that_hangs_keeps_its_name(place: Path, tmp_path: Path) -> None:
+def test_a_hanging_charger_keeps_its_name(place: Path, tmp_path: Path) -> None:
     name = tmp_path / "run" / "charger"
     with socket.socket(socket.AF_UNIX) as hangs, contextlib.ExitStack() as waiting:
         hangs.bind(str(place))
         hangs.listen(0)
         Registration(name, place)
-        waiting.enter_context(connected(place))  # the one whom the system lets wait
-        with pytest.raises(FileExistsError, match="another charger that runs"):
+        waiting.enter_context(connected(place))  # the one client that the system queues
+        with pytest.raises(FileExistsError, match="another running charger"):
             Registration(name, Path("other"))

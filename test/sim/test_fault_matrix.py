@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every fault while moving, while pressing and while charging, against the drivers, their bytes and one world.
 
-One charger serves them all: after each fault it is brought back to what it did, and no node is ever restarted.
+One charger serves all cells: after each fault it returns to its work, and no node is restarted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from deltacharger_sim.charger.fault_kinds import KINDS
 
 from ..chargers import new_namespace
 from .fault_bench import Bench, Phase
-from .fault_cell import suffer
+from .fault_cell import check_fault
 from .fault_table import BOARD_ROWS, SERVO_ROWS, Row
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -30,7 +30,7 @@ QUICK = {
         *("board_delay-0.4", "board_corrupt-0.05"),
     },
 }
-"""One cell for each way in which a fault shows; the other cells show it for more kinds and phases."""
+"""One cell for each way in which a fault shows; the other cells cover more kinds and phases."""
 CELLS = [
     pytest.param(phase, row, id=f"{phase.value}-{row.name}", marks=[] if row.name in names else [pytest.mark.slow])
     for phase, names in QUICK.items()
@@ -45,7 +45,7 @@ def bench(context: Any) -> Iterator[Bench]:
     bench.close()
 
 
-def test_the_table_knows_every_kind_of_fault() -> None:
+def test_the_table_has_every_kind_of_fault() -> None:
     assert {row.kind for row in ROWS} == set(KINDS)
     assert len({row.name for row in ROWS}) == len(ROWS)
     assert set().union(*QUICK.values()) <= {row.name for row in ROWS}
@@ -53,4 +53,4 @@ def test_the_table_knows_every_kind_of_fault() -> None:
 
 @pytest.mark.parametrize(("phase", "row"), CELLS)
 def test_fault(bench: Bench, phase: Phase, row: Row) -> None:
-    suffer(bench, row, phase)
+    check_fault(bench, row, phase)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of every family under real Dock goals: while the arm approaches, while it presses and while current flows.
+"""Faults of every family during real Dock goals: while the arm approaches, presses and charges.
 
-One charger serves all; no node is restarted, and every goal after a fault shows that none had to be.
+One charger serves all goals; no node is restarted, which every goal after a fault confirms.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from .fault_pulse import Pulse
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
-# Touch is taken as aligned after one docking: that is not looked at here.
+# Touch counts as aligned after one docking; alignment is not tested here.
 STEPS = {**quick.STEPS, "overlap_loss_max": 0.02, "landing_limit": 0.02}
-BY_ITSELF = ("servo_missing", "servo_overload")  # take a servo's torque at once: no driver opens before them
-BORNE = "NONE"  # the fault is lived with
+BY_ITSELF = ("servo_missing", "servo_overload")  # a servo loses its torque at once: no driver can open before that
+BORNE = "NONE"  # the fault is tolerated
 
 
 PHASES = ("approach", "contact", "charging")
@@ -42,7 +42,7 @@ PHASES = ("approach", "contact", "charging")
 
 @dataclass(frozen=True)
 class Family:
-    """One fault and the code that a goal ends with when it comes in each phase, or one of several."""
+    """One fault and the possible codes of a goal when it occurs in each phase."""
 
     kind: str
     approach: str | tuple[str, ...]
@@ -56,7 +56,7 @@ FAMILIES = (
     Family("servo_missing", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT"),
     Family("servo_overload", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT", recovery="reboot_servos"),
     Family("servo_unplugged", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT"),
-    # The approach begins with a tare: a reboot before it costs nothing, one after it is found out.
+    # The approach begins with a tare: a reboot before it has no effect, a later one is detected.
     Family("board_reboot", (BORNE, "TACTILE_STALE"), "TACTILE_STALE", "POWER_STALE"),
     Family("board_unplugged", "TACTILE_STALE", "TACTILE_STALE", "POWER_STALE"),
     Family("board_trip", BORNE, BORNE, "OVERCURRENT", amount=9.0),
@@ -76,14 +76,14 @@ CELLS = [
 
 
 class Charger:
-    """The whole simulated charger and its client."""
+    """A simulated charger with all parts, and its client."""
 
     def __init__(self, composition: Composition, client: ChargerClient) -> None:
         assert composition.charger is not None
         self.simulated = composition.charger
         self.client = client
         self.pulse = Pulse()
-        self.state = DockingState()  # until the first comes
+        self.state = DockingState()  # until the first message
         self._servo: Any = None
         self._frame: Any = None
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -92,8 +92,8 @@ class Charger:
         client.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, qos_profile_sensor_data)
         self._reboot = client.node.create_client(Trigger, "reboot_servos")
 
-    def dock_and_suffer(self, fault: Fault, phase: str) -> Outcome:
-        """Dock, and let `fault` come when `phase` begins; that of charging with success."""
+    def dock_with_fault(self, fault: Fault, phase: str) -> Outcome:
+        """Dock, and cause `fault` when `phase` begins; in charging, after success."""
         once = threading.Event()
 
         def on_progress(progress: Progress) -> None:
@@ -114,7 +114,7 @@ class Charger:
         self.simulated.faults.begin(fault)
 
     def recover(self, service: str) -> None:
-        """Let the fault end, do what a person would, and wait until everything is there again."""
+        """End the fault, perform a person's recovery, and wait until everything works again."""
         assert self.simulated.faults is not None
         self.simulated.faults.clear()
         if service:
@@ -126,7 +126,7 @@ class Charger:
         return bool(call(self._reboot, Trigger.Request()).success)
 
     def assert_safe(self) -> None:
-        """The truth: the contactor opened before torque went and before the electrodes parted, and nothing shorted."""
+        """True state: the contactor opened before torque was lost and before the electrodes parted, without shorts."""
         record = self.simulated.world.record
         assert not self.simulated.world.snapshot().contactor_closed
         assert record.energised_shorts == 0
@@ -143,7 +143,7 @@ class Charger:
         self._frame = message
 
     def restore(self) -> None:
-        """Undo what a failed attempt has left, so that the next begins like any other."""
+        """Undo a failed attempt, so that the next one begins normally."""
         if any(self._servo.hardware_error):
             self.recover("reboot_servos")
         else:
@@ -164,16 +164,16 @@ def charger(context: Any) -> Iterator[Charger]:
 
 @pytest.mark.parametrize(("phase", "family"), CELLS)
 def test_a_goal_under_a_fault(charger: Charger, family: Family, phase: str) -> None:
-    """That the goal before had its fault, and nothing was restarted since, is what recovery means here."""
-    charger.pulse.attempt(lambda: suffer(charger, family, phase), charger.restore)
+    """Recovery means: the previous goal had its fault, and nothing was restarted since."""
+    charger.pulse.attempt(lambda: check_goal(charger, family, phase), charger.restore)
 
 
-def suffer(charger: Charger, family: Family, phase: str) -> None:
+def check_goal(charger: Charger, family: Family, phase: str) -> None:
     fault = Fault(kind=family.kind, amount=family.amount)
     record = charger.simulated.world.record
-    let_go, expected = record.unpowered_live, getattr(family, phase)
+    lost_before, expected = record.unpowered_live, getattr(family, phase)
     codes = (expected,) if isinstance(expected, str) else expected
-    outcome = charger.dock_and_suffer(fault, phase)
+    outcome = charger.dock_with_fault(fault, phase)
     ended, message = outcome.error_name, outcome.error_message
     if phase == "charging" and BORNE not in codes:
         wait_until(lambda: charger.state.error_code, f"{codes} in docking_state")
@@ -184,11 +184,11 @@ def suffer(charger: Charger, family: Family, phase: str) -> None:
         assert charger.client.undock(deadline=60.0).success
     assert message or ended == BORNE
     charger.assert_safe()
-    assert record.unpowered_live - let_go <= (family.kind in BY_ITSELF)
+    assert record.unpowered_live - lost_before <= (family.kind in BY_ITSELF)
     assert ended in codes, f"{ended}: {message}"
 
 
-def test_after_all_of_them_it_docks_and_undocks(charger: Charger) -> None:
+def test_after_all_faults_it_docks_and_undocks(charger: Charger) -> None:
     assert charger.client.dock(GOAL, deadline=100.0).success
     assert charger.client.undock(deadline=60.0).success
     charger.assert_safe()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A servo's gain register: the world's stiffness is that of gain 1, and any other multiplies it, servo by servo."""
+"""A servo's gain register: gain 1 gives the world's stiffness, any other gain multiplies it, per servo."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def torques_over(world: World, goals: Vector = (0.1, 0.2, 0.15)) -> list[float]:
 
 
 def docked(stiffness: float, gains: Vector, **servo: Any) -> tuple[Any, ...]:
-    """Strike the target and press on it; return all that tells."""
+    """Strike the target and press on it; return all results."""
     world = World(WorldParameters(servo=ServoParameters(stiffness=stiffness, current_noise=0.0, **servo)))
     for z, seconds in ((0.070, 0.5), (0.088, 0.5), (0.060, 0.5)):
         for index, (angle, gain) in enumerate(zip(DELTA.inverse(0.0, 0.002, z), gains, strict=True)):
@@ -51,14 +51,14 @@ def docked(stiffness: float, gains: Vector, **servo: Any) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}, {"command_latency": 0.02}], ids=str)
-def test_a_gain_of_all_servos_is_another_stiffness(servo: dict[str, float]) -> None:
+def test_an_equal_gain_of_all_servos_equals_another_stiffness(servo: dict[str, float]) -> None:
     for found, expected in zip(
         docked(10.0, (1.5, 1.5, 1.5), **servo), docked(15.0, (1.0, 1.0, 1.0), **servo), strict=True
     ):
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_each_servo_has_its_own() -> None:
+def test_each_servo_has_its_own_gain() -> None:
     world = settled(World(WorldParameters(servo=QUIET, target=ALONE)), (1.0, 0.5, 2.0))
     assert torques_over(world) == pytest.approx([15.0, 7.5, 30.0], rel=1e-6)
 
@@ -68,7 +68,7 @@ def test_a_gain_that_changes_at_rest_moves_the_arm() -> None:
     before = [goal - angle for goal, angle in zip((0.1, 0.2, 0.15), world.mechanics.angles, strict=True)]
     settled(world, (0.5, 0.5, 0.5))
     after = [goal - angle for goal, angle in zip((0.1, 0.2, 0.15), world.mechanics.angles, strict=True)]
-    assert after[1:] == pytest.approx([2.0 * value for value in before[1:]], rel=0.05)  # the load turns with the arm
+    assert after[1:] == pytest.approx([2.0 * value for value in before[1:]], rel=0.05)  # the load rotates with the arm
 
 
 def test_the_register_reaches_the_world() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of an impact within a step: energy, the spring alone, rest, and that the step does not decide its height."""
+"""Laws of an impact within a step: energy, the spring alone, rest, and independence of the step."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def mass_along_z(world: World, z: float) -> float:
 
 
 def thrown(speed: float, stiffness: float, step: float, gap: float = 0.002, **changes: Any) -> World:
-    """A limp arm without friction and weight that flies at its target, until after it has bounced."""
+    """A limp arm without friction and weight that flies at its target, until after its bounce."""
     parameters = WorldParameters(
         servo=SLIPPERY, contact=ContactParameters(stiffness=stiffness), magnets=NO_MAGNETS, gravity_y=0.0, **changes
     )
@@ -51,7 +51,7 @@ def thrown(speed: float, stiffness: float, step: float, gap: float = 0.002, **ch
 
 
 def pressed(arm: ArmFactory, parameters: WorldParameters, step: float, speed: float, depth: float = 0.002) -> Any:
-    """Moved at a speed (m/s) from 12 mm before the target to `depth` beyond it, servos led by their lag."""
+    """Moved at a speed (m/s) from 12 mm before the target to `depth` beyond it, with compensated servo lag."""
     found, servo = arm(parameters, step), parameters.servo
     found.go((0.0, 0.0, 0.068), max(2.0, 10.0 * servo.damping / servo.stiffness))
     held, stiffness = DELTA.holding_torque(0.0, 0.0, 0.08, found.gravity), servo.stiffness
@@ -88,7 +88,7 @@ class TestSpring:
         expected = 2.0 * k * (s + beyond) + stop * beyond
         assert world.record.peak_force == pytest.approx(expected, rel=0.03)
 
-    def test_a_leaning_target_is_struck_less_hard_than_a_flat_one(self) -> None:
+    def test_a_strike_on_a_leaning_target_is_weaker_than_on_a_flat_one(self) -> None:
         leaning = {"target": TargetParameters(tilt_y=0.01), "platform": PlatformParameters(compliance=0.01)}
         flat, askew = thrown(0.1, 1e6, 0.005), thrown(0.1, 1e6, 0.005, **leaning)
         assert 0.2 * flat.record.peak_force < askew.record.peak_force < flat.record.peak_force
@@ -97,7 +97,7 @@ class TestSpring:
 class TestPeak:
     @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7, 1e9])
     @pytest.mark.parametrize("servo", [2.5, 20.0])
-    def test_it_holds_no_more_energy_than_came_in(self, arm: ArmFactory, stiffness: float, servo: float) -> None:
+    def test_it_contains_no_more_energy_than_the_impact(self, arm: ArmFactory, stiffness: float, servo: float) -> None:
         speed = 0.06
         parameters = WorldParameters(
             servo=ServoParameters(stiffness=servo, friction=0.0),
@@ -111,12 +111,12 @@ class TestPeak:
         k, stop, s = 2.0 * contact.stiffness, contact.hard_stop_stiffness, contact.hard_stop
         depth = peak / k if peak <= k * s else s + (peak - k * s) / (k + stop)
         held = 0.5 * k * depth * depth + 0.5 * stop * max(depth - s, 0.0) ** 2
-        most = 3.0 * parameters.servo.stall_torque / 0.0375  # N that the servos can push at all
+        most = 3.0 * parameters.servo.stall_torque / 0.0375  # N, largest push of the servos
         came = 0.5 * mass_along_z(world, 0.08) * (1.15 * speed) ** 2
         assert 0.0 < held <= came + most * depth
         assert peak <= most + math.sqrt(most**2 + 2.0 * (k + stop) * came)
 
-    def test_what_servos_drive_after_a_rebound_counts_though_the_rebounds_had_declined(self) -> None:
+    def test_a_strike_driven_by_servos_after_declining_rebounds_counts(self) -> None:
         peaks = []
         for step in (0.01, 1e-4):
             world = World(
@@ -140,7 +140,7 @@ class TestPeak:
         ("yaw", "pitch", "compliance", "stiffness"),
         [(0.05, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6), (0.05, -0.03, 0.03, 1e5)],
     )
-    def test_a_leaning_face_is_struck_as_the_whole_model_says_in_tiny_steps(
+    def test_a_strike_on_a_leaning_face_agrees_with_the_complete_model_in_tiny_steps(
         self, arm: ArmFactory, yaw: float, pitch: float, compliance: float, stiffness: float
     ) -> None:
         parameters = WorldParameters(
@@ -153,7 +153,7 @@ class TestPeak:
             assert pressed(arm, parameters, step, 0.03).world.record.peak_force == pytest.approx(fine, rel=0.06)
 
     @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e6])
-    def test_the_slower_it_comes_the_nearer_it_is_to_what_rests(self, arm: ArmFactory, stiffness: float) -> None:
+    def test_the_peak_of_a_slow_strike_approaches_the_settled_force(self, arm: ArmFactory, stiffness: float) -> None:
         parameters = WorldParameters(
             servo=ServoParameters(friction=0.0),
             contact=ContactParameters(stiffness=stiffness),
@@ -170,7 +170,7 @@ class TestPeak:
     @pytest.mark.parametrize("servo", [2.5, 15.0])
     @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6, 1e8])
     @pytest.mark.parametrize("magnets", [0.0, 60.0])
-    def test_the_step_does_not_decide_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
+    def test_the_step_does_not_change_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
         parameters = WorldParameters(
             servo=ServoParameters(stiffness=servo),
             contact=ContactParameters(stiffness=stiffness),
@@ -179,7 +179,7 @@ class TestPeak:
         peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in STEPS]
         assert peaks[1:] == pytest.approx([peaks[0]] * 3, rel=0.15)
 
-    def test_a_snap_strikes_harder_than_it_holds(self, arm: ArmFactory) -> None:
+    def test_the_peak_of_a_snap_exceeds_its_settled_force(self, arm: ArmFactory) -> None:
         found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)))
         found.go((0.0, 0.0, 0.06))
         found.go((0.0, 0.0, 0.0775))
@@ -188,7 +188,7 @@ class TestPeak:
 
 
 class TestQuiet:
-    def test_nothing_is_struck_without_contact(self, arm: ArmFactory) -> None:
+    def test_without_contact_there_is_no_strike(self, arm: ArmFactory) -> None:
         found = arm(WorldParameters(magnets=NO_MAGNETS), 0.01)
         for _ in range(3):
             found.go((0.0, 0.0, 0.0795), 0.5)
@@ -196,11 +196,11 @@ class TestQuiet:
         assert found.world.record.contacts == 0
         assert found.world.record.peak_force == found.world.record.peak_push == 0.0
 
-    def test_nothing_is_struck_where_there_is_no_target(self) -> None:
+    def test_without_a_target_there_is_no_strike(self) -> None:
         world = thrown(0.1, 1e6, 0.005, target=TargetParameters(present=False))
         assert world.record.peak_force == 0.0
 
-    def test_what_rests_does_not_strike_and_what_is_pressed_on_gently_does_not_either(self, arm: ArmFactory) -> None:
+    def test_resting_and_gently_pressed_contacts_have_no_strike(self, arm: ArmFactory) -> None:
         found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)), 0.01)
         found.dock()
         for depth in (0.083, 0.084, 0.085, 0.084):

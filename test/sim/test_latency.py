@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Late commands and old readings."""
+"""Delayed commands and readings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STEP = 0.005
 
 
 def moving(**servo: float) -> World:
-    """A world whose servo 0 was told to turn by 0.3 rad just now."""
+    """A world whose servo 0 has just been commanded to turn by 0.3 rad."""
     world = World(WorldParameters(servo=ServoParameters(current_noise=0.0, **servo)))
     for _ in range(100):
         world.step(STEP)
@@ -25,7 +25,7 @@ def moving(**servo: float) -> World:
 
 
 @pytest.mark.parametrize("late", [0.005, 0.02, 0.1])
-def test_a_command_is_obeyed_after_its_latency_and_then_as_ever(late: float) -> None:
+def test_a_command_acts_after_its_latency_as_without_latency(late: float) -> None:
     prompt, slow = moving(), moving(command_latency=late)
     first = [prompt.mechanics.angles]
     second = [slow.mechanics.angles]
@@ -41,7 +41,7 @@ def test_a_command_is_obeyed_after_its_latency_and_then_as_ever(late: float) -> 
 
 
 @pytest.mark.parametrize("old", [0.005, 0.02, 0.1])
-def test_a_reading_is_as_old_as_it_says(old: float) -> None:
+def test_a_reading_has_its_latency(old: float) -> None:
     world = moving(reading_latency=old)
     states = [(world.mechanics.angles[0], world.mechanics.rates[0], world.mechanics.torques[0])]
     behind = round(old / STEP)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of motion: symmetry, order of convergence, energy, and that what is off is not there."""
+"""Laws of motion: symmetry, order of convergence, energy, and no effect of disabled parts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POINTS = ((0.0, 0.0, 0.07), (0.0, 0.0, 0.0865), (0.006, 0.003, 0.0865), (0.0, 0.
 
 
 def course(arm: Any, points: tuple[Vector, ...] = POINTS, seconds: float = 0.4) -> list[Vector]:
-    """Every place of the platform on its way along commands."""
+    """Every position of the platform on its way along commands."""
     places = []
     for point in points:
         arm.aim(point)
@@ -60,7 +60,7 @@ class TestSymmetry:
         around = course(arm(parameters), tuple(turned(point) for point in POINTS))
         assert apart([turned(place) for place in straight], around) < 1e-8
 
-    def test_gravity_reversed_sags_the_other_way(self, arm: ArmFactory) -> None:
+    def test_reversed_gravity_sags_in_the_opposite_direction(self, arm: ArmFactory) -> None:
         places = [
             course(arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET, gravity_y=weight)), ((0.0, 0.0, 0.06),))[-1]
             for weight in (-9.81, 9.81)
@@ -79,7 +79,7 @@ class TestConvergence:
         assert statistics.linear_regression([math.log(step) for step in steps], errors).slope > 0.95
 
     @pytest.mark.parametrize("step", [0.05, 0.1])
-    def test_long_steps_are_taken_in_halves_until_they_balance(self, arm: ArmFactory, step: float) -> None:
+    def test_long_steps_are_halved_until_they_balance(self, arm: ArmFactory, step: float) -> None:
         rough = arm(WorldParameters(), step)
         for goals in ((3.0, 3.0, 3.0), (-1.2, 1.2, 1.2), (-3.0, -3.0, 3.0), (1.2, -1.2, -1.2)):
             for index, goal in enumerate(goals):
@@ -94,7 +94,7 @@ class TestConvergence:
 
 class TestEnergy:
     @pytest.mark.parametrize("step", [0.0002, 0.001, 0.005, 0.01, 0.05])
-    def test_a_limp_arm_that_swings_gains_nothing(self, arm: ArmFactory, step: float) -> None:
+    def test_a_swinging_limp_arm_gains_no_energy(self, arm: ArmFactory, step: float) -> None:
         servo = ServoParameters(unpowered_friction=0.0, friction=0.0)
         world = WorldParameters(servo=servo, magnets=MagnetParameters(force=0.0), target=NO_TARGET, gravity_y=-4.0)
         swinging = arm(world, step)
@@ -107,10 +107,10 @@ class TestEnergy:
         lowest, gain = values[0], 0.0
         for value in values:
             gain, lowest = max(gain, value - lowest), min(lowest, value)
-        assert values[0] - values[-1] > 0.03  # it did fall
+        assert values[0] - values[-1] > 0.03  # it fell
         assert gain < 0.01 * (values[0] - values[-1])
 
-    def test_in_tiny_steps_it_loses_next_to_nothing_on_the_way_to_its_stops(self, arm: ArmFactory) -> None:
+    def test_in_tiny_steps_it_loses_almost_no_energy_on_the_way_to_its_stops(self, arm: ArmFactory) -> None:
         servo = ServoParameters(unpowered_friction=0.0, friction=0.0)
         world = WorldParameters(servo=servo, magnets=MagnetParameters(force=0.0), target=NO_TARGET, gravity_y=-4.0)
         swinging = arm(world, 0.0002)
@@ -160,17 +160,17 @@ class TestOff:
         ],
         ids=["sag", "late commands", "old readings", "lever", "compliance", "play"],
     )
-    def test_a_part_that_is_next_to_off_changes_next_to_nothing(self, arm: ArmFactory, nearly: Any) -> None:
+    def test_an_almost_disabled_part_has_almost_no_effect(self, arm: ArmFactory, nearly: Any) -> None:
         assert apart(course(arm()), course(arm(nearly))) < 2e-8
 
-    def test_what_is_off_is_not_even_made(self) -> None:
+    def test_disabled_parts_are_not_created(self) -> None:
         world = World(WorldParameters())
         assert world._late is None
         assert world.mechanics._touch.tilt is None  # type: ignore[attr-defined]
 
 
 class TestSupply:
-    def test_a_sagging_supply_takes_stall_torque(self, arm: ArmFactory) -> None:
+    def test_a_sagging_supply_reduces_stall_torque(self, arm: ArmFactory) -> None:
         weak = ServoParameters(supply_resistance=0.5, stall_sag=1.0)
         most = []
         for servo in (ServoParameters(supply_resistance=0.5), weak):
@@ -187,6 +187,6 @@ class TestSupply:
         assert most[1] == pytest.approx(expected, rel=0.02)
         assert voltage == pytest.approx(12.0 * expected / 6.0, rel=0.02)
 
-    def test_above_twelve_volts_nothing_is_gained_that_was_not_asked_for(self, arm: ArmFactory) -> None:
+    def test_more_than_twelve_volts_adds_no_torque_unless_configured(self, arm: ArmFactory) -> None:
         parameters = WorldParameters(servo=ServoParameters(supply_voltage=12.0, stall_sag=0.0, supply_resistance=0.9))
         assert apart(course(arm()), course(arm(parameters))) == 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The linkage says what the kinematics say, and how it changes."""
+"""The linkage agrees with the kinematics and its derivatives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def places(count: int) -> list[Vector]:
 
 
 @GEOMETRIES
-def test_angles_are_those_of_the_kinematics(geometry: DeltaGeometry) -> None:
+def test_angles_agree_with_the_kinematics(geometry: DeltaGeometry) -> None:
     linkage, delta = Linkage(geometry), ScalarDelta(geometry)
     for place in places(200):
         here = linkage.linearise(*place)
@@ -60,7 +60,7 @@ def test_turns_are_cosine_and_sine_of_the_true_angle(geometry: DeltaGeometry) ->
         assert (cosine, sine) == pytest.approx((math.cos(true), math.sin(true)), abs=1e-14)
 
 
-def test_at_the_edge_of_reach_everything_stays_finite_and_beyond_there_is_no_answer() -> None:
+def test_results_are_finite_at_the_edge_of_reach_and_none_beyond() -> None:
     linkage, delta = Linkage(DeltaGeometry()), ScalarDelta()
     low, high = 0.1, 0.3
     for _ in range(200):

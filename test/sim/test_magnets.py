@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The magnets' law, and what it does to the arm: snap, pull back, release."""
+"""The magnets' law, and its effects on the arm: snap, pull back, release."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def test_the_arm_snaps_in_from_three_millimetres_and_then_pulls_back(arm: ArmFac
     assert 0.0795 < command < 0.0825
 
 
-def test_stiffer_servos_hold_out_longer(arm: ArmFactory) -> None:
+def test_stiffer_servos_resist_the_snap_longer(arm: ArmFactory) -> None:
     gaps = [approach(arm(WorldParameters(servo=ServoParameters(stiffness=k))))[0] for k in (5.0, 10.0, 20.0)]
     assert gaps == sorted(gaps, reverse=True)
 
 
-def test_the_magnets_let_go_at_1_6_ampere_per_servo_and_not_before(arm: ArmFactory) -> None:
+def test_the_magnets_release_at_1_6_ampere_per_servo_and_not_before(arm: ArmFactory) -> None:
     pulling = arm()
     pulling.dock()
     strongest, command = 0.0, 0.0865
@@ -77,14 +77,14 @@ def test_the_magnets_let_go_at_1_6_ampere_per_servo_and_not_before(arm: ArmFacto
     assert pulling.world.mechanics.gap > 0.005
 
 
-def test_the_push_bound_cannot_tear_it_off(arm: ArmFactory) -> None:
+def test_the_push_bound_is_too_low_to_release_the_magnets(arm: ArmFactory) -> None:
     bounded = arm()
     bounded.dock()
     bounded.go((0.0, 0.0, 0.03), 2.0, bound=0.83)
     assert bounded.world.mechanics.contact_force > 0.0
 
 
-def test_a_target_far_to_the_side_pulls_with_a_fifth(arm: ArmFactory) -> None:
+def test_a_target_with_a_large_offset_pulls_with_a_fifth(arm: ArmFactory) -> None:
     aside = arm()
     aside.go((0.05, 0.0, 0.07))
     aside.go((0.05, 0.0, 0.086))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the mechanics: statics, limits, friction, energy, and that the step decides nothing at rest."""
+"""Laws of the mechanics: statics, limits, friction, energy, and a settled state independent of the step."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class TestStatics:
         assert world.mechanics.angles == pytest.approx([math.radians(-41.55)] * 3, abs=2e-4)
         for _ in range(200):
             world.step()
-        assert size(world.mechanics.position) < 5e-4  # the gears' own friction carries it
+        assert size(world.mechanics.position) < 5e-4  # the gears' friction carries it
         assert world.mechanics.torques == (0.0, 0.0, 0.0)
 
-    def test_without_power_it_sinks_onto_the_friction_of_its_gears_and_does_not_fall(self, arm: ArmFactory) -> None:
+    def test_without_power_its_gears_friction_keeps_it_from_falling(self, arm: ArmFactory) -> None:
         weak = arm(WorldParameters(servo=ServoParameters(unpowered_friction=0.1), target=NO_TARGET))
         weak.go((0.0, 0.0, 0.05))
         weak.release()
@@ -49,7 +49,7 @@ class TestStatics:
         assert size(weak.world.mechanics.velocity) < 1e-3
 
     @pytest.mark.parametrize("point", [(0.0, 0.0, 0.02), (0.0, 0.0, 0.08), (0.04, -0.03, 0.06), (-0.05, 0.05, 0.1)])
-    def test_at_rest_the_servos_carry_the_weight_and_nothing_else(self, arm: ArmFactory, point: Any) -> None:
+    def test_at_rest_the_servos_carry_only_the_weight(self, arm: ArmFactory, point: Any) -> None:
         still = arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET))
         still.go(point, 2.0)
         mechanics = still.world.mechanics
@@ -58,7 +58,7 @@ class TestStatics:
         assert mechanics.torques == pytest.approx(expected, abs=1e-5)
 
     @pytest.mark.parametrize(("stiffness", "sag"), [(2.5, 23.0), (10.0, 5.9), (15.0, 4.0), (20.0, 3.0)])
-    def test_sag_at_the_dock_is_inverse_to_the_stiffness(self, arm: ArmFactory, stiffness: float, sag: float) -> None:
+    def test_sag_at_the_dock_falls_as_one_over_stiffness(self, arm: ArmFactory, stiffness: float, sag: float) -> None:
         hanging = arm(WorldParameters(servo=ServoParameters(friction=0.0, stiffness=stiffness), target=NO_TARGET))
         hanging.go((0.0, 0.0, 0.08), 2.0, lead=False)
         assert -1000.0 * hanging.world.mechanics.position[1] == pytest.approx(sag, abs=0.1)
@@ -67,7 +67,7 @@ class TestStatics:
         pressing = arm(
             WorldParameters(servo=SLIPPERY, magnets=NO_MAGNETS, contact=ContactParameters(stiffness=1e9), gravity_y=0.0)
         )
-        pressing.go((0.0, 0.0, 0.08 + 20.0 / 3435.0), 2.0)  # 3435 N/m is what 15 N·m/rad are along z
+        pressing.go((0.0, 0.0, 0.08 + 20.0 / 3435.0), 2.0)  # 15 N·m/rad are 3435 N/m along z
         mechanics = pressing.world.mechanics
         assert mechanics.contact_force == pytest.approx(20.0, rel=0.03)
         for torque in mechanics.torques:
@@ -83,7 +83,7 @@ class TestStatics:
         pressing.go((0.0, 0.0, 0.086), rest)
         assert pressing.contact_current - before == pytest.approx(0.030 * stiffness, rel=0.05)
 
-    def test_friction_hides_a_few_newtons_and_not_more(self, arm: ArmFactory) -> None:
+    def test_friction_hides_only_a_few_newtons(self, arm: ArmFactory) -> None:
         forces = []
         for start in (0.0855, 0.0885):  # the same command reached from below and from above
             rubbing = arm(WorldParameters(magnets=NO_MAGNETS))
@@ -125,7 +125,7 @@ class TestLimits:
                 assert geometry.joint_min - 0.01 < angle < geometry.joint_max + 0.01
 
     @pytest.mark.parametrize("step", [0.001, 0.005, 0.02, 0.1])
-    def test_whatever_is_commanded_the_state_stays_finite(self, arm: ArmFactory, step: float) -> None:
+    def test_the_state_stays_finite_for_any_command(self, arm: ArmFactory, step: float) -> None:
         draw = random.Random(3)
         for _ in range(3):
             world = arm().world
@@ -139,7 +139,7 @@ class TestLimits:
                     numbers = (*state.position, *state.velocity, *state.torques, state.contact_force)
                     assert all(map(math.isfinite, numbers))
 
-    def test_a_goal_that_is_not_a_number_changes_nothing(self, arm: ArmFactory) -> None:
+    def test_a_nan_goal_changes_nothing(self, arm: ArmFactory) -> None:
         still = arm()
         still.go((0.0, 0.0, 0.05))
         before = still.world.mechanics.position
@@ -158,7 +158,7 @@ class TestContact:
         pressing.go((0.0, 0.0, 0.07), 0.8)
         pressing.go((0.0, 0.0, 0.086), 1.2)
         world = pressing.world
-        # Springs against magnets and electrodes by bisection: no integrator has a part in it.
+        # Balance of springs, magnets and electrodes by bisection, without an integrator.
         goal = pressing.delta.inverse(0.0, 0.0, 0.086)[0]
         low, high = 0.080, 0.105
         for _ in range(100):
@@ -170,14 +170,14 @@ class TestContact:
         assert size(world.mechanics.velocity) < 1e-6
 
     @pytest.mark.parametrize("offset", [0.0, 0.004, 0.008])
-    def test_the_force_is_what_servos_and_magnets_press_together(self, arm: ArmFactory, offset: float) -> None:
+    def test_the_force_is_the_sum_of_servos_and_magnets(self, arm: ArmFactory, offset: float) -> None:
         pressing = arm(WorldParameters(target=TargetParameters(x=offset)))
         pressing.go((0.0, 0.0, 0.07))
         pressing.go((0.0, 0.0, 0.0865))
         world, mechanics = pressing.world, pressing.world.mechanics
         assert world.push() == pytest.approx(mechanics.contact_force - 60.0 / (1.0 + (offset / 0.008) ** 2), abs=0.2)
         assert world.snapshot().push == world.push()
-        # The servos' own account of it differs by the friction of their gears, 1 to 2 N here.
+        # The servos' currents differ from it by the friction of their gears, 1 to 2 N here.
         by_current = pressing.contact_current * 38.4
         assert by_current == pytest.approx(world.push(), abs=2.0)
 
@@ -192,7 +192,7 @@ class TestContact:
         soft.dock(0.010)
         assert 0.002 < -soft.world.mechanics.gap < 0.0022
 
-    def test_lateral_force_stays_in_the_friction_cone_and_then_slides(self, arm: ArmFactory) -> None:
+    def test_lateral_force_stays_in_the_friction_cone(self, arm: ArmFactory) -> None:
         still = arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0))
         still.dock()
         mechanics, rest = still.world.mechanics, still.world.mechanics.position
@@ -204,7 +204,7 @@ class TestContact:
             assert lateral <= 0.3 * mechanics.contact_force + 0.01
             moved = mechanics.position[0] - rest[0]
             if lateral < 0.28 * mechanics.contact_force:
-                assert moved < 2e-4  # it sticks: only the bristles give
+                assert moved < 2e-4  # it sticks: only the bristles yield
             slid = slid or moved > 1e-3
         assert slid
 
@@ -233,7 +233,7 @@ class TestEnergy:
             falling.world.step(step)
             energies.append(energy(falling))
         scale = max(energies) - min(energies)
-        assert scale > 0.01  # it did fall
+        assert scale > 0.01  # it fell
         for before, after in itertools.pairwise(energies):
             assert after <= before + 0.02 * scale
         assert energies[-1] == min(energies) or energies[-1] < energies[0] - 0.5 * scale

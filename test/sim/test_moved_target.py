@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A target that moves under the electrodes drags the platform by friction, and slides where that is not enough."""
+"""A target that moves under the electrodes drags the platform by friction, and slides if friction is too low."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAR = (0.004, -0.003)
 
 
 def moved(arm: ArmFactory, friction: float, step: float = 0.005, roll: float = 0.0) -> tuple[Any, Any]:
-    """Return a docked arm and where its platform was before the target moved by `FAR` in 0.2 s, a second ago."""
+    """Return a docked arm and its platform's position before the target moved by `FAR` in 0.2 s, a second ago."""
     docked = arm(WorldParameters(contact=ContactParameters(friction=friction)), step)
     docked.dock()
     docked.run(0.5)
@@ -29,7 +29,7 @@ def moved(arm: ArmFactory, friction: float, step: float = 0.005, roll: float = 0
 
 
 @pytest.mark.parametrize("step", [0.002, 0.005, 0.01])
-def test_friction_that_holds_takes_the_platform_along(arm: ArmFactory, step: float) -> None:
+def test_sufficient_friction_drags_the_platform(arm: ArmFactory, step: float) -> None:
     world, before = moved(arm, 1.0, step)
     after = world.mechanics.position
     for axis in (0, 1):
@@ -38,7 +38,7 @@ def test_friction_that_holds_takes_the_platform_along(arm: ArmFactory, step: flo
 
 
 @pytest.mark.parametrize("step", [0.002, 0.005, 0.01])
-def test_friction_that_gives_way_lets_the_target_slide(arm: ArmFactory, step: float) -> None:
+def test_insufficient_friction_lets_the_target_slide(arm: ArmFactory, step: float) -> None:
     world, before = moved(arm, 0.02, step)
     after, lies = world.mechanics.position, world.misalignment
     came = after[0] - before[0], after[1] - before[1]
@@ -49,7 +49,7 @@ def test_friction_that_gives_way_lets_the_target_slide(arm: ArmFactory, step: fl
     assert pulled[0] * FAR[0] > 0.0 > -pulled[1] * FAR[1]
 
 
-def test_it_goes_steadily_and_only_as_far_as_it_was_told(arm: ArmFactory) -> None:
+def test_the_target_moves_at_constant_speed_and_only_by_the_given_distance(arm: ArmFactory) -> None:
     docked = arm()
     docked.dock()
     target, world = docked.world.parameters.target, docked.world
@@ -66,7 +66,7 @@ def test_it_goes_steadily_and_only_as_far_as_it_was_told(arm: ArmFactory) -> Non
     assert world.mechanics.position == pytest.approx(place, abs=1e-6)
 
 
-def test_a_turn_alone_is_seen_by_the_circuit_of_an_arm_at_rest(arm: ArmFactory) -> None:
+def test_a_pure_rotation_affects_the_circuit_of_an_arm_at_rest(arm: ArmFactory) -> None:
     charging = arm()
     charging.charge(2.0)
     assert charging.world.mechanics.still
@@ -77,7 +77,7 @@ def test_a_turn_alone_is_seen_by_the_circuit_of_an_arm_at_rest(arm: ArmFactory) 
     assert charging.world.record.energised_shorts == 1
 
 
-def test_in_the_air_nothing_is_dragged(arm: ArmFactory) -> None:
+def test_without_contact_nothing_is_dragged(arm: ArmFactory) -> None:
     away = arm()
     away.go((0.0, 0.0, 0.06))
     before = away.world.mechanics.position
@@ -87,7 +87,7 @@ def test_in_the_air_nothing_is_dragged(arm: ArmFactory) -> None:
     assert away.world.parameters.target.x == pytest.approx(0.004)
 
 
-def test_a_model_whose_target_stands_says_so() -> None:
+def test_a_model_with_a_fixed_target_refuses_moves() -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed (extra sim)")
-    with pytest.raises(TargetFixed, match="MujocoMechanics; use a World of the light model"):
+    with pytest.raises(TargetFixed, match="MujocoMechanics moves the arm: use a World of the light model"):
         mujoco_world(WorldParameters()).move_target(0.001, 0.0, 0.0, 0.2)

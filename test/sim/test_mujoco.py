@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The light model against MuJoCo on the same parameters: statics, settled contact, path; what the reference refuses."""
+"""The light model against MuJoCo with equal parameters: statics, settled contact, path; unsupported parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WEIGHTLESS = {"servo": SLIPPERY, "gravity_y": 0.0}
 
 @pytest.fixture
 def pair(arm: ArmFactory) -> Callable[..., tuple[Any, Any]]:
-    """Return the light arm and the same moved by MuJoCo, both commanded every 5 ms."""
+    """Return the light arm and its MuJoCo counterpart, both commanded every 5 ms."""
     pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
 
     def make(parameters: WorldParameters, step: float = 0.001) -> tuple[Any, Any]:
@@ -42,7 +42,7 @@ def pair(arm: ArmFactory) -> Callable[..., tuple[Any, Any]]:
 
 
 @pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (0.0, -8.5, -4.9), (5.0, 0.0, 3.0)])
-def test_both_sag_alike(pair: Any, gravity: tuple[float, float, float]) -> None:
+def test_both_sag_equally(pair: Any, gravity: tuple[float, float, float]) -> None:
     x, y, z = gravity
     parameters = WorldParameters(
         servo=SLIPPERY, target=TargetParameters(present=False), gravity_x=x, gravity_y=y, gravity_z=z
@@ -85,8 +85,8 @@ def test_both_dock_along_the_same_path(pair: Any) -> None:
     assert light.world.record.contacts == other.world.record.contacts == 1
 
 
-def test_both_move_alike_in_fast_motion(pair: Any) -> None:
-    """The rotors' inertia follows the arms' curved way: a model that forgets half of that is 6 mm off here."""
+def test_both_agree_in_fast_motion(pair: Any) -> None:
+    """The rotors' inertia follows the arms' curved path: a model without half of that is 6 mm off here."""
     servo = ServoParameters(friction=0.0, inertia=0.02)
     light, other = pair(WorldParameters(servo=servo, target=TargetParameters(present=False)), 0.0002)
     light.step = other.step = 0.0002
@@ -118,7 +118,7 @@ def test_a_calibrated_geometry_is_the_same_arm_in_both(pair: Any) -> None:
     assert worlds[1].mechanics.position == pytest.approx(worlds[0].mechanics.position, abs=2e-6)
 
 
-def test_the_hard_stop_and_the_bound_hold_in_both(pair: Any) -> None:
+def test_hard_stop_and_current_bound_hold_in_both(pair: Any) -> None:
     arms = pair(WorldParameters(contact=ContactParameters(stiffness=1e3), **WEIGHTLESS))
     for each in arms:
         each.dock(0.010)
@@ -136,7 +136,7 @@ def test_the_hard_stop_and_the_bound_hold_in_both(pair: Any) -> None:
         (WorldParameters(servo=ServoParameters(stall_sag=0.5)), "servo.stall_sag"),
     ],
 )
-def test_what_the_reference_does_not_have_is_refused_by_key(parameters: WorldParameters, key: str) -> None:
+def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: WorldParameters, key: str) -> None:
     with pytest.raises(ParameterError) as caught:
         mujoco_model.refuse(parameters)
     assert caught.value.key == key
@@ -150,7 +150,7 @@ def test_an_unknown_integrator_and_a_start_out_of_reach_are_refused() -> None:
         MujocoMechanics(WorldParameters(magnets=MagnetParameters(force=0.0)), DeltaGeometry(), (0.0, 0.0, 1.0))
 
 
-def test_without_mujoco_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ModuleNotFoundError, match=r"deltacharger\[sim\]"):
         mujoco_world(WorldParameters())

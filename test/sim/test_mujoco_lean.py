@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A leaning contact: MuJoCo and the light model against statics, and against each other on their way there."""
+"""A leaning contact: MuJoCo and the light model against statics, and against each other in motion."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def statics(parameters: WorldParameters) -> tuple[float, float, float]:
         return push + pull(parameters.magnets, -depth, 0.0)
 
     def tilted(depth: float) -> np.ndarray:
-        most = 0.048 * borne(depth)  # N·m of one pad that bears all
+        most = 0.048 * borne(depth)  # N·m of one pad that bears the total force
 
         def energy(scaled: np.ndarray) -> float:
             tilt = 0.01 * scaled
@@ -110,13 +110,13 @@ def statics(parameters: WorldParameters) -> tuple[float, float, float]:
         (0.03, -3.0, 5.0, 1e6),
     ],
 )
-def test_force_and_tilt_at_rest_are_those_of_statics(
+def test_force_and_tilt_at_rest_agree_with_statics(
     arm: ArmFactory, mujoco: bool, compliance: float, pitch: float, yaw: float, stiffness: float
 ) -> None:
     parameters = leaning(compliance, pitch, yaw, stiffness, servo=ServoParameters(friction=0.0), gravity_y=0.0)
     force, alpha, beta = statics(parameters)
     found = settled(arm, parameters, mujoco)
-    # The statics' angles are small ones, MuJoCo's are not.
+    # The statics assume small angles, MuJoCo does not.
     assert found.contact_force == pytest.approx(force, rel=0.005 if abs(yaw) < 5.0 else 0.012)
     assert found.peak_force >= found.contact_force
     assert found.tilt == pytest.approx((alpha, beta), rel=0.01 if abs(yaw) < 5.0 else 0.02, abs=2e-5)
@@ -124,7 +124,7 @@ def test_force_and_tilt_at_rest_are_those_of_statics(
     assert found.lean.residual == pytest.approx(residual, rel=0.02, abs=3e-5)
     assert found.lean.free == pytest.approx((-math.radians(pitch), -math.radians(yaw)))
     assert found.bars.upper + found.bars.lower == pytest.approx(found.contact_force)
-    if compliance > 0.0:  # what turns the platform about x is the difference of what the bars bear
+    if compliance > 0.0:  # the difference of the bars' forces turns the platform about x
         assert found.bars.lower - found.bars.upper == pytest.approx(alpha / compliance / 0.0087, rel=0.02, abs=0.1)
 
 
@@ -132,7 +132,7 @@ def test_force_and_tilt_at_rest_are_those_of_statics(
 @pytest.mark.parametrize(
     "lean", [(3.0, 0.0, 1e6), (-2.0, 4.0, 1e5), (0.0, 5.0, 3e4), (2.0, 0.0, 1e5, 12.0), (-2.0, 1.0, 3e4, -8.0)]
 )
-def test_both_give_each_bar_the_same(arm: ArmFactory, compliance: float, lean: tuple[float, ...]) -> None:
+def test_both_give_equal_forces_on_each_bar(arm: ArmFactory, compliance: float, lean: tuple[float, ...]) -> None:
     parameters = leaning(compliance, *lean, servo=ServoParameters(friction=0.0), gravity_y=0.0)
     light, other = (settled(arm, parameters, mujoco) for mujoco in (False, True))
     assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)
@@ -141,7 +141,7 @@ def test_both_give_each_bar_the_same(arm: ArmFactory, compliance: float, lean: t
     assert other.lean.residual == pytest.approx(light.lean.residual, rel=0.02, abs=2e-4)
 
 
-def test_both_dock_alike_with_friction_weight_and_a_lever(arm: ArmFactory) -> None:
+def test_both_agree_in_docking_with_friction_weight_and_a_lever(arm: ArmFactory) -> None:
     pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
     parameters = replace(leaning(0.02, -1.0, 2.0), platform=PlatformParameters(compliance=0.02, lever=0.02))
     light, other = arm(parameters), arm(parameters)
@@ -152,10 +152,10 @@ def test_both_dock_alike_with_friction_weight_and_a_lever(arm: ArmFactory) -> No
             each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
             each.run(0.05)
         squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
-    # While the face swings aside by 0.7 mm, friction grows with the force: whether it holds it is decided on the way.
+    # While the face swings aside by 0.7 mm, friction grows with the force: the motion decides whether it holds.
     assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1.6e-4
     first, second = light.world.mechanics, other.world.mechanics
-    # Friction holds the face while it swings aside by lever · tilt, so that the platform goes the other way.
+    # Friction holds the face while it swings aside by lever · tilt, so that the platform moves the other way.
     assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
     assert first.position[0] == pytest.approx(second.position[0], abs=1.6e-4)
     assert first.tilt == pytest.approx(second.tilt, rel=0.05)
@@ -170,7 +170,7 @@ def test_the_stop_holds_an_end_that_is_pressed_beyond_its_travel(arm: ArmFactory
 
 
 @pytest.mark.parametrize("count", [1, 16])
-def test_constraints_in_parallel_are_as_stiff_and_as_firm_as_one(count: int) -> None:
+def test_constraints_in_parallel_are_as_stiff_and_as_hard_as_one(count: int) -> None:
     inverse, d = 2.0, share_impedance(count)
     s, b = share(1e5, inverse, count)
     assert count * -s / ((1.0 - d) * inverse) == pytest.approx(1e5)
@@ -178,7 +178,7 @@ def test_constraints_in_parallel_are_as_stiff_and_as_firm_as_one(count: int) -> 
     assert count * b / (1.0 - d) == pytest.approx(share(1e5, inverse, 1)[1] / (1.0 - IMPEDANCE))
 
 
-def test_what_is_level_has_the_model_of_two_spheres() -> None:
+def test_a_level_contact_uses_the_model_of_two_spheres() -> None:
     pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
     integrator = mujoco_model.integrators()[0]
     level = mujoco_model.build(WorldParameters(), DeltaGeometry(), 1e-3, integrator)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every parameter of the world refuses what it cannot be, by name."""
+"""Every parameter of the world refuses invalid values, by name."""
 
 from __future__ import annotations
 

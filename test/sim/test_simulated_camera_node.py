@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""simulated_camera_node on the topics of a real camera: what is in its pictures, and what it leaves out."""
+"""simulated_camera_node on the topics of a real camera: contents of its pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.ros
 
 
 class Viewer(Node):
-    """Keeps the newest image of each topic that it subscribes to."""
+    """Keeps the newest image of each subscribed topic."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("viewer", **options(context, namespace))
@@ -55,15 +55,13 @@ def camera(context: Any, namespace: str, spin: Spin) -> Callable[..., SimulatedC
 
 
 def arm_at(viewer: Viewer, position: tuple[float, float, float]) -> None:
-    """Tell, again and again, that the platform stands at `position`."""
+    """Publish repeatedly that the platform is at `position`."""
     publisher = viewer.create_publisher(ServoState, "servo_state", QoSProfile(depth=1))
     angles = list(ScalarDelta().inverse(*position))
     viewer.create_timer(0.01, lambda: publisher.publish(ServoState(position=angles)))
 
 
-def test_a_picture_comes_with_its_depth_and_calibration(
-    camera: Callable[..., SimulatedCameraNode], viewer: Viewer
-) -> None:
+def test_a_picture_has_depth_and_calibration(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
     camera(target_z=0.1)
     viewer.watch("color/image_raw", "depth/image_raw", "color/camera_info")
     wait_until(lambda: all(viewer.seen.values()), "one message of each topic")
@@ -84,7 +82,7 @@ def stamp(message: Image) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
-def test_who_wants_colour_alone_gets_no_depth(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+def test_depth_is_published_to_subscribers_only(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
     node = camera()
     viewer.watch("color/image_raw")
     viewer.color()
@@ -92,7 +90,7 @@ def test_who_wants_colour_alone_gets_no_depth(camera: Callable[..., SimulatedCam
     assert viewer.seen["depth/image_raw"] == []
 
 
-def test_the_platform_is_in_the_picture_where_the_servos_say(
+def test_the_platform_is_drawn_at_the_servos_position(
     camera: Callable[..., SimulatedCameraNode], viewer: Viewer
 ) -> None:
     camera(seed=3)
@@ -104,7 +102,7 @@ def test_the_platform_is_in_the_picture_where_the_servos_say(
     )
 
 
-def test_a_board_on_the_platform_is_seen(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+def test_a_board_on_the_platform_is_visible(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     arm_at(viewer, (0.0, 0.0, 0.03))
     camera(board="apriltag:36h11:7", board_size=0.03)
@@ -118,7 +116,7 @@ def test_a_board_on_the_platform_is_seen(camera: Callable[..., SimulatedCameraNo
     wait_until(found, "the tag in the picture")
 
 
-def test_the_other_renderer_shows_the_same(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+def test_the_other_renderer_shows_the_same_scene(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
     try:
         camera(renderer="mujoco", seed=4)
     except StartupError as error:
@@ -141,7 +139,7 @@ def test_the_other_renderer_shows_the_same(camera: Callable[..., SimulatedCamera
         ({"target_zz": 1.0}, "did you mean"),
     ],
 )
-def test_what_cannot_be_right_stops_it_at_start(
+def test_invalid_parameters_stop_it_at_the_start(
     context: Any, namespace: str, values: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(StartupError, match=words):

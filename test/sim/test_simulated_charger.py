@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated hardware: two ports that answer like the robot's, in this process or in one of its own."""
+"""The simulated hardware: two ports that answer like the robot's, in this process or in a separate one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def ping(servo: int) -> bytes:
 
 
 def answer(port: str, servo: int) -> bytes:
-    """Return the reply to a ping, 14 bytes, empty where none comes within 0.2 s."""
+    """Return the reply to a ping, 14 bytes; empty if there is none within 0.2 s."""
     with serial.Serial(port, 1_000_000, timeout=0.2) as line:
         line.write(ping(servo))
         return bytes(line.read(14))
@@ -72,7 +72,7 @@ def test_without_a_directory_it_makes_and_removes_its_own() -> None:
     assert not folder.exists()
 
 
-def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:
+def test_a_scenes_faults_begin_and_end_on_schedule(tmp_path: Path) -> None:
     faults = [{"kind": "servo_missing", "servo": 2, "last": 0.5}]
     with SimulatedCharger(simulated(faults=faults), tmp_path) as charger:
         wait_until(lambda: not answer(charger.servo_port, 2), "servo 2 without supply")
@@ -80,7 +80,7 @@ def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:
         wait_until(lambda: answer(charger.servo_port, 2), "servo 2 back")
 
 
-def test_a_fault_that_fails_is_told_and_the_others_come(
+def test_a_failing_fault_is_logged_and_the_others_occur(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(hardware: Hardware, order: FaultOrder) -> None:
@@ -96,7 +96,7 @@ def test_a_fault_that_fails_is_told_and_the_others_come(
     assert "no such cable" in caplog.text
 
 
-def test_an_unplugged_port_disappears_and_comes_back(tmp_path: Path) -> None:
+def test_an_unplugged_port_disappears_and_returns(tmp_path: Path) -> None:
     faults = [{"kind": "servo_unplugged", "last": 0.3}]
     with SimulatedCharger(simulated(faults=faults), tmp_path) as charger:
         path = Path(charger.servo_port)
@@ -115,7 +115,7 @@ def test_it_waits_until_its_hosts_are_quiet(tmp_path: Path) -> None:
         assert not charger.wait_until_quiet(5.0, 5.0, hurry)
 
 
-def test_it_says_when_its_board_last_heard_something(tmp_path: Path) -> None:
+def test_it_reports_when_its_board_last_received_a_byte(tmp_path: Path) -> None:
     charger = SimulatedCharger(simulated(), tmp_path)
     assert charger.board_heard == -math.inf
     with charger:
@@ -131,7 +131,7 @@ def test_it_says_when_its_board_last_heard_something(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])
-def test_as_a_process_it_says_ready_and_ends_cleanly(
+def test_as_a_process_it_prints_ready_and_ends_cleanly(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, number: int, code: int
 ) -> None:
     ports, record = tmp_path / "ports", tmp_path / "record.json"
@@ -153,6 +153,6 @@ def test_with_json_its_ports_are_one_object(
     assert json.loads("\n".join(process.out))["servo"] == str(tmp_path / "servo")
 
 
-def test_it_does_without_ros() -> None:
+def test_it_needs_no_ros() -> None:
     program = "import sys; import deltacharger_bringup.cli.simulate; sys.exit('rclpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A platform that yields to an off-centre or tilted contact: closed forms, limits, what it changes."""
+"""A platform that yields to an off-centre or tilted contact: closed forms, limits, effects."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def tilting(
     return tilt
 
 
-def test_a_rigid_platform_on_a_straight_target_needs_none_of_this() -> None:
+def test_a_rigid_platform_on_a_level_target_uses_no_tilt_model() -> None:
     assert not tilts(WorldParameters())
     assert tilts(WorldParameters(platform=PlatformParameters(compliance=SOFT)))
     assert tilts(WorldParameters(target=TargetParameters(tilt_y=0.01)))
 
 
-def test_a_centred_contact_presses_flat_and_as_hard_as_without() -> None:
+def test_a_centred_contact_is_level_and_has_the_force_of_a_rigid_platform() -> None:
     tilt = tilting()
     force, stiffness = tilt.press(4e-4)
     assert (force, stiffness) == pytest.approx((80.0, 2e5))
@@ -62,7 +62,7 @@ def test_an_off_centre_contact_tilts_by_compliance_times_moment() -> None:
     for x, y in ((0.006, 0.0), (0.0, -0.004), (0.006, -0.004)):
         tilt = tilting(at=(x, y))
         force, _ = tilt.press(4e-4)
-        # The springs meet the target half way between the centres; their own stiffness against turning adds c Σ k v².
+        # The springs act half way between the centres; their own rotational stiffness adds c Σ k v².
         terminal = WorldParameters().terminal
         around_x = 2e5 * (0.5 * (terminal.gap + terminal.height)) ** 2
         around_y = 2e5 * (terminal.length - abs(x)) ** 2 / 12.0 + PADS
@@ -84,8 +84,8 @@ def test_the_stiffness_is_the_slope_of_the_force(place: tuple[float, float], slo
 def test_a_tilted_target_is_touched_at_its_nearer_edge_first() -> None:
     tilt = tilting(compliance=0.0, tilt_y=0.02)
     assert tilt.press(-1e-3)[0] == 0.0
-    force, _ = tilt.press(-2e-4)  # the centre is still 0.2 mm away
-    # A triangle of pressure from the nearer end to where it lifts, 10 mm from the middle.
+    force, _ = tilt.press(-2e-4)  # the centre is 0.2 mm away
+    # A triangle of pressure from the nearer end to the lifting point, 10 mm from the middle.
     pressed = 0.035 - 0.01
     assert force == pytest.approx(2e5 / 0.07 * 0.02 * pressed**2 / 2.0)
     bars = tilt.keep()[1]
@@ -95,14 +95,14 @@ def test_a_tilted_target_is_touched_at_its_nearer_edge_first() -> None:
 
 
 def bed(tilt: PlatformTilt, depth: float, at: tuple[float, float], angles: np.ndarray) -> np.ndarray:
-    """Return Σ N, Σ u N less the pads' moment, and Σ v N of 20 000 springs along each bar, by where each of them is."""
+    """Return Σ N, Σ u N less the pads' moment, and Σ v N of 20 000 springs along each bar, from their positions."""
     x, y = at
     tilt_x, tilt_y = tilt._target
     along = 0.5 * x + (0.07 - abs(x)) * ((np.arange(20000) + 0.5) / 20000 - 0.5)
     found = np.zeros(3)
     for v in (0.5 * y + 0.0087, 0.5 * y - 0.0087):
         own = depth + angles[0] * v - angles[1] * along
-        pressed = own - (tilt_x * (v - y) - tilt_y * (along - x))  # of the target's face, which leans about its centre
+        pressed = own - (tilt_x * (v - y) - tilt_y * (along - x))  # of the target's face, tilted about its centre
         forces = tilt._stiffness * np.maximum(pressed, 0.0) + tilt._stop * np.maximum(pressed - 0.002, 0.0)
         found += np.mean(forces) * np.array([1.0, 0.0, v]) + np.array([0.0, np.mean(forces * along), 0.0])
     most = 0.048 * found[0]
@@ -112,20 +112,20 @@ def bed(tilt: PlatformTilt, depth: float, at: tuple[float, float], angles: np.nd
 @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7, 1e9])
 @pytest.mark.parametrize("compliance", [0.0, 1e-5, 0.01, 0.1])
 @pytest.mark.parametrize("slope", [(0.0, 0.1), (0.1, 0.0), (-0.03, 0.06), (0.002, -0.001)])
-def test_force_and_tilt_are_those_of_a_bed_of_springs_and_two_pads(
+def test_force_and_tilt_agree_with_a_bed_of_springs_and_two_pads(
     stiffness: float, compliance: float, slope: tuple[float, float]
 ) -> None:
     from scipy.optimize import root_scalar
 
     if stiffness == 1e9 and compliance == 0.1 and slope == (0.0, 0.1):
-        pytest.skip("one pad bears all on faces a thousand times too stiff: two places of rest, or none is found")
+        pytest.skip("one pad bears everything on faces a thousand times too stiff: two equilibria, or none is found")
     at = (0.006, -0.002)
     tilt = tilting(compliance, at, stiffness, tilt_x=slope[0], tilt_y=slope[1])
     depth = root_scalar(lambda d: tilt.press(d)[0] - 80.0, bracket=(-0.01, 0.2), xtol=1e-16, rtol=1e-14).root
     force, _ = tilt.press(depth)
     assert force == pytest.approx(80.0, rel=1e-3)
     angles = np.array(tilt.angles)
-    # Moments and compliance are in balance in only one place: it must be here.
+    # Moments and compliance balance at only one point: it must be this one.
     total, about_y, about_x = bed(tilt, depth, at, angles)
     assert total == pytest.approx(force, rel=0.005)
     if compliance > 0.0:
@@ -137,11 +137,11 @@ def test_force_and_tilt_are_those_of_a_bed_of_springs_and_two_pads(
         assert angles[0] == pytest.approx(-compliance * arm, rel=0.005, abs=1e-9)
 
 
-def test_the_solution_does_not_hang_on_where_it_is_looked_for() -> None:
+def test_the_solution_does_not_depend_on_the_starting_point() -> None:
     random = np.random.default_rng(3)
     for _ in range(200):
         slope = random.uniform(-0.1, 0.1, 2)
-        # Beyond, one pad's moment can hold faces together that without it would stay apart: two places of rest.
+        # Beyond, one pad's moment can hold faces together that would part without it: two equilibria.
         stiffness, compliance = 10.0 ** random.uniform(3, 6.5), 10.0 ** random.uniform(-4, -1)
         tilt = tilting(compliance, tuple(random.uniform(-0.01, 0.01, 2)), stiffness, tilt_x=slope[0], tilt_y=slope[1])
         depth = random.uniform(-0.002, 0.001)
@@ -151,24 +151,24 @@ def test_the_solution_does_not_hang_on_where_it_is_looked_for() -> None:
             found.append((*tilt.press(depth), *tilt.angles))
         for other in found[1:]:
             assert other[0] == pytest.approx(found[0][0], rel=1e-4)
-            assert other[1] == pytest.approx(found[0][1], rel=0.05)  # a tangent, which only leads the iteration
+            assert other[1] == pytest.approx(found[0][1], rel=0.05)  # a tangent, which only guides the iteration
             assert other[2:] == pytest.approx(found[0][2:], rel=1e-4, abs=3e-7)
 
 
-def test_little_compliance_is_nearly_none() -> None:
+def test_little_compliance_has_almost_no_effect() -> None:
     rigid = tilting(0.0, (0.004, 0.0), tilt_x=0.01, tilt_y=0.03)
     for compliance in (1e-5, 1e-7, 1e-9):
         nearly = tilting(compliance, (0.004, 0.0), tilt_x=0.01, tilt_y=0.03)
         for depth in (-2e-4, 4e-4, 2.5e-3):
-            off = (2e5 * 0.07**2 + PADS) * compliance  # how much less stiff against turning, at most
+            off = (2e5 * 0.07**2 + PADS) * compliance  # largest loss of rotational stiffness
             assert nearly.press(depth)[0] == pytest.approx(rigid.press(depth)[0], rel=off)
 
 
 @pytest.mark.parametrize("compliance", [0.001, 0.1])
-def test_a_platform_follows_a_tilted_target_by_what_its_springs_can(compliance: float) -> None:
+def test_a_platform_follows_a_tilted_target_as_far_as_its_springs_permit(compliance: float) -> None:
     tilt = tilting(compliance, tilt_x=0.004, tilt_y=-0.003)
     tilt.press(4e-4)
-    # Contact and compliance are two springs in a row: φ = c K t / (1 + c K), K what the contact resists turning with.
+    # Contact and compliance are springs in series: φ = c K t / (1 + c K), K the contact's rotational stiffness.
     resists = 2e5 * 0.0087**2, 2e5 * 0.07**2 / 12.0 + PADS
     for angle, slope, turn in zip(tilt.angles, (0.004, -0.003), resists, strict=True):
         stiff = compliance * turn
@@ -194,12 +194,12 @@ def test_tilt_moves_the_terminals_and_so_the_clearance_unless_friction_holds_the
     (rigid, none), (soft, angles) = results
     assert none == (0.0, 0.0)
     assert angles[0] < 0.0
-    # Held by friction, the face stays and the platform swings the other way.
+    # If friction holds the face, the platform swings the other way.
     swung = -0.05 * angles[0]
     assert soft - rigid == pytest.approx(swung if friction == 0.0 else 0.0, abs=0.25 * swung)
 
 
-def test_beyond_an_empty_pad_the_other_turns_the_platform_by_all_the_force() -> None:
+def test_once_one_pad_is_empty_the_other_turns_the_platform_with_the_total_force() -> None:
     for tilt_y in (0.06, -0.06):
         tilt = tilting(0.01, tilt_y=tilt_y, stiffness=3e4)
         force, _ = tilt.press(1.3e-3)
@@ -211,8 +211,8 @@ def test_beyond_an_empty_pad_the_other_turns_the_platform_by_all_the_force() -> 
 
 
 @pytest.mark.parametrize("force", [60.0, 78.0, 100.0])
-def test_the_pads_turn_the_platform_back_as_the_tactile_contact_model_says(force: float) -> None:
-    """One stiffness stands for what grows with the force: within a tenth at 60 to 100 N."""
+def test_the_pads_moment_agrees_with_the_tactile_contact_model(force: float) -> None:
+    """One stiffness represents a force-dependent one: within a tenth at 60 to 100 N."""
     model, turn = ContactModel(), pads_turn(WorldParameters())
     distance = model.parameters.pad_distance
     assert distance == PAD
@@ -254,14 +254,14 @@ def test_a_target_pitched_about_x_comes_nearer_below_and_loads_lower_rows_and_th
     assert bars.lower > bars.upper
 
 
-def test_a_bar_that_lifts_while_live_ends_charging_and_is_on_record(arm: ArmFactory) -> None:
+def test_a_bar_that_lifts_while_live_ends_charging_and_is_recorded(arm: ArmFactory) -> None:
     pitched = arm(WorldParameters(target=TargetParameters(tilt_x=math.radians(2.3))))
     pitched.dock()
     pitched.charge()
     world, record = pitched.world, pitched.world.record
     assert world.circuit.current == pytest.approx(10.0)
     assert record.lifted_live == 0
-    # Both bars press, the upper one with less: its contact warms more than half of a level one would.
+    # Both bars press, the upper one with less: its contact heats more than half of a level one.
     assert 0.0 < world.mechanics.bars.upper < world.mechanics.bars.lower
     assert record.bar_heat > 0.7
     pitched.go((0.0, 0.0, 0.0795))
@@ -276,7 +276,7 @@ def test_a_bar_that_lifts_while_live_ends_charging_and_is_on_record(arm: ArmFact
 @pytest.mark.parametrize(
     ("stiffness", "compliance", "pitch"), [(1e5, 0.0, 2.6), (1e5, 0.03, 3.8), (1e6, 0.0, 0.26), (1e6, 0.03, 1.5)]
 )
-def test_a_bar_lifts_from_a_pitch_on_that_both_stiffnesses_tell(
+def test_a_bar_lifts_above_a_pitch_given_by_both_stiffnesses(
     arm: ArmFactory, stiffness: float, compliance: float, pitch: float
 ) -> None:
     found = []
@@ -311,7 +311,7 @@ def test_a_tilting_contact_comes_to_rest_at_any_step_and_stiffness(arm: ArmFacto
             assert 40.0 < pressing.world.mechanics.contact_force < 140.0
 
 
-def test_off_it_is_not_there() -> None:
+def test_a_disabled_tilt_has_no_effect() -> None:
     world = World(replace(WorldParameters(), platform=PlatformParameters(lever=0.1)))
     world.step()
     assert world.mechanics.tilt == (0.0, 0.0)
@@ -325,7 +325,7 @@ def test_off_it_is_not_there() -> None:
         (0.03, 1e4, 0.06160243031863548, 0.0668575797617771, -0.3190930839137615, (0.0048354, 0.0109629), 1e-6),
     ],
 )
-def test_force_is_always_what_the_springs_press_at_the_tilt_that_is_told(
+def test_force_always_equals_the_springs_force_at_the_reported_tilt(
     compliance: float,
     stiffness: float,
     pitch: float,
@@ -341,5 +341,5 @@ def test_force_is_always_what_the_springs_press_at_the_tilt_that_is_told(
         force, _ = tilt.press(depth)
         bars = tilt.keep()[1]
         assert force == pytest.approx(bars.upper + bars.lower, rel=0.02, abs=0.1)
-        assert force - before < 2.5e6 * step + 20.0, "at the kink where a pad empties no force jumps"
+        assert force - before < 2.5e6 * step + 20.0, "no force jumps at the kink at which a pad empties"
         before = force

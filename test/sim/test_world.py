@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The world as a whole: contacts and their jitter, what is recorded, the emulators' plant, and reproducibility."""
+"""The complete world: contacts and their jitter, records, the emulators' plant, and reproducibility."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SIX_DEGREES = TargetParameters(roll=math.radians(6.0))
 
 
 class Pads:
-    """A tactile source that remembers what it was asked and displaces docking n by n mm along y."""
+    """A tactile source that records its inputs and displaces docking n by n mm along y."""
 
     def __init__(self) -> None:
         self.dockings = 0
@@ -44,7 +44,7 @@ class Pads:
 
 
 class TestContact:
-    def test_each_contact_has_its_own_jitter_which_is_real(self, arm: ArmFactory) -> None:
+    def test_each_contact_has_its_own_jitter_which_affects_clearance(self, arm: ArmFactory) -> None:
         pads = Pads()
         touching = arm(WorldParameters(target=SIX_DEGREES), tactile=pads)
         clearances = []
@@ -62,7 +62,7 @@ class TestContact:
             touching.go((0.0, 0.0, 0.05))
         assert clearances[1] < clearances[0] < 0.0036  # without jitter 3.58 mm
 
-    def test_the_pads_are_asked_with_pose_and_total_force(self, arm: ArmFactory) -> None:
+    def test_the_pads_receive_pose_and_total_force(self, arm: ArmFactory) -> None:
         pads = Pads()
         touching = arm(WorldParameters(target=TargetParameters(x=0.004, y=-0.003)), tactile=pads)
         touching.go((0.0, 0.0, 0.06))
@@ -77,7 +77,7 @@ class TestContact:
         assert pose[1] == pytest.approx(-0.002, abs=5e-4)  # −3 mm and the jitter of docking 1
         assert force == touching.world.mechanics.contact_force > 60.0 / (1.0 + 25.0 / 64.0)
 
-    def test_without_a_target_there_is_nothing_to_touch(self, arm: ArmFactory) -> None:
+    def test_without_a_target_there_is_no_contact(self, arm: ArmFactory) -> None:
         free = arm(WorldParameters(target=TargetParameters(present=False)))
         free.go((0.0, 0.0, 0.1))
         assert free.world.mechanics.position[2] == pytest.approx(0.1, abs=5e-4)
@@ -86,7 +86,7 @@ class TestContact:
         assert snapshot.misalignment is None
         assert math.isnan(snapshot.clearance)
 
-    def test_without_a_tactile_model_the_pads_read_nothing(self, arm: ArmFactory) -> None:
+    def test_without_a_tactile_model_the_pads_read_zero(self, arm: ArmFactory) -> None:
         left, right = arm().world.taxels()
         assert left.shape == right.shape == (10, 10)
         assert not left.any()
@@ -107,10 +107,10 @@ class TestRecord:
         good.run(0.1)
         assert good.world.record.broken_current < 1.0
         assert record["contacts"] == 1
-        # A command that jumps by 24 mm lets the magnets pull it in at 0.3 m/s.
+        # After a command jump of 24 mm, the magnets pull it in at 0.3 m/s.
         assert good.world.mechanics.contact_force < record["peak_force"] < 200.0
 
-    def test_a_short_that_comes_while_charging_is_recorded(self, arm: ArmFactory) -> None:
+    def test_a_short_while_charging_is_recorded(self, arm: ArmFactory) -> None:
         dragged = arm(WorldParameters(target=SIX_DEGREES))
         dragged.charge()
         for side in range(1, 61):
@@ -122,7 +122,7 @@ class TestRecord:
         assert dragged.world.record.energised_shorts == 1
         assert dragged.world.record.energised_unsafe > 0.0
 
-    def test_a_short_without_energy_is_nothing(self, arm: ArmFactory) -> None:
+    def test_a_short_without_energy_is_not_recorded(self, arm: ArmFactory) -> None:
         dead = arm(WorldParameters(target=TargetParameters(roll=math.radians(15.0))))
         dead.dock()
         assert dead.world.snapshot().clearance < 0.0
@@ -144,14 +144,14 @@ class TestRecord:
         assert refused.world.circuit.current == 0.0
         assert refused.world.record.energised == pytest.approx(0.9, abs=0.02)
 
-    def test_torque_that_goes_before_the_current_is_recorded(self, arm: ArmFactory) -> None:
+    def test_a_loss_of_torque_before_the_current_is_recorded(self, arm: ArmFactory) -> None:
         hasty = arm()
         hasty.charge()
         hasty.release()
         hasty.run(0.2)
         assert hasty.world.record.unpowered_live == 1
 
-    def test_an_emergency_opening_breaks_what_flowed(self, arm: ArmFactory) -> None:
+    def test_an_emergency_opening_breaks_the_current(self, arm: ArmFactory) -> None:
         broken = arm()
         broken.charge()
         broken.world.circuit.open(False)
@@ -179,7 +179,7 @@ class TestServos:
             assert 11.5 < voltage <= 12.0
             assert temperature == pytest.approx(28.0, abs=1.0)
 
-    def test_play_lets_the_encoder_run_ahead_of_the_arm_by_half_at_most(self, arm: ArmFactory) -> None:
+    def test_play_lets_the_encoder_run_ahead_of_the_arm_by_at_most_half(self, arm: ArmFactory) -> None:
         loose = arm(WorldParameters(servo=ServoParameters(friction=0.0, backlash=0.006)))
         tight = arm(WorldParameters(servo=ServoParameters(friction=0.0)))
         for each in (loose, tight):
@@ -188,13 +188,13 @@ class TestServos:
         read = [loose.world.servo(index)[0] for index in range(3)]
         ahead = [angle - true for angle, true in zip(read, mechanics.angles, strict=True)]
         assert max(map(abs, ahead)) <= 0.003 + 1e-12
-        # Where the weight pulls one way the arm hangs at one end of the play; the motors carry the same.
+        # Under constant weight, the arm is at one end of the play; the motors' load is unchanged.
         assert ahead[1] == pytest.approx(-0.003)
         assert ahead[2] == pytest.approx(0.003)
         assert mechanics.torques == pytest.approx(tight.world.mechanics.torques, abs=2e-3)
         assert [tight.world.servo(index)[0] for index in range(3)] == list(tight.world.mechanics.angles)
 
-    def test_holding_hard_warms_and_resting_cools(self, arm: ArmFactory) -> None:
+    def test_a_loaded_servo_warms_and_a_resting_one_cools(self, arm: ArmFactory) -> None:
         hot = arm(WorldParameters(servo=ServoParameters(heating_time=10.0)), step=0.1)
         hot.dock(0.02)
         hot.run(20.0)
@@ -228,7 +228,7 @@ class Clock:
 
 
 class TestSharedWorld:
-    def test_nothing_is_computed_until_somebody_asks(self) -> None:
+    def test_nothing_is_computed_until_an_access(self) -> None:
         clock, world = Clock(), World(WorldParameters())
         plant = SharedWorld(world, clock)
         clock.now += 0.1
@@ -246,7 +246,7 @@ class TestSharedWorld:
         assert world.time == pytest.approx(clock.now - 100.0, abs=0.0051)
         assert world.time / 0.005 == pytest.approx(round(world.time / 0.005), abs=1e-6)
 
-    def test_a_long_pause_is_skipped_rather_than_computed(self) -> None:
+    def test_a_long_pause_is_skipped_not_computed(self) -> None:
         clock, world = Clock(), World(WorldParameters())
         plant = SharedWorld(world, clock)
         clock.now += 3600.0
@@ -257,7 +257,7 @@ class TestSharedWorld:
         plant.read_servo(0)
         assert world.time - before == pytest.approx(0.1, abs=0.0051)
 
-    def test_a_clock_that_steps_back_stops_the_world_and_breaks_nothing(self) -> None:
+    def test_a_clock_that_steps_back_pauses_the_world_without_errors(self) -> None:
         clock, world = Clock(), World(WorldParameters())
         plant = SharedWorld(world, clock)
         clock.now += 0.1
@@ -321,10 +321,10 @@ class TestSharedWorld:
         assert not any(thread.is_alive() for thread in threads)
 
 
-def test_a_target_that_cannot_be_moved_so_stays_where_it_is() -> None:
+def test_a_refused_move_leaves_the_target_in_place() -> None:
     world = World(WorldParameters())
     for move in ((math.nan, 0.0, 0.0, 0.2), (0.001, 0.0, 0.0, 0.0), (0.001, 0.0, 0.0, math.inf), (0.3, 0.0, 0.0, 0.2)):
-        with pytest.raises(ValueError, match=r"is none|outside"):
+        with pytest.raises(ValueError, match=r"give finite numbers|outside"):
             world.move_target(*move)
     assert not world.target_moves
     world.step(0.01)
