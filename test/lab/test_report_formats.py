@@ -42,7 +42,7 @@ def test_a_target_is_met_up_to_its_limit_and_rounding() -> None:
 
 def test_a_template_that_asks_for_what_is_not_there_is_an_error() -> None:
     jinja2 = pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
-    with pytest.raises(jinja2.UndefinedError, match="'date' is undefined"):
+    with pytest.raises(jinja2.UndefinedError, match="'targets' is undefined"):
         render("docking", {})
 
 
