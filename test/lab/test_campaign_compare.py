@@ -91,7 +91,7 @@ def written(folder: Path, **kind: Any) -> Path:
     return folder
 
 
-def test_the_command_tells_and_draws_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_command_reports_and_draws_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     a, b = written(tmp_path / "a"), written(tmp_path / "b", approach="paper")
     other = written(tmp_path / "c", seed=9)
     assert main(["campaign", "compare", str(a), str(b), "--json"]) == 0
@@ -102,7 +102,7 @@ def test_the_command_tells_and_draws_differences(capsys: pytest.CaptureFixture[s
     low, high = found["numbers"]["peak_push"]["interval"]
     assert low <= found["numbers"]["peak_push"]["difference"] <= high
     assert main(["campaign", "compare", str(a), str(other), "--json"]) == 2
-    assert "no pairs" in json.loads(capsys.readouterr().out)["error"]
+    assert "not pairs" in json.loads(capsys.readouterr().out)["error"]
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra report)")
     picture = tmp_path / "differences.png"
     assert main(["campaign", "compare", str(a), str(b), "--picture", str(picture)]) == 0
