@@ -28,7 +28,7 @@ psutil = pytest.importorskip("psutil", reason="measures with deltacharger[report
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.realtime,
-    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux tells what a process uses"),
+    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux reports what a process uses"),
 ]
 MEGA = 1_000_000
 PAUSE = "\nimport sys\nprint('ready', flush=True)\nsys.stdin.read()"
