@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparing campaigns: what is equal is not told to differ more often than the interval says, and what differs is."""
+"""Comparing campaigns: equal ones seem to differ no more often than the interval allows, and differences are found."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .campaigns import settings
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
 
 
-def test_the_interval_of_a_number_holds_its_shift_as_often_as_it_says() -> None:
+def test_intervals_of_numbers_have_their_nominal_coverage() -> None:
     random = np.random.default_rng(2)
     held = seen = 0
     for trial in range(200):
@@ -35,7 +35,7 @@ def test_the_interval_of_a_number_holds_its_shift_as_often_as_it_says() -> None:
     assert seen / 200 > 0.8  # unpaired, 14 s of scatter between dockings would hide half a second
 
 
-def test_no_difference_covers_zero() -> None:
+def test_intervals_cover_zero_without_a_difference() -> None:
     same = np.linspace(1.0, 9.0, 50)
     found = compare_numbers(same, same)
     assert (found["difference"], found["interval"]) == (0.0, [0.0, 0.0])
