@@ -145,10 +145,10 @@ def _pairs(a: Results, b: Results) -> tuple[Results, Results, int]:
     """Return the rows that both have, in the same order, without pairs with a crash, and the number of these pairs."""
     place = {number: index for index, number in enumerate(b["number"])}
     shared = [(index, place[number]) for index, number in enumerate(a["number"]) if number in place]
-    whole = [(i, j) for i, j in shared if a["code_name"][i] != CRASHED and b["code_name"][j] != CRASHED]
-    left = {name: [values[i] for i, _ in whole] for name, values in a.items()}
-    right = {name: [values[j] for _, j in whole] for name, values in b.items()}
-    return left, right, len(shared) - len(whole)
+    complete = [(i, j) for i, j in shared if a["code_name"][i] != CRASHED and b["code_name"][j] != CRASHED]
+    left = {name: [values[i] for i, _ in complete] for name, values in a.items()}
+    right = {name: [values[j] for _, j in complete] for name, values in b.items()}
+    return left, right, len(shared) - len(complete)
 
 
 def _refused(a: Results, b: Results) -> dict[str, dict[str, int]]:

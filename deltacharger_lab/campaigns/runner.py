@@ -51,7 +51,7 @@ def run_missing(
     if workers == 1:
         _run_here(store, batch, record, stop)
     else:
-        _run_again_and_again(store, workers, batch, record, stop, tell)
+        _run_with_restarts(store, workers, batch, record, stop, tell)
 
 
 def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
@@ -62,7 +62,7 @@ def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
             return
 
 
-def _run_again_and_again(
+def _run_with_restarts(
     store: Store, workers: int, batch: int, record: Record, stop: Stop, tell: Callable[[str], None]
 ) -> None:
     """Run in local processes; if one dies, all restart with the dockings that are not written."""

@@ -57,10 +57,10 @@ def documents(nodes: Iterable[Node]) -> dict[str, str]:
     running = list(nodes)
     found, _ = everything(running)
     everywhere: set[Endpoint] = set().union(*found.values())
-    heard = {Endpoint("subscribes to", each.name, "") for each in everywhere if _is_told(each)}
+    readable = {Endpoint("subscribes to", each.name, "") for each in everywhere if _is_topic(each)}
     goals = {Endpoint("calls the action", each.name, "") for each in everywhere if _is_goal(each)}
     context, namespace = running[0].context, running[0].get_namespace()
-    fleet = heard | goals | _of(ChargerClient(namespace, context), Recorder(context, namespace))
+    fleet = readable | goals | _of(ChargerClient(namespace, context), Recorder(context, namespace))
     arm, recording = ArmClient(context, DeltaGeometry(), namespace), RecordingCharger(context, namespace)
     workshop = fleet | _of(arm, recording) | _ON_DEMAND
     profiles = {**found, _FLEET: fleet, _WORKSHOP: workshop}
@@ -69,7 +69,7 @@ def documents(nodes: Iterable[Node]) -> dict[str, str]:
     return {**files, "policy.xml": _policy(sorted(profiles), sorted({*found, _FLEET} - _NOT_OF_A_CHARGER))}
 
 
-def _is_told(each: Endpoint) -> bool:
+def _is_topic(each: Endpoint) -> bool:
     return each.verb == "publishes" and "/_" not in each.name
 
 

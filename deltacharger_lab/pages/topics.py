@@ -28,13 +28,12 @@ _NOTICED = 10.0  # s for a node to notice a subscriber
 _WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder subscribes all the time
 _HEAD = """# Topics, services, actions
 
-What each node publishes, subscribes to, serves and calls, from running nodes, and every field of the package's own
-messages, services and actions, from `msg/`, `srv/` and `action/`. Names are relative, so that a namespace makes a
-second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for
-the electrodes, *while heard* only while somebody subscribes to what the node publishes. /tf and /tf_static are heard
-where tf2_ros is installed, by electrode_detector_node only with mount_from_tf. Mock nodes have topics and
-services of the nodes in whose place they stand. A subscriber that asks for reliable delivery hears nothing of a topic
-that is best effort.
+The endpoints of each node, read from running nodes, and every field of the package's messages, services and actions,
+from `msg/`, `srv/` and `action/`. Names are relative, so a second charger needs only a namespace; names with a leading
+/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while heard* only
+while a client subscribes to the node's topics. Nodes subscribe to /tf and /tf_static if tf2_ros is installed,
+electrode_detector_node only with mount_from_tf. Mock nodes have the topics and services of the nodes that they
+replace. A subscriber that requests reliable delivery receives nothing from a best-effort topic.
 """
 
 
@@ -133,7 +132,7 @@ def _wait_until_subscribed(nodes: Iterable[Node], name: str) -> None:
 
 
 def _overview(found: dict[str, set[Endpoint]]) -> str:
-    lines = ["## Who speaks to whom", "", "| topic | from | to |", "|---|---|---|"]
+    lines = ["## Topics between nodes", "", "| topic | from | to |", "|---|---|---|"]
     ends = {each.name for those in found.values() for each in those if each.quality}
     topics = sorted(name for name in ends if "/_action/" not in name)
     for topic in topics:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The converged reference of the simulation: kinematics, energy, statics, convergence, and agreement with other models."""
+"""The converged reference of the simulation: kinematics, energy, statics, convergence, agreement with models."""
 
 from __future__ import annotations
 

@@ -26,13 +26,13 @@ PUSH_MOST = {"told_torque_constant": 25.0, "calibrated": 5.0}  # %, of 95 in 100
 def figures(rows: Columns) -> Figures:
     """Return the figures of one campaign: charged, stuck, band, s, and errors of the reported push and stiffness."""
     charged = rows["charged"].astype(bool)
-    whole = summary.summarise(rows)
+    total = summary.summarise(rows)
     true = stiffness(rows)
     return {
-        **{name: whole[name] for name in ("n", "charged", "in_band", "time", "refused")},
-        "stuck": whole["refused"].get(Code.STUCK.name, 0),
-        "unsafe": whole["unsafe"]["hits"],
-        "shorts": whole["shorts"],
+        **{name: total[name] for name in ("n", "charged", "in_band", "time", "refused")},
+        "stuck": total["refused"].get(Code.STUCK.name, 0),
+        "unsafe": total["unsafe"]["hits"],
+        "shorts": total["shorts"],
         "push": _sizes((rows["told_push"] / rows["true_push"] - 1.0)[charged]),
         "felt": _sizes((rows["believed_stiffness"] / true - 1.0)[charged]),
         "bins": [

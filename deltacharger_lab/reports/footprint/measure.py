@@ -46,7 +46,7 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
         with charger(scene, way, ports, folder / "charger") as started:
             found: dict[str, Any] = _wait_until_ready(watcher, scene, started, way)
             time.sleep(plan.settle_s)
-            _, at_rest, rest = _meanwhile("rest", watcher, started, partial(time.sleep, plan.rest_s))
+            _, at_rest, rest = _measured_during("rest", watcher, started, partial(time.sleep, plan.rest_s))
             del rest["rest_s"]  # the plan's
             found |= {"processes": at_rest.processes, "threads": at_rest.threads, **rest}
             found |= _docking(watcher, scene, started, plan)
@@ -75,7 +75,7 @@ def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str
     return seen
 
 
-def _meanwhile(
+def _measured_during(
     when: str, watcher: Watcher, started: Started, act: Callable[[], Any]
 ) -> tuple[Any, process.Usage, dict[str, float]]:
     """Return a call's result, the usage after it, and the time, CPU and message rates while it runs."""
@@ -92,8 +92,8 @@ def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPl
     found, problem = dict.fromkeys(keys, math.nan), ""
     if "docking_node" in scene.nodes:
         dock = partial(watcher.dock, electrodes(scene), plan.docking_limit_s)
-        problem, _, meanwhile = _meanwhile("docking", watcher, started, dock)
-        found = found if problem else meanwhile
+        problem, _, measured = _measured_during("docking", watcher, started, dock)
+        found = found if problem else measured
     return {**found, "docking_problem": problem}
 
 

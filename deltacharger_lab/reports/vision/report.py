@@ -118,17 +118,17 @@ def _near() -> list[str]:
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Return each target with its measured value and verdict."""
-    whole, rows = results["band"], results["rows"]
+    band_row, rows = results["band"], results["rows"]
     half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
     hidden, clear = results[OBSTRUCTED], results[CLEAR]
     slowest = max(results["times"][name]["median_ms"] for name in _near())
     where = f"{BAND[0]:g}–{BAND[1]:g} m"
     return [
-        at_least(f"{where}, electrodes found", 100.0 * whole["found"] / whole["images"], 99.0, "%"),
-        at_most(f"{where}, wrong", 100.0 * whole["wrong"] / whole["images"], 0.2, "%"),
-        at_most(f"{where}, error across, 95 %", whole["xy_mm_p95"], 0.5, "mm"),
-        at_most(f"{where}, error of range, 95 %", whole["z_mm_p95"], 2.0, "mm"),
-        at_most(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
+        at_least(f"{where}, electrodes found", 100.0 * band_row["found"] / band_row["images"], 99.0, "%"),
+        at_most(f"{where}, wrong", 100.0 * band_row["wrong"] / band_row["images"], 0.2, "%"),
+        at_most(f"{where}, error across, 95 %", band_row["xy_mm_p95"], 0.5, "mm"),
+        at_most(f"{where}, error of range, 95 %", band_row["z_mm_p95"], 2.0, "mm"),
+        at_most(f"{where}, error of roll, 95 %", band_row["roll_deg_p95"], 1.0, "°"),
         at_least("half of one bar hidden, found", 100.0 * half["found"] / half["images"], 85.0, "%"),
         at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
         at_least("something before the bars, found", 100.0 * hidden["found"] / hidden["images"], 60.0, "%"),
