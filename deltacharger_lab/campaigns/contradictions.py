@@ -44,7 +44,7 @@ def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapp
     drawn = {name: _ends_of(spread) for name, spread in spreads.items()}
     for values in dockings or ({},):
         ends = {**drawn, **{name: (value, value) for name, value in values.items()}}
-        for problem in (*_told(ends), *_disturbed(ends), *_pads(ends)):
+        for problem in (*_assumptions(ends), *_disturbed(ends), *_pads(ends)):
             raise ParameterError(*problem)
 
 
@@ -67,7 +67,7 @@ def _numbers(ends: _Ends, name: str, default: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _told(ends: _Ends) -> Iterator[_Problem]:
+def _assumptions(ends: _Ends) -> Iterator[_Problem]:
     if "told.gravity_tilt" in ends and False in ends.get("gravity.known", ()):
         yield "gravity.known", False, "contradicts told.gravity_tilt, which sets known gravity; remove one of them"
     if "told.gravity_azimuth" in ends and _is_nothing(ends, "told.gravity_tilt"):

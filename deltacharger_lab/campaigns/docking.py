@@ -149,7 +149,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
         if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
             above += charger.now - before
     felt.frozen = True
-    row = result(charger, charger.outcome, above) | _felt(felt)
+    row = result(charger, charger.outcome, above) | _estimates(felt)
     if charger.machine.status.charging:
         watched = SECONDS
         if nudging is not None:
@@ -219,7 +219,7 @@ def _record(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def _felt(felt: Felt) -> dict[str, Any]:
+def _estimates(felt: Felt) -> dict[str, Any]:
     """Return the first and the last estimate with the truth."""
     row: dict[str, Any] = {"estimates": felt.count}
     for which, kept in (("first", felt.first), ("last", felt.last)):

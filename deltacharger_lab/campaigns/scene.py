@@ -69,7 +69,7 @@ def packaged_campaigns() -> dict[str, Path]:
     return packaged_files("campaigns")
 
 
-def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
+def _with_base(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
     """Return a scene's content merged into its packaged base scene, whose keys it may override."""
     if not isinstance(content, Mapping) or _BASE not in content:
         return content
@@ -81,7 +81,7 @@ def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
         )
     rest = {key: value for key, value in content.items() if key != _BASE}
     under = {
-        key: each for key, each in _whole(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
+        key: each for key, each in _with_base(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
     }
     return _laid_over(under, rest)
 
@@ -110,7 +110,7 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
     Raises:
         ParameterError: a key or value is refused, or two contradict each other.
     """
-    content = {} if content is None else _whole(content, name)
+    content = {} if content is None else _with_base(content, name)
     if not isinstance(content, Mapping):
         raise ParameterError("(top)", content, "is not a mapping of keys to values")
     for key in content:

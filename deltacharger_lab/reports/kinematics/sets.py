@@ -222,7 +222,7 @@ def _near_edge(
 
 
 def _in_base(arrays: LimbArrays, limbs: NDArray[np.int64], placement: Placement) -> Array:
-    """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN where there is none."""
+    """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN for none."""
     across, angle, side = placement
     across = np.where(across >= 0.0, across, np.nan)
     names = ("difference", "tangential", "motor_height", "cosine", "sine")
