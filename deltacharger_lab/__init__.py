@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured: campaigns, reports and generated pages."""
+"""Measurements: campaigns, reports and generated pages."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns: thousands of simulated dockings without ROS, each drawn from the campaign's seed and its number alone."""
+"""Campaigns: thousands of simulated dockings without ROS, each drawn from the campaign's seed and its number."""

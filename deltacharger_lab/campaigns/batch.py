@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one worker runs: some dockings of a campaign, one after the other. Importing it starts nothing."""
+"""The work of one worker: some dockings of a campaign, in sequence. Importing it starts nothing."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from typing import Any
 from deltacharger_lab.campaigns.docking import dock_once
 from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions
 
-BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
-_AHEAD = 2  # batches per worker that are handed out
+BATCH_MOST = 50  # dockings of a batch, some seconds of work; kill -9 loses at most this of each worker
+_AHEAD = 2  # batches per worker submitted ahead
 _POLL = 0.2  # s until an interruption is seen
-_BATCHES = 8  # per worker at least, so that none waits long for the last one
+_BATCHES = 8  # per worker at least, so that no worker waits long for the last one
 _halt: Any = None  # event of the process that started this worker
 
 Row = dict[str, Any]
@@ -28,19 +28,19 @@ Stop = Callable[[], bool]
 
 
 def batches(numbers: Sequence[int], size: int, workers: int) -> list[list[int]]:
-    """Return the numbers in batches: of `size`, or where that is 0 so that every worker gets several."""
+    """Return the numbers in batches of `size`; 0: such that every worker gets several."""
     suited = math.ceil(len(numbers) / (_BATCHES * workers)) if numbers else 1
     most = size or max(1, min(BATCH_MOST, suited))
     return [list(numbers[start : start + most]) for start in range(0, len(numbers), most)]
 
 
 def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None = None) -> list[Row]:
-    """Run the dockings of these numbers and return their rows; fewer where it was told to stop.
+    """Run the dockings of these numbers and return their rows; fewer if stopped.
 
     Args:
-        text: settings of the campaign as `Settings.to_json` writes them.
+        text: settings of the campaign from `CampaignSettings.to_json`.
         numbers: of the dockings.
-        stop: asked before each docking; None = what started this worker.
+        stop: called before each docking; None = the event of the starting process.
 
     Raises:
         CampaignError: this worker's versions are not those of the campaign.
@@ -53,9 +53,7 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
         if ours.get(name) != value
     ]
     if differing:
-        raise CampaignError(
-            f"a worker would not compute the same: it has {', '.join(differing)}; install the same there"
-        )
+        raise CampaignError(f"a worker has other versions: {', '.join(differing)}; install the same versions there")
     halted = stop or (lambda: _halt is not None and _halt.is_set())
     rows = []
     for number in numbers:
@@ -73,15 +71,15 @@ def hand_out(
     stop: Stop,
     halt: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run batches in workers, each with some ahead, until all are done or `stop` says so.
+    """Run batches in workers, each with some submitted ahead, until all are done or `stop` returns true.
 
     Args:
-        submit: hands a batch over.
-        left: the batches.
-        workers: how many there are.
-        record: told the rows of each batch.
+        submit: submits a batch.
+        left: remaining batches.
+        workers: their number.
+        record: called with the rows of each batch.
         stop: whether to end.
-        halt: then tells the workers.
+        halt: called then, to stop the workers.
     """
     rest, running = iter(left), set[Future[list[Row]]]()
     while True:
@@ -98,10 +96,10 @@ def hand_out(
 
 
 def begin_worker(halt: Any) -> None:
-    """Prepare a worker process: Ctrl-C is for its parent, whose end is its own.
+    """Prepare a worker process: ignore Ctrl-C, which its parent handles, and end with the parent.
 
     Args:
-        halt: event after which no docking is begun.
+        halt: event after which no docking starts.
     """
     global _halt
     _halt = halt

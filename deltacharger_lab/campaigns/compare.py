@@ -18,33 +18,33 @@ from deltacharger_lab.campaigns.store import read_results, read_settings
 from deltacharger_lab.campaigns.summary import COLUMNS, NUMBERS, RATES, Results, numbers
 
 _RESAMPLES = 4000
-_MANY = 20_000  # pairs from which the mean is normally distributed anyway, and resampling only costs
+_MANY = 20_000  # pairs from which the mean is normally distributed and resampling adds only cost
 _Z = 1.959963984540054  # 95 %, normal distribution
-_CHUNK = 4_000_000  # numbers drawn at once
+_CHUNK = 4_000_000  # drawn at once
 
 
 def compare_campaigns(a: Path, b: Path) -> dict[str, Any]:
-    """Compare the dockings that both campaigns have; differences are B less A.
+    """Compare the dockings that both campaigns have; differences are B − A.
 
     Args:
         a, b: their folders, complete or not.
 
     Returns:
         pairs; differs (texts); rates and numbers by name, each with a, b, difference, interval (95 %) and n; refused by
-        code, shorts and energised_unsafe (s) of either; crashed, pairs left out for a crash.
+        code, shorts and energised_unsafe (s) of each; crashed, pairs left out after a crash.
 
     Raises:
-        CampaignRefused: a folder holds no campaign, or the two have other seeds or no docking in common.
+        CampaignRefused: a folder holds no campaign, or the two have different seeds or no common docking.
     """
     first, second = read_settings(a), read_settings(b)
     if first.seed != second.seed:
         raise CampaignRefused(
-            f"{a} has seed {first.seed} and {b} {second.seed}: their dockings are no pairs; run both with one seed"
+            f"{a} has seed {first.seed} and {b} {second.seed}: their dockings are not pairs; run both with one seed"
         )
     left, right, crashed = _pairs(read_results(a, COLUMNS), read_results(b, COLUMNS))
     count = len(left["number"])
     if not count:
-        raise CampaignRefused(f"{a} and {b} have no docking in common")
+        raise CampaignRefused(f"{a} and {b} have no common docking")
     return {
         "a": str(a),
         "b": str(b),
@@ -66,8 +66,8 @@ def compare_campaigns(a: Path, b: Path) -> dict[str, Any]:
 def compare_rates(a: Sequence[Any], b: Sequence[Any]) -> dict[str, Any]:
     """Compare two shares over pairs.
 
-    The interval is the adjusted one of Bonett and Price (2012), which also holds where few pairs differ; p is McNemar's
-    exact test: how likely so lopsided a split of the pairs that differ is by chance.
+    The interval is the adjusted one of Bonett and Price (2012), which also holds if few pairs differ. p is McNemar's
+    exact test: the probability of so uneven a split of the differing pairs by chance.
 
     Args:
         a, b: truth values of the same dockings.
@@ -90,7 +90,7 @@ def compare_rates(a: Sequence[Any], b: Sequence[Any]) -> dict[str, Any]:
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
-    """Return the two-sided exact probability that pairs which differ split so unevenly, or more, by chance."""
+    """Return the two-sided exact probability that differing pairs split at least so unevenly by chance."""
     if not only_a + only_b:
         return 1.0
     from scipy.stats import binomtest
@@ -99,10 +99,10 @@ def mcnemar(only_a: int, only_b: int) -> float:
 
 
 def compare_numbers(a: Array, b: Array, seed: int = 0) -> dict[str, Any]:
-    """Compare the mean of a number over the pairs where both have it.
+    """Compare the mean of a number over the pairs in which both have it.
 
     Args:
-        a, b: of the same dockings, NaN where it does not count.
+        a, b: values of the same dockings, NaN if not counted.
         seed: of the paired bootstrap.
     """
     both = np.isfinite(a) & np.isfinite(b)
@@ -121,7 +121,7 @@ def compare_numbers(a: Array, b: Array, seed: int = 0) -> dict[str, Any]:
 
 
 def _interval(difference: Array, seed: int) -> tuple[float, float]:
-    """Return the 95 % interval of a mean: percentiles of the paired bootstrap, or normal where there are very many."""
+    """Return the 95 % interval of a mean: percentiles of the paired bootstrap, or normal for very many."""
     count, mean = len(difference), float(np.mean(difference))
     if count < 2:
         return math.nan, math.nan
@@ -142,13 +142,13 @@ def _interval(difference: Array, seed: int) -> tuple[float, float]:
 
 
 def _pairs(a: Results, b: Results) -> tuple[Results, Results, int]:
-    """Return the rows that both have, in the same order, without those where either crashed, and how many those are."""
+    """Return the rows that both have, in the same order, without pairs with a crash, and the number of these pairs."""
     place = {number: index for index, number in enumerate(b["number"])}
     shared = [(index, place[number]) for index, number in enumerate(a["number"]) if number in place]
-    whole = [(i, j) for i, j in shared if a["code_name"][i] != CRASHED and b["code_name"][j] != CRASHED]
-    left = {name: [values[i] for i, _ in whole] for name, values in a.items()}
-    right = {name: [values[j] for _, j in whole] for name, values in b.items()}
-    return left, right, len(shared) - len(whole)
+    complete = [(i, j) for i, j in shared if a["code_name"][i] != CRASHED and b["code_name"][j] != CRASHED]
+    left = {name: [values[i] for i, _ in complete] for name, values in a.items()}
+    right = {name: [values[j] for _, j in complete] for name, values in b.items()}
+    return left, right, len(shared) - len(complete)
 
 
 def _refused(a: Results, b: Results) -> dict[str, dict[str, int]]:
@@ -157,11 +157,11 @@ def _refused(a: Results, b: Results) -> dict[str, dict[str, int]]:
 
 
 def describe(found: dict[str, Any]) -> str:
-    """Return the comparison as lines for people."""
+    """Return the comparison as text lines."""
     lines = [f"{found['pairs']} pairs of simulated dockings, seed {found['seed']}: A {found['a']}, B {found['b']}"]
     lines += [f"  {text}" for text in found["differs"]] or ["  with the same settings"]
     if found["crashed"]:
-        lines.append(f"  {found['crashed']} pairs are left out: one of the two crashed")
+        lines.append(f"  {found['crashed']} pairs are left out: one of the two dockings crashed")
     lines.append(f"  {'':<20}{'A':>10}{'B':>10}{'B − A':>10}   95 %")
     for name, each in found["rates"].items():
         lines.append(_line(name, each, 100.0, "%") + f"  McNemar p = {each['p']:.3g}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a comparison: each difference with its interval on a scale of its own, and how dockings ended."""
+"""The picture of a comparison: each difference with its interval on its own scale, and the results of dockings."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _rows(found: dict[str, Any]) -> list[tuple[str, dict[str, Any], float]]:
 
 
 def _interval(axes: Axes, label: str, each: dict[str, Any], scale: float) -> None:
-    """Draw one difference; blue = its interval holds 0, orange = it does not."""
+    """Draw one difference; blue: its interval contains 0, orange: it does not."""
     low, high = (scale * value for value in each["interval"])
     middle = scale * each["difference"]
     axes.set_yticks([])
@@ -72,12 +72,12 @@ def _interval(axes: Axes, label: str, each: dict[str, Any], scale: float) -> Non
     axes.set(xlim=(-reach, reach), ylim=(-1.0, 1.0))
     axes.locator_params(axis="x", nbins=5)
     axes.tick_params(labelsize=8, length=2)
-    told = "B is higher" if differs and low > 0.0 else "B is lower" if differs else "no difference seen"
-    axes.text(1.03, 0.5, told, transform=axes.transAxes, va="center", fontsize=8, color=colour)
+    verdict = "B is higher" if differs and low > 0.0 else "B is lower" if differs else "no difference seen"
+    axes.text(1.03, 0.5, verdict, transform=axes.transAxes, va="center", fontsize=8, color=colour)
 
 
 def _endings(axes: Axes, found: dict[str, Any]) -> None:
-    """Draw how many dockings of either campaign ended how."""
+    """Draw the number of dockings of each campaign by result."""
     count = found["pairs"]
     ended = {"charged": {side: round(found["rates"]["charged"][side] * count) for side in ("a", "b")}}
     refused = sorted(found["refused"].items(), key=lambda item: -sum(item[1].values()))
@@ -92,9 +92,9 @@ def _endings(axes: Axes, found: dict[str, Any]) -> None:
         for place, value in zip(places, values, strict=True):
             axes.text(value, place, f" {value}", va="center", fontsize=8, color=INK)
     axes.set_yticks(range(len(names)), [name.lower().replace("_", " ") for name in names])
-    axes.set_ylim(max(len(names), _CODES_LEAST) - 0.5, -0.5)  # the first on top, bars of one size
+    axes.set_ylim(max(len(names), _CODES_LEAST) - 0.5, -0.5)  # the first on top, bars of equal size
     axes.set_xlim(0.0, 1.15 * count)
-    axes.set_title("how they ended")
+    axes.set_title("results")
     axes.legend(loc="lower right")
 
 

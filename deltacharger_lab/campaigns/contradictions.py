@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keys of a scene cannot say together of what docking is told, of disturbances and of the pads."""
+"""Contradictions between keys of a scene: docking's assumptions, disturbances and pads."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from deltacharger_lab.campaigns.parts import second_family
 from deltacharger_lab.campaigns.spread import Spread, Value
 from deltacharger_sim.parameters import TargetParameters
 
-_SIGMAS = 3.0  # of a normal distribution that count as its ends
+_SIGMAS = 3.0  # of a normal distribution, taken as its ends
 _TILT = {key.name: key for key in declared(TargetParameters)}["tilt_y"]
 
 _DEAD_BAND = "second.sheet.dead_band"  # 0 = none
-_LITTLE = 1e-6  # N of a dead band that is drawn from 0 on
+_LITTLE = 1e-6  # N of a dead band drawn from 0 on
 _BOUNDED_ABOVE = (
     ("foundation.confinement", "foundation.modulus"),
     ("bars.seat",),
@@ -24,19 +24,19 @@ _BOUNDED_ABOVE = (
     ("sheet.dead_band", "sheet.dead_band_spread"),
     ("sheet.edge_loss", "sheet.neighbour"),
 )
-"""What each rule of SecondParameters bounds from above. It bounds what else it names from below, so that one corner of
+"""Keys that each rule of SecondParameters bounds from above. It bounds its other keys from below, so one corner of
 the ranges breaks it first."""
 
 _Ends = Mapping[str, tuple[Value, Value]]  # of each key
-_Problem = tuple[str, Value, str]  # key, value and what is wrong
+_Problem = tuple[str, Value, str]  # key, value and problem
 
 
 def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapping[str, Value]]) -> None:
-    """Refuse the first key without effect, or that no docking can have beside another.
+    """Refuse the first key without effect or in contradiction with another.
 
     Args:
-        spreads: of the keys that are drawn.
-        dockings: listed values, which go before.
+        spreads: of the drawn keys.
+        dockings: listed values, which take precedence.
 
     Raises:
         ParameterError: names the key.
@@ -44,7 +44,7 @@ def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapp
     drawn = {name: _ends_of(spread) for name, spread in spreads.items()}
     for values in dockings or ({},):
         ends = {**drawn, **{name: (value, value) for name, value in values.items()}}
-        for problem in (*_told(ends), *_disturbed(ends), *_pads(ends)):
+        for problem in (*_assumptions(ends), *_disturbed(ends), *_pads(ends)):
             raise ParameterError(*problem)
 
 
@@ -67,12 +67,12 @@ def _numbers(ends: _Ends, name: str, default: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _told(ends: _Ends) -> Iterator[_Problem]:
+def _assumptions(ends: _Ends) -> Iterator[_Problem]:
     if "told.gravity_tilt" in ends and False in ends.get("gravity.known", ()):
-        yield "gravity.known", False, "contradicts told.gravity_tilt, which tells gravity; remove one of them"
+        yield "gravity.known", False, "contradicts told.gravity_tilt, which sets known gravity; remove one of them"
     if "told.gravity_azimuth" in ends and _is_nothing(ends, "told.gravity_tilt"):
         value = ends["told.gravity_azimuth"][0]
-        yield "told.gravity_azimuth", value, "has no effect where told.gravity_tilt is 0; remove one"
+        yield "told.gravity_azimuth", value, "has no effect if told.gravity_tilt is 0; remove one"
 
 
 def _disturbed(ends: _Ends) -> Iterator[_Problem]:
@@ -93,13 +93,13 @@ def _pads(ends: _Ends) -> Iterator[_Problem]:
     if SECOND not in ends.get("pads", ()):
         for name in ends:
             if name.startswith("second."):
-                yield name, ends[name][0], "has no effect where pads is first; add pads: second"
+                yield name, ends[name][0], "has no effect if pads is first; add pads: second"
     second = {name: pair for name, pair in ends.items() if name.startswith("second.")}
     for above in _BOUNDED_ABOVE if second else ():
         second_family({name: pair[name.removeprefix("second.") in above] for name, pair in second.items()})
     if ends.get("pads") == (SECOND, SECOND):
         for name in ends:
             if name.startswith(("tactile.", "electrode.")):
-                yield name, ends[name][0], "has no effect where pads is second, whose family is its own; remove one"
+                yield name, ends[name][0], "has no effect if pads is second, which has its own family; remove one"
     if "estimator.model" in ends and ends.get("estimator.paper") == (True, True):
-        yield "estimator.model", ends["estimator.model"][0], "has no effect where estimator.paper is true; remove one"
+        yield "estimator.model", ends["estimator.model"][0], "has no effect if estimator.paper is true; remove one"

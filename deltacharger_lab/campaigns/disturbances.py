@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens to a docking besides: taxels that read too much, a robot parked askew, a target nudged at charging."""
+"""Disturbances of a docking: taxels that read too high, a robot parked askew, a target nudged while charging."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from deltacharger_core.parameters import number
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.world import World
 
-LASTS = 0.2  # s of a nudge: somebody bumps into the target
-_LOOK = 0.5  # s that an estimate and what follows it take at most
+LASTS = 0.2  # s of a nudge: a person bumps into the target
+_LOOK = 0.5  # s that an estimate and its consequences take at most
 
 
 @dataclass(frozen=True)
 class Taxels:
-    """What taxels do that no tare takes away."""
+    """Errors of taxels that no tare removes."""
 
     high_row: float = number(0.0, 0.0, 5.0, "N", "excess reading of one row of ten taxels of one pad, after each tare")
 
 
 @dataclass(frozen=True)
 class Parked:
-    """How the robot stands before the target."""
+    """Orientation of the robot before the target."""
 
     heading: float = number(
         0.0, -0.1, 0.1, "rad", "turn of the robot about +y, from +z to +x; the target's faces appear turned back by it"
@@ -37,7 +37,7 @@ class Parked:
 
 @dataclass(frozen=True)
 class Nudge:
-    """How the target is moved while it is charged."""
+    """Movement of the target while it is charged."""
 
     x: float = number(0.0, -0.02, 0.02, "m", "movement of the target during charging, along x of charger_base")
     y: float = number(0.0, -0.02, 0.02, "m", "movement along y")
@@ -46,12 +46,12 @@ class Nudge:
 
     @property
     def moves(self) -> bool:
-        """Whether there is any."""
+        """Whether there is a nudge."""
         return (self.x, self.y, self.roll) != (0.0, 0.0, 0.0)
 
 
 def high_row(excess: float, seed: int) -> Array:
-    """Return what each taxel reads too much (2, 10, 10) N: `excess` in one row of one pad, both drawn by `seed`."""
+    """Return the excess reading of each taxel (2, 10, 10) N: `excess` in one row of one pad, both drawn by `seed`."""
     source = random.Random(f"{seed} taxels.high_row")
     found = np.zeros((PADS, ROWS, COLUMNS))
     found[source.randrange(PADS), source.randrange(ROWS)] = excess
@@ -59,11 +59,11 @@ def high_row(excess: float, seed: int) -> Array:
 
 
 class Nudging:
-    """Nudges the target of a charger once, and sees when the contactor opens for it.
+    """Nudges the target of a charger once, and records when the contactor opens.
 
     Args:
-        nudge: what happens.
-        world: to which.
+        nudge: the movement.
+        world: of the target.
 
     Attributes:
         opened: s from the start of the nudge to the opening of the contactor; NaN = not nudged, or still closed.
@@ -71,12 +71,12 @@ class Nudging:
 
     def __init__(self, nudge: Nudge, world: World) -> None:
         self._nudge, self._world = nudge, world
-        self._closed_at = self._began = math.nan  # s of live electrodes
+        self._closed_at = self._began = math.nan  # s, time of closing; s, start of the nudge
         self._done = False
         self.opened = math.nan
 
     def look(self) -> None:
-        """Begin the nudge where it is time; to be called after each tick."""
+        """Start the nudge at its time; call after each tick."""
         if self._done:
             return
         live, closed = self._world.record.energised, self._world.circuit.closed
@@ -89,9 +89,9 @@ class Nudging:
 
 
 def watched_after(parameters: DockingParameters) -> float:
-    """Return for how long (s) charging must be watched after a nudge, so that docking has felt what it can feel.
+    """Return how long (s) to watch charging after a nudge, so that docking can detect it.
 
-    It ends charging after so many bad looks, made a period apart; one more may have begun before the nudge.
+    Docking ends charging after this many bad estimates, one period apart; one more may have begun before the nudge.
     """
     looks = 1 + max(parameters.unsafe_max, parameters.blind_max)
     return LASTS + looks * (parameters.clearance_period + _LOOK)

@@ -28,22 +28,22 @@ _TEXT_MOST = 2000
 RESULTS: dict[str, tuple[type, str]] = {
     "code": (int, "code of the outcome, 0 = charged; -1 = the docking crashed, see error"),
     "code_name": (str, "its name"),
-    "message": (str, "what docking said of a failure, else empty"),
-    "charged": (bool, "whether charge current flowed stably"),
-    "aligned": (bool, "whether the last contact was accepted: it had clearance, and another one would not have paid"),
+    "message": (str, "docking's message of a failure, else empty"),
+    "charged": (bool, "whether stable charge current flowed"),
+    "aligned": (bool, "whether the last contact was accepted: with clearance, and no gain expected from another one"),
     "time": (float, "s from the goal to its outcome"),
-    "moves": (int, "lateral corrections and contacts made anew"),
+    "moves": (int, "lateral corrections and repeated contacts"),
     "contact_current": (float, "A per servo at the outcome, as measured"),
-    "told_push": (float, "N, force of the servos on the target along z at the outcome, as docking tells it"),
-    "true_push": (float, "N, truth then, magnets apart"),
-    "believed_stiffness": (float, "N·m/rad of a servo, as docking takes it at the outcome"),
+    "told_push": (float, "N, force of the servos on the target along z at the outcome, as docking reports it"),
+    "true_push": (float, "N, truth then, without magnets"),
+    "believed_stiffness": (float, "N·m/rad of a servo, as docking assumes it at the outcome"),
     "charge_current": (float, "A into the target at the outcome"),
     "rest_current": (
         float,
         f"A per servo, contact current at rest: median over the last of {SECONDS:g} s of charging on",
     ),
-    "rest_push": (float, "N, truth then: force of the servos on the target along z, magnets apart"),
-    "servo_current_1": (float, "A, size of the first servo's current then, median of what it told"),
+    "rest_push": (float, "N, truth then: force of the servos on the target along z, without magnets"),
+    "servo_current_1": (float, "A, size of the first servo's current then, median of its readings"),
     "servo_current_2": (float, "A, of the second"),
     "servo_current_3": (float, "A, of the third"),
     "servo_current_hottest": (float, "A, the largest of the three"),
@@ -56,7 +56,7 @@ RESULTS: dict[str, tuple[type, str]] = {
     "energised": (float, "s that electrodes were live"),
     "energised_unsafe": (float, "s that electrodes were live with negative clearance"),
     "parted_live": (int, "times that live electrodes left the target"),
-    "lifted_live": (int, "times that live electrodes stood with a bar that carried nothing while the other pressed"),
+    "lifted_live": (int, "times that live electrodes had one bar without load while the other pressed"),
     "bar_heat": (float, "W, largest heat in the contact of one bar"),
     "contacts": (int, "times that the electrodes met the target"),
     "peak_force": (float, "N, largest normal force on the electrodes"),
@@ -64,12 +64,12 @@ RESULTS: dict[str, tuple[type, str]] = {
     "servo_push": (float, "N, the same by the torques of motors and gears, without impacts"),
     "time_above_band": (float, "s in contact with a contact current above the band"),
     "final_horizontal": (float, "m, truth at the outcome, target in end_effector; NaN = not in contact"),
-    "final_vertical": (float, "m, likewise"),
-    "final_angle": (float, "rad, likewise"),
+    "final_vertical": (float, "m, as final_horizontal"),
+    "final_angle": (float, "rad, as final_horizontal"),
     "final_misalignment": (float, "m, distance of the centres of a charged docking; NaN = not charged"),
     "clearance": (float, "m, truth at the outcome, between the nearest wrong bars; NaN = not in contact"),
     "felt_horizontal": (float, "m, last estimate"),
-    "felt_horizontal_stddev": (float, "m, its told standard deviation"),
+    "felt_horizontal_stddev": (float, "m, its reported standard deviation"),
     "felt_vertical": (float, "m, last estimate"),
     "felt_angle": (float, "rad, last estimate"),
     "estimates": (int, "estimates of the misalignment up to the outcome"),
@@ -77,26 +77,26 @@ RESULTS: dict[str, tuple[type, str]] = {
         f"{which}_{axis}_{what}": (float, f"{unit}, {about} of the {which} estimate made in contact")
         for which in ("first", "last")
         for axis, unit in zip(feeling.AXES, ("m", "m", "rad"), strict=True)
-        for what, about in (("error", "estimate less truth"), ("stddev", "told standard deviation"))
+        for what, about in (("error", "estimate − truth"), ("stddev", "reported standard deviation"))
     },
-    "last_across_stddev": (float, "m, told standard deviation across the bars of the last estimate made in contact"),
+    "last_across_stddev": (float, "m, reported standard deviation across the bars of the last estimate in contact"),
     "last_clearance": (float, "m, truth at the last estimate made in contact"),
     "error": (str, "of a docking that crashed, else empty"),
 }
-"""Columns of what came out, with type, unit and meaning."""
+"""Result columns, with type, unit and meaning."""
 _FELT = tuple(name for name in RESULTS if name.startswith("felt_"))
 
 
 def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
-    """Return every column of a campaign's results: number and seeds, what was drawn, what came out."""
+    """Return every column of a campaign's results: number and seeds, drawn values, results."""
     found: dict[str, tuple[type, str]] = {
         "number": (int, "of the docking, from 0"),
         "seed": (int, "of its noise and jitter"),
         "rig_seed": (int, "of its pads"),
     }
     for axis in AXES:
-        found[f"goal_{axis}"] = (float, "what the goal said, charger_base, m or rad")
-        found[f"place_{axis}"] = (float, "where the target really stood, charger_base, m or rad")
+        found[f"goal_{axis}"] = (float, "pose in the goal, charger_base, m or rad")
+        found[f"place_{axis}"] = (float, "true pose of the target, charger_base, m or rad")
     for axis in "xyz":
         found[f"gravity_{axis}"] = (float, "gravity, charger_base, m/s²")
     for name in scene.drawn():
@@ -106,21 +106,21 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
 
 
 def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact: bool = False) -> dict[str, Any]:
-    """Run docking `number` of a campaign and return its row; one that crashes tells so in its row.
+    """Run docking `number` of a campaign and return its row; the row of a crash has the error.
 
     Args:
-        scene: what is drawn from.
+        scene: distributions to draw from.
         seed: of the campaign.
         number: of the docking.
         approach: of docking's parameters.
-        exact: every tick and every tactile frame as the nodes make them, slower.
+        exact: every tick and every tactile frame as in the nodes, slower.
     """
     row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()
     try:
         drawn = draw(scene, seed, number, approach)
         row |= _what_was_drawn(drawn)
         row |= run(drawn, exact)
-    except Exception as error:  # whatever it is, the other dockings go on
+    except Exception as error:  # any error; the other dockings continue
         row |= _nothing()
         row |= {"code": -1, "code_name": CRASHED, "message": f"{type(error).__name__}: {error}"}
         row["error"] = "".join(traceback.format_exception(error))[-_TEXT_MOST:]
@@ -149,7 +149,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
         if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
             above += charger.now - before
     felt.frozen = True
-    row = result(charger, charger.outcome, above) | _felt(felt)
+    row = result(charger, charger.outcome, above) | _estimates(felt)
     if charger.machine.status.charging:
         watched = SECONDS
         if nudging is not None:
@@ -176,7 +176,7 @@ def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
 
 
 def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:
-    """Return columns of `RESULTS` for a docking that has come to its `outcome`; those of later are empty."""
+    """Return columns of `RESULTS` at the `outcome` of a docking; later ones are empty."""
     truth, felt = charger.world.snapshot(), outcome.estimate
     x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)
     return _nothing() | {
@@ -204,7 +204,7 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
 
 
 def _record(charger: VirtualCharger) -> dict[str, Any]:
-    """Return what really happened so far."""
+    """Return the true values so far."""
     record = charger.world.record
     return {
         "shorts": int(record.energised_shorts),
@@ -219,8 +219,8 @@ def _record(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def _felt(felt: Felt) -> dict[str, Any]:
-    """Return the first and the last estimate beside the truth."""
+def _estimates(felt: Felt) -> dict[str, Any]:
+    """Return the first and the last estimate with the truth."""
     row: dict[str, Any] = {"estimates": felt.count}
     for which, kept in (("first", felt.first), ("last", felt.last)):
         if kept is None:
@@ -235,9 +235,9 @@ def _felt(felt: Felt) -> dict[str, Any]:
 
 def _what_was_drawn(drawn: Drawn) -> dict[str, Any]:
     target, goal = drawn.world.target, drawn.goal
-    told = (*goal.position, goal.roll)
+    goal_pose = (*goal.position, goal.roll)
     row: dict[str, Any] = {"seed": drawn.seed, "rig_seed": drawn.rig_seed, **drawn.values}
-    for axis, value in zip(AXES, told, strict=True):
+    for axis, value in zip(AXES, goal_pose, strict=True):
         row[f"goal_{axis}"] = value
         row[f"place_{axis}"] = getattr(target, axis)
     for axis in "xyz":
@@ -246,6 +246,6 @@ def _what_was_drawn(drawn: Drawn) -> dict[str, Any]:
 
 
 def _nothing() -> dict[str, Any]:
-    """Return the columns of a docking of which nothing is known."""
+    """Return the columns of a docking without results."""
     nothing: dict[type, Any] = {int: 0, float: math.nan, bool: False, str: ""}
     return {name: nothing[kind] for name, (kind, _) in RESULTS.items()} | {"code": int(Code.INTERNAL)}

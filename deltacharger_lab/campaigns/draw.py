@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One docking of a campaign as drawn: world, pads, docking's parameters and what the goal says of the target."""
+"""One drawn docking of a campaign: world, pads, docking's parameters and the goal's pose of the target."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _REDRAWS = 10_000  # of vision's errors that put the goal too far from the targe
 
 @dataclass(frozen=True)
 class Drawn:
-    """Everything about one docking.
+    """All inputs of one docking.
 
     Attributes:
         number: of the docking in its campaign.
@@ -38,15 +38,15 @@ class Drawn:
         world: the simulated world, target included.
         tactile: the family of pads.
         docking: parameters of docking.
-        goal: where the goal says that the electrodes are.
+        goal: pose of the electrodes in the goal.
         seed: course of noise and jitter.
         rig_seed: which device's pads.
-        estimator: what is wrong with each estimate.
-        geometry: the arm's dimensions as docking is told them; None = the true ones.
-        pads: which contact physics they have.
+        estimator: errors added to each estimate.
+        geometry: the arm's dimensions that docking assumes; None = the true ones.
+        pads: their contact physics.
         second: the family of pads of the second physics; None = its defaults.
-        high_row: N that a row of taxels reads too much after each tare.
-        nudge: how the target is moved while it charges.
+        high_row: excess reading of a row of taxels after each tare, N.
+        nudge: movement of the target while it charges.
     """
 
     number: int
@@ -68,17 +68,17 @@ class Drawn:
 def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
     """Draw docking `number` of the campaign with this `seed`.
 
-    Each key has a stream of its own, so that a key more or less leaves the others' values as they are, and two
-    campaigns of one seed are pairs, docking by docking.
+    Each key has its own random stream. So another key does not change the others' values, and the dockings of two
+    campaigns of one seed are pairs.
 
     Args:
-        scene: what is drawn from.
+        scene: distributions to draw from.
         seed: of the campaign.
         number: of the docking, from 0.
         approach: of docking's parameters.
 
     Raises:
-        ValueError: what was drawn contradicts itself.
+        ValueError: the drawn values contradict each other.
     """
 
     def source(what: str) -> random.Random:
@@ -109,7 +109,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
 
 
 def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
-    """Return what camera and hand-eye calibration make of where the target stands."""
+    """Return the target's pose as camera and hand-eye calibration report it."""
     position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
     standing = float(values.get("target.roll", 0.0))
     limit = float(values.get("shift.limit", math.inf))
@@ -119,7 +119,7 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
         if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
             break
     else:
-        raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
+        raise ParameterError("shift.limit", limit, "is too small for these errors of vision; give a larger one")
     stddev = math.hypot(*(float(values.get(f"{key}_stddev", 0.0)) for key in ("camera.roll", "hand_eye.rotation")))
     pose = ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
     return _with_lean(pose, values, turn, source) if values.get("camera.lean_stddev") else pose
@@ -144,16 +144,16 @@ def _with_lean(
 def seen_at(
     values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
 ) -> tuple[Vector, float, tuple[float, float]]:
-    """Return where a camera sees electrodes.
+    """Return the electrodes' pose as a camera sees it.
 
-    Three values: their place (m, charger_base), their roll (rad), and by how much the mount's error turns the camera
-    about x and y (rad); a lean that it sees is off by the same.
+    Three values: position (m, charger_base), roll (rad), and the turn of the camera about x and y by the mount's
+    error (rad). A lean that it sees errs by the same turn.
 
     Args:
-        values: of the keys `camera` and `hand_eye`; 0 where one is missing.
-        position: where they stand, m, charger_base.
-        roll: how they are turned, rad.
-        source: of the errors.
+        values: of the keys `camera` and `hand_eye`; 0 if one is missing.
+        position: true one, m, charger_base.
+        roll: true one, rad.
+        source: random generator of the errors.
     """
     seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
     place, turn = (float(values.get(f"hand_eye.{name}_stddev", 0.0)) for name in ("position", "rotation"))
@@ -168,9 +168,9 @@ def seen_at(
 def _derived(
     values: Mapping[str, Value], goal: ElectrodePose, source: Callable[[str], random.Random]
 ) -> dict[str, Value]:
-    """Return the values that follow from others.
+    """Return the derived values.
 
-    A tilt for gravity from anywhere, and a roll from the clearance it leaves.
+    These are the tilt for gravity from any direction, and the roll for a given clearance.
     """
     found: dict[str, Value] = {}
     if "gravity.anywhere" in values:

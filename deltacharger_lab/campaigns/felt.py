@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign makes of the estimates of one docking, and what it keeps of them beside the truth."""
+"""Changes to the estimates of one docking, and the record of them with the truth."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ AXES = ("horizontal", "vertical", "angle")
 
 
 class Felt:
-    """Stands between the pads' model and docking: spoils each estimate as drawn, and keeps the first and the last.
+    """Between the pads' model and docking: adds the drawn errors to each estimate, and keeps the first and the last.
 
     Args:
-        charger: whose estimates they are.
-        errors: what is wrong with them.
+        charger: source of the estimates.
+        errors: to add.
         seed: of the docking.
 
     Attributes:
         count: estimates so far.
-        first, last: (estimate, its error by axis, true clearance m) of those made in contact.
-        frozen: whether later ones are not kept any more.
+        first, last: (estimate, its error by axis, true clearance m) of estimates in contact.
+        frozen: whether to keep no later ones.
     """
 
     def __init__(self, charger: VirtualCharger, errors: EstimatorErrors, seed: int) -> None:
@@ -69,17 +69,17 @@ class Felt:
         gauss = self._noise.gauss
         noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
         noise += [wrong.angle_stddev * gauss(0.0, 1.0)]
-        told = {axis: getattr(felt, axis) for axis in (*AXES, "across")}
+        values = {axis: getattr(felt, axis) for axis in (*AXES, "across")}
         if wrong.tail is not None and truth is not None:
             x, y, angle = truth
             cosine, sine = math.cos(angle), math.sin(angle)
             for axis, real in (("horizontal", x), ("across", y * cosine - x * sine), ("angle", angle)):
-                told[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
-            told["vertical"] = (told["across"] + told["horizontal"] * sine) / cosine
+                values[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
+            values["vertical"] = (values["across"] + values["horizontal"] * sine) / cosine
         off = [getattr(wrong, f"bias_{axis}") + more for axis, more in zip(AXES, noise, strict=True)]
-        moved = {axis: told[axis] + more for axis, more in zip(AXES, off, strict=True)}
-        moved["across"] = told["across"] + off[1] * math.cos(felt.angle) - off[0] * math.sin(felt.angle)
-        spread = {name: wrong.stddev_scale * getattr(felt, name) for name in (f"{axis}_stddev" for axis in told)}
+        moved = {axis: values[axis] + more for axis, more in zip(AXES, off, strict=True)}
+        moved["across"] = values["across"] + off[1] * math.cos(felt.angle) - off[0] * math.sin(felt.angle)
+        spread = {name: wrong.stddev_scale * getattr(felt, name) for name in (f"{axis}_stddev" for axis in values)}
         return replace(felt, **moved, **spread)
 
     def _student(self, freedom: float) -> float:
@@ -90,10 +90,10 @@ class Felt:
 
 @dataclass(frozen=True)
 class Kept:
-    """An estimate beside the truth when it was made: by axis its error and standard deviation (m, m, rad).
+    """An estimate and the truth at its time: by axis error and standard deviation (m, m, rad).
 
     Attributes:
-        across_stddev: told standard deviation across the bars, m.
+        across_stddev: reported standard deviation across the bars, m.
         clearance: true one, m.
     """
 

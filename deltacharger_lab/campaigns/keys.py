@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every key that the scene of a campaign may set: those of its own, and all of world, pads and docking."""
+"""Every key of a campaign's scene: its own, and all of world, pads and docking."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deltacharger_tactile.second.parameters import SecondParameters
 
 @dataclass(frozen=True)
 class _Target:
-    """Where the target stands, seen by the camera."""
+    """Pose of the target when the camera looks."""
 
     x: float = number(
         0.0, -0.06, 0.06, "m", "place of the target when the camera looks, along x from (0, 0, 80 mm) of charger_base"
@@ -31,7 +31,7 @@ class _Target:
 
 @dataclass(frozen=True)
 class _Shift:
-    """How the target stands elsewhere at contact than the camera saw it."""
+    """Movement of the target between camera and contact."""
 
     x: float = number(0.0, -0.03, 0.03, "m", "movement of the target between camera and contact, along x")
     y: float = number(0.0, -0.03, 0.03, "m", "movement along y")
@@ -55,7 +55,7 @@ class _Shift:
 
 @dataclass(frozen=True)
 class _Electrode:
-    """What the target's electrodes are like where the pads feel them."""
+    """Properties of the target's electrodes in contact with the pads."""
 
     hole: float = like(PadContactParameters, "hole")
 
@@ -77,7 +77,7 @@ class _Camera:
 
 @dataclass(frozen=True)
 class _HandEye:
-    """Errors of where the camera is believed to be."""
+    """Errors of the camera's assumed pose."""
 
     position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of the camera's assumed place, per axis")
     rotation_stddev: float = number(
@@ -87,7 +87,7 @@ class _HandEye:
 
 @dataclass(frozen=True)
 class _Gravity:
-    """How the robot stands."""
+    """Orientation of the robot."""
 
     tilt: float = number(0.0, 0.0, math.pi, "rad", "tilt of the robot: angle between gravity and −y of charger_base")
     azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that tilt about −y; 0 = toward +z")
@@ -97,7 +97,7 @@ class _Gravity:
 
 @dataclass(frozen=True)
 class EstimatorErrors:
-    """What is wrong with every estimate of the misalignment besides what pads and model do."""
+    """Errors added to every estimate of the misalignment."""
 
     position_stddev: float = number(
         0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y, unknown to its standard deviations"
@@ -122,7 +122,7 @@ class EstimatorErrors:
 
 @dataclass(frozen=True)
 class _Campaign:
-    """The keys of a campaign's own."""
+    """A campaign's own keys."""
 
     target: _Target = field(default_factory=_Target)
     shift: _Shift = field(default_factory=_Shift)
@@ -143,16 +143,16 @@ TAKEN = {
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
     "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",
-    "docking.servo_stiffness": "it follows world.servo.stiffness; to tell it wrongly give told.servo_stiffness",
-    "docking.torque_constant": "it follows world.servo.torque_constant; to tell it wrongly give told.torque_constant",
+    "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give told.servo_stiffness",
+    "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give told.torque_constant",
     **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or told.gravity_tilt" for axis in "xyz"},
     "docking.approach": "give --approach",
 }
-"""Keys of the parts that a campaign sets itself, and what to write instead."""
+"""Keys of world and docking that a campaign sets itself, with the keys to give instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
-"""Keys that draw others, which then are not given."""
+"""Keys that draw others, which must not be given then."""
 FACTS = ("second.dimensions.", "second.docking.")
-"""Beginnings of keys that are facts of the product, the same in both physics, and not settable."""
+"""Prefixes of keys that are fixed properties of the product, equal in both physics."""
 PARTS = {
     "": _Campaign,
     "world": WorldParameters,
@@ -160,8 +160,8 @@ PARTS = {
     "second": SecondParameters,
     "docking": DockingParameters,
 }
-"""Parameter classes by the section of a campaign's scene; '' = keys of the campaign's own."""
-_WORDS = ("pads", "estimator.model")  # the keys that are text
+"""Parameter classes by the section of a campaign's scene; '' = the campaign's own keys."""
+_WORDS = ("pads", "estimator.model")  # keys with text values
 
 
 @functools.cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pads and the pose model of a campaign's dockings, by the words that its scene has for them."""
+"""The pads and the pose model of a campaign's dockings, by their names in its scene."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def make_pads(
     """Return the pads of a docking.
 
     Args:
-        pads: which contact physics: one of `PADS`.
+        pads: contact physics, one of `PADS`.
         tactile: family of rigs of the first physics.
         second: family of rigs of the second one; None = its defaults.
-        rig_seed: which device.
+        rig_seed: seed of the device.
         seed: course of noise and jitter.
     """
     if pads == SECOND:
@@ -40,5 +40,5 @@ def make_pads(
 
 @functools.cache
 def pose_model_from_one_newton() -> PoseEstimator:
-    """Return the packaged pose model for sensors that tell nothing below 1 N, read once per process."""
+    """Return the packaged pose model for sensors that read nothing below 1 N, read once per process."""
     return default_model(CONTACT_FORCE)

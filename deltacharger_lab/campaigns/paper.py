@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's classes, of the packaged CNN: beside our estimate, or taken as certain in place of it."""
+"""The paper's classes from the packaged CNN: with our estimate, or as a certain estimate in its place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MODEL = "cnn"
 
 
 class PaperClasses:
-    """Tells whole degrees 0–5 and steps of 5 mm, without any doubt."""
+    """Estimates integer degrees 0–5 and steps of 5 mm, with no uncertainty."""
 
     def __init__(self) -> None:
         self._networks = packaged.load(MODEL)
@@ -24,18 +24,18 @@ class PaperClasses:
     def classes(self, left: Any, right: Any) -> MisalignmentClasses:
         """Return the centres of the most probable classes of pads (10, 10) N."""
         frames = np.stack((left, right))[None]
-        told = {target: float(centres(target)[net.predict(frames)[0]]) for target, net in self._networks.items()}
-        return MisalignmentClasses(told["angle"], told["vertical"], told["horizontal"])
+        found = {target: float(centres(target)[net.predict(frames)[0]]) for target, net in self._networks.items()}
+        return MisalignmentClasses(found["angle"], found["vertical"], found["horizontal"])
 
     def predict(self, left: Any, right: Any) -> FeltPose:
-        """Return the classes' centres as an estimate; pads (10, 10) N that feel less than 1 N have no contact."""
-        frame, told = np.stack((left, right)), self.classes(left, right)
+        """Return the classes' centres as an estimate; pads (10, 10) N below 1 N have no contact."""
+        frame, found = np.stack((left, right)), self.classes(left, right)
         return FeltPose(
-            angle=told.angle,
+            angle=found.angle,
             angle_stddev=0.0,
-            vertical=told.vertical,
+            vertical=found.vertical,
             vertical_stddev=0.0,
-            horizontal=told.horizontal,
+            horizontal=found.horizontal,
             horizontal_stddev=0.0,
             contact=bool(np.nanmax(frame) >= CONTACT_FORCE),
         )

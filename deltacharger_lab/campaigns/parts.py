@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the values of a campaign's keys to the parameters of world, pads and docking."""
+"""Parameters of world, pads and docking from the values of a campaign's keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import PlatformRestParameters, SecondParameters
 
-NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; where a target stands from which its offsets count
+NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; origin of a target's offsets
 AXES = ("x", "y", "z", "roll")
 _COMPLIANCE = {key.name: key for key in declared(PlatformRestParameters)}["compliance"]
 
@@ -24,10 +24,10 @@ _COMPLIANCE = {key.name: key for key in declared(PlatformRestParameters)}["compl
 def build_parts(
     values: Mapping[str, Value], approach: str
 ) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
-    """Return the parameters of world, pads and docking that these values of the scene's keys make.
+    """Return the parameters of world, pads and docking for these values of the scene's keys.
 
     Raises:
-        ParameterError: a part refuses them.
+        ParameterError: world, pads or docking refuses them.
     """
     place = {axis: float(values.get(f"target.{axis}", 0.0)) + float(values.get(f"shift.{axis}", 0.0)) for axis in AXES}
     gravity = tilted_gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
@@ -45,7 +45,7 @@ def build_parts(
         "power": "none" if world.circuit.wired else "board",
         **_axes(told_gravity(values, gravity)),
     }
-    if world.magnets.force == 0.0:  # whoever has built none knows it
+    if world.magnets.force == 0.0:  # a charger built without magnets is known to have none
         given["magnet_force"] = 0.0
     docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
     pads = nested(values, "tactile")
@@ -54,7 +54,7 @@ def build_parts(
 
 
 def target_lean(values: Mapping[str, Value]) -> tuple[float, float]:
-    """Return how the target's faces are pitched and yawed against the platform, rad."""
+    """Return pitch and yaw of the target's faces against the platform, rad."""
     pitch, yaw = (float(values.get(f"world.target.tilt_{axis}", 0.0)) for axis in "xy")
     return pitch, yaw - float(values.get("parked.heading", 0.0))
 
@@ -62,7 +62,7 @@ def target_lean(values: Mapping[str, Value]) -> tuple[float, float]:
 def second_family(values: Mapping[str, Value]) -> SecondParameters | None:
     """Return the family of rigs of the second physics; None = its defaults.
 
-    Its platform yields as the world's where that yields and the family has no compliance of its own.
+    Its platform takes the world's compliance, if the world has one and the family has none.
 
     Raises:
         ParameterError: the values contradict each other.

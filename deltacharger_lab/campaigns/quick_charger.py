@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger in virtual time that computes only what somebody looks at.
+"""A charger in virtual time that computes only values that are read.
 
-It is there because six of its dockings take the time of one of `VirtualCharger`, whose kind it is.
+Six of its dockings take the time of one of `VirtualCharger`, its base class.
 
-Against `VirtualCharger`, which does what the nodes do at their rates: the world goes on in steps of 10 ms, not 5, and
-of twice that where the arm settles, and again where the electrodes rest on the target; the machine is stepped every
-10 ms only where its script acts on every observation, else up to 80 ms apart, and 130 ms where the arm stands still; a
-standing world takes one step in all that time; lines are told whole; tactile frames are made where they are read. Every
-reading of the servos that a decision rests on is made and fed to the machine as in the real one. What that changes is
-measured in docs/campaigns.md.
+Differences from `VirtualCharger`, which follows the nodes at their rates:
+- The world takes steps of 10 ms instead of 5, twice that while the arm settles, and again while the electrodes rest on
+  the target. A standing world takes one step between two steps of the machine.
+- The machine is stepped every 10 ms only if its script acts on every observation. Otherwise steps are up to 80 ms
+  apart, and 130 ms while the arm stands still.
+- Lines are sent in one piece. Tactile frames are made when they are read.
+
+Every servo reading that a decision depends on is made and fed to the machine, as in the real charger. docs/campaigns.md
+has the measured differences.
 """
 
 from __future__ import annotations
@@ -33,35 +36,35 @@ from deltacharger_sim.world import World
 from deltacharger_tactile.pad_source import PadSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
-SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
+SETTLING = 2  # ticks that one step of the world may last while the platform only follows its goal
 _MORE = 0.005  # s before the machine's window, from which on readings of the servos are made: half a tick
 _NEAR = 0.005  # m of gap, below which the magnets may snap before the machine is stepped again
-_STILL = 1e-4  # m/s; what is left of a motion at this speed moves the contact current by less than its noise
-_SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads feel the same, but for the force
+_STILL = 1e-4  # m/s; a motion at this speed changes the contact current by less than its noise
+_SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads read the same, except for the force
 _SAME_FORCE = 0.2  # relative
-_SAME_LEAN = 2e-4  # rad of what is left of the yaw; moves 1.5 N from one pad to the other
-_SURELY = 0.4  # N beside the threshold where no frame's noise decides: four standard deviations
+_SAME_LEAN = 2e-4  # rad of remaining yaw; moves 1.5 N from one pad to the other
+_SURELY = 0.4  # N from the threshold beyond which no frame's noise decides: four standard deviations
 
 
 class _Unclocked(SharedWorld):
-    """A plant that goes on only where its owner steps the world."""
+    """A plant that advances only when its owner steps the world."""
 
     def _advance(self) -> World:
         return self.world
 
 
 class QuickCharger(VirtualCharger):
-    """One docking of a campaign; the same seeds give the same docking to the last bit.
+    """One docking of a campaign; equal seeds give the same docking to the last bit.
 
     Args:
-        world: the simulated world; its `step` does not count here.
+        world: the simulated world; its `step` is not used.
         parameters: of docking.
         pads: of `rig_seed` and `seed`.
         seed: course of noise and jitter.
-        rig_seed: which device's pads.
-        geometry: the arm's dimensions as docking is told them; None = the true ones.
-        proportional: whether what the pads of level faces read grows with the force alone, so that what was felt tells
-            what is felt under a little more.
+        rig_seed: seed of the device with the pads.
+        geometry: the arm's dimensions that docking assumes; None = the true ones.
+        proportional: whether the readings of pads on level faces grow with the force alone, so that an earlier
+            reading predicts one under a little more force.
     """
 
     def __init__(
@@ -81,8 +84,8 @@ class QuickCharger(VirtualCharger):
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
         self._segment = 0
-        self._current = math.nan  # A, into the target when it was last looked at
-        self._most_felt = 0.0  # N on the taxel that felt most
+        self._current = math.nan  # A, into the target at the last observation
+        self._most_felt = 0.0  # N on the taxel with the largest reading
         self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
     def _make_machine(self) -> DockingMachine:
@@ -91,14 +94,14 @@ class QuickCharger(VirtualCharger):
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
     def tick(self) -> None:
-        """Advance as far as nothing has to be decided: 10 to 130 ms."""
+        """Advance until the next decision: 10 to 130 ms."""
         standing = self._stands()
         self._pass(self._stride(STANDING if standing else MOVING), standing)
         self._serve()
         self._step()
 
     def _stride(self, most: int) -> int:
-        """Return how many ticks may pass until the machine or a service has something to do."""
+        """Return how many ticks may pass until the machine or a service must act."""
         until = self._quiet_until()
         for pending in self._pending:
             until = min(until, pending.due)
@@ -106,7 +109,7 @@ class QuickCharger(VirtualCharger):
         return 1 if left <= 1.0 else math.ceil(min(left, most) - 1e-6)
 
     def _quiet_until(self) -> float:
-        """Return until when (s) the script only lets time pass: in free air nothing can be touched before."""
+        """Return the time (s) until which the script only waits: in free air, before anything can be touched."""
         waits = self._waits
         if not waits.nearing:
             return waits.until
@@ -114,7 +117,7 @@ class QuickCharger(VirtualCharger):
         return min(waits.until, self.now + (mechanics.gap - mechanics.onset - _NEAR) / waits.nearing)
 
     def _stands(self) -> bool:
-        """Return whether neither goal, platform, contactor nor charge current is on its way anywhere."""
+        """Return whether goal, platform, contactor and charge current are steady."""
         if self._energised or self.world.circuit.closed:
             return self._charges_on()
         if self._trajectory and self.now - self._started < self._trajectory[-1].time + TICK:
@@ -122,17 +125,17 @@ class QuickCharger(VirtualCharger):
         return self._speed() < _STILL
 
     def _charges_on(self) -> bool:
-        """Return whether the platform stands still and the current has not changed since this was last asked."""
+        """Return whether the platform stands still and the current has not changed since the last call."""
         world = self.world
         before, self._current = self._current, world.circuit.current
         return self._current == before and self._current > 0.0 and world.mechanics.still and not world.target_moves
 
     def _world_ticks(self) -> int:
-        """Return how many ticks one step of the world may take."""
+        """Return how many ticks one step of the world may last."""
         if self._energised or self.world.circuit.closed:
             return 1
         settles = bool(self._trajectory) and self._arrived is self._trajectory
-        # On the target the magnets hold the platform sideways; before, where it comes to lie depends on the step.
+        # On the target the magnets hold the platform sideways; before, its final position depends on the step.
         held = 2 if self.world.mechanics.contact_force > 0.0 else 1
         return held * (SETTLING if settles else 1)
 
@@ -156,7 +159,7 @@ class QuickCharger(VirtualCharger):
             self._arrived = line
 
     def _along(self, line: tuple[Waypoint, ...], elapsed: float) -> tuple[list[float], list[float]]:
-        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was told; calls come in their order."""
+        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was sent; calls are in time order."""
         last = len(line) - 1
         while self._segment < last and elapsed >= line[self._segment].time:
             self._segment += 1
@@ -174,7 +177,7 @@ class QuickCharger(VirtualCharger):
         return bound, [a + share * (d - a), b + share * (e - b), c + share * (f - c)]
 
     def _pass(self, ticks: int, standing: bool) -> None:
-        """Let `ticks` of 10 ms pass, feeding the machine the readings on which its next decision rests."""
+        """Let `ticks` of 10 ms pass, feeding the machine the readings that its next decision needs."""
         world, start, waits = self.world, self.now, self._waits
         from_then_on = self._quiet_until() - (self.parameters.contact_window + _MORE) if waits.reads else math.inf
         if standing:
@@ -196,7 +199,7 @@ class QuickCharger(VirtualCharger):
         return (a, b, c), (counts(i), counts(j), counts(k))
 
     def _feels(self) -> bool:
-        """Return whether some taxel feels 1 N; a contact that has hardly changed since it was felt is not felt anew."""
+        """Return whether some taxel reads 1 N; a hardly changed contact is not computed again."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
         if (self.excess is None and pose is None) or not self._tared:
             self._felt_at = None
@@ -212,9 +215,9 @@ class QuickCharger(VirtualCharger):
         return self._most_felt * force >= CONTACT_FORCE * known[3]
 
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
-        """Return whether what was felt tells what is: same contact and place, and same force or far from threshold.
+        """Return whether the last reading still holds: same contact and place, same force or far from threshold.
 
-        Where faces lean, being far from the threshold does not count: under more force the pads share it otherwise.
+        On leaning faces the distance to the threshold does not count: the pads share a larger force differently.
         """
         x, y, angle, pressed, contact, yaw = known
         if contact != self.world.record.contacts or abs(pose[2] - angle) > _SAME_TURN:
@@ -227,7 +230,7 @@ class QuickCharger(VirtualCharger):
         return far or abs(force - pressed) < _SAME_FORCE * pressed
 
     def _yaw(self) -> float:
-        """Return what is left of the yaw between platform and target, rad."""
+        """Return the remaining yaw between platform and target, rad."""
         lean = self.world.mechanics.lean
         return 0.0 if lean is None else lean.residual[1]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a campaign's dockings: the usual ones at a fifth of the cost, and told whole."""
+"""Lines of a campaign's dockings: planned at a fifth of the usual cost, and sent in one piece."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, Waypo
 
 _MARGIN = 0.02  # share of the reach that both ends must keep from its edge
 _INTERVAL = 0.02  # s between two points, as in the usual lines
-_FEWEST = 24  # intervals from which differences tell the arms' accelerations to 1 %, and so the time to 0.5 %
+_FEWEST = 24  # intervals for which differences give the arms' accelerations to 1 %, and so the time to 0.5 %
 _LOOKS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a leg
 _REFUSED, _EDGE = int(REFUSED), 0.02  # m around the workspace box
 
 
 class QuickPlanner(Planner):
-    """Plans lines well inside the reach point by point in plain floats, and leaves all others to `Planner`.
+    """Plans lines well inside the reach point by point in plain floats; `Planner` plans all others.
 
-    Such a line has the time law of the usual one; whether it keeps the arms' limits is judged at its points alone. Its
-    lead under the arm's weight is exact at both ends and in the middle, and a parabola between them. Waypoints
-    carry no velocities: nobody reads them.
+    Such a line has the usual time law; the arms' limits are checked only at its points. Its lead under the arm's
+    weight is exact at both ends and in the middle, and a parabola between them. Waypoints carry no velocities,
+    because nothing reads them.
     """
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
@@ -39,12 +39,12 @@ class QuickPlanner(Planner):
         self._high = (x1 + _EDGE, y1 + _EDGE, z1 + _EDGE)
 
     def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
-        """Return the waypoints from `start` to `goal` as `Planner.line` does."""
+        """Return the waypoints from `start` to `goal`, as `Planner.line`."""
         quick = self._quick(start, goal, speed, push)
         return super().line(start, goal, speed, push) if quick is None else quick
 
     def check_way(self, speed: float, *places: Vector) -> None:
-        """Refuse a way as `Planner.check_way` does; one that stays well inside the reach needs a few looks only."""
+        """Refuse a path as `Planner.check_way` does; a path well inside the reach is checked at a few points only."""
         for start, goal in pairwise(places):
             if not all(self._is_good(between(start, goal, share)) for share in _LOOKS):
                 super().check_way(speed, start, goal)
@@ -57,7 +57,7 @@ class QuickPlanner(Planner):
         return all(low <= value <= high for low, value, high in zip(self._low, point, self._high, strict=True))
 
     def _quick(self, start: Vector, goal: Vector, speed: float, push: float | None) -> tuple[Waypoint, ...] | None:
-        """Return the line, or None where a point of it needs the full check."""
+        """Return the line; None if a point of it needs the full check."""
         duration = max(PEAK_SPEED * math.dist(start, goal) / speed, 2.0 * _INTERVAL)
         count = max(math.ceil(duration / _INTERVAL), _FEWEST)
         ways = _ways(count)
@@ -72,9 +72,9 @@ class QuickPlanner(Planner):
         return tuple(self._waypoints(start, goal, ways, angles, duration, push))
 
     def _fastest(self, angles: list[Vector]) -> float:
-        """Return the shortest time (s) in which the arms can take these angles (rad), evenly apart in time."""
+        """Return the shortest time (s) in which the arms can pass these angles (rad), equally spaced in time."""
         turn = bend = 0.0
-        for before, here, after in zip(angles, angles[1:], angles[2:]):  # noqa: B905 they differ in length
+        for before, here, after in zip(angles, angles[1:], angles[2:]):  # noqa: B905 their lengths differ
             for a, b, c in zip(before, here, after, strict=True):
                 turn, bend = max(turn, abs(c - a)), max(bend, abs(c - b - b + a))
         count = len(angles) - 1
@@ -110,10 +110,10 @@ class QuickPlanner(Planner):
 
 
 class WholeFeed(TrajectoryFeed):
-    """Tells each line at once and whole: a sender in virtual time never falls silent."""
+    """Sends each line at once and complete: a sender in virtual time never falls silent."""
 
     def piece(self, time: float, held: bool = False) -> Piece | None:
-        """Return the line where it has not been told yet."""
+        """Return the line if it has not been sent yet."""
         if not self._line or math.isfinite(self._sent):
             return None
         self._sent = time
@@ -125,5 +125,5 @@ class WholeFeed(TrajectoryFeed):
 
 @functools.lru_cache(maxsize=64)
 def _ways(count: int) -> tuple[float, ...]:
-    """Return the share of the way that is done at the ends of `count` equal shares of a line's time."""
+    """Return the share of the path covered at the ends of `count` equal shares of a line's time."""
     return tuple(way_done(index / count) for index in range(count + 1))

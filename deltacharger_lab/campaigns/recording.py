@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's dockings recorded on the simulated charger in virtual time, by docking's own movements.
 
-For the angle set the arm starts up to 20 mm beside the target, asks the camera, goes where the electrodes are seen, and
-presses: what is left of the offset is what vision and Algorithm 1 leave. The position set is commanded. The camera and
-its place err as in the campaign scene `default`: the place once for a rig, the camera at every look.
+For the angle set the arm starts up to 20 mm beside the target, asks the camera, moves to the seen electrodes and
+presses. The remaining offset is the error of vision and Algorithm 1. The position set is commanded. Camera and mount
+err as in the campaign scene `default`: the mount once for a rig, the camera at every look.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from deltacharger_tactile.dataset import ANGLE_CLASSES, VERSION, Dataset
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.source import ContactSource
 
-_TRIES = 3  # at a docking that fails
+_TRIES = 3  # of a docking that fails
 _LIMIT = 120.0  # simulated s of one docking
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is recorded of one rig.
+    """Recording of one rig.
 
     Attributes:
         rig: seed of the device.
@@ -51,7 +51,7 @@ class Protocol:
         rows: of each docking.
         threshold: readings below it become 0, N.
         dwell_s: from rest in contact to the first frame, s.
-        tare_every: dockings after a tare, a session.
+        tare_every: dockings after each tare (a session).
         repeat: dockings of each angle, and at each offset; the paper's are (100, 20).
     """
 
@@ -74,7 +74,7 @@ class Protocol:
 
 @dataclass(frozen=True)
 class Pressed:
-    """One docking: its number in the part, and what its rows are made of; m, rad, N, A."""
+    """One docking: its number in the part, and the data of its rows; m, rad, N, A."""
 
     number: int
     session: int
@@ -87,7 +87,7 @@ class Pressed:
 
 
 class _Keeper:
-    """Takes what the charger's pads feel, and the truth beside it."""
+    """Records the readings of the charger's pads, with the truth."""
 
     def __init__(self, charger: QuickCharger, recording: Protocol) -> None:
         self.touches: list[Pressed] = []
@@ -126,7 +126,7 @@ class _Keeper:
 
 
 def record_part(recording: Protocol, part: Part) -> list[Pressed]:
-    """Make the dockings of one part, in the order of their numbers.
+    """Run the dockings of one part, in order.
 
     Raises:
         DockingError: one failed three times.
@@ -157,7 +157,7 @@ def record_part(recording: Protocol, part: Part) -> list[Pressed]:
 
 
 def _seen(reply: Reply, part: Part, number: int, recording: Protocol) -> Reply:
-    """Answer where the camera sees the electrodes in a docking."""
+    """Return the pose of the electrodes that the camera sees in a docking."""
     errs = {name: spread.numbers[0] for name, spread in load_campaign_scene(DEFAULT).spreads.items()}
     place = {name: value for name, value in errs.items() if name.startswith("hand_eye.")}
     look = {name: value for name, value in errs.items() if name.startswith("camera.")}
@@ -171,12 +171,12 @@ def record_paper(recording: Protocol, progress: Callable[[str], None]) -> Datase
     """Record the paper's two sets on one simulated rig, two parts at a time.
 
     Args:
-        recording: what is recorded.
-        progress: told how far it is.
+        recording: the plan.
+        progress: called with the progress.
 
     Raises:
-        DockingError: a docking failed again and again.
-        KeyboardInterrupt: interrupted; nothing runs on.
+        DockingError: a docking failed three times.
+        KeyboardInterrupt: interrupted; all processes have ended.
     """
     parts = recording.parts()
     tasks = [ReportTask(part.name, record_part, (recording, part), float(len(part.poses()))) for part in parts]
@@ -185,7 +185,7 @@ def record_paper(recording: Protocol, progress: Callable[[str], None]) -> Datase
 
 
 def dataset(recording: Protocol, touches: Sequence[tuple[Part, Pressed]]) -> Dataset:
-    """Return the rows of dockings, in their order."""
+    """Return the rows of dockings, in order."""
     rows = recording.rows
 
     def column(values: Sequence[Any]) -> NDArray[Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs what is missing of a campaign: here, in local processes, or on the workers of a Dask scheduler."""
+"""Runs the missing dockings of a campaign: in this process, in local ones, or on the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, begin_w
 from deltacharger_lab.campaigns.settings import CampaignError
 from deltacharger_lab.campaigns.store import Store
 
-_TRIES = 3  # times that the rest is begun anew after worker processes died
+_TRIES = 3  # restarts with the remaining dockings after worker processes died
 _CONNECT = 15.0  # s
-_LOST = 5  # workers that a batch may lose before it is given up
+_LOST = 5  # workers that a batch may lose before it fails
 
 Report = Callable[[Sequence[Row]], None]
 
@@ -25,19 +25,19 @@ Report = Callable[[Sequence[Row]], None]
 def run_missing(
     store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, tell: Callable[[str], None]
 ) -> None:
-    """Run the dockings that the store lacks and write them, until all are there or `stop` says so.
+    """Run and write the dockings that the store lacks, until all are there or `stop` returns true.
 
     Args:
         store: open.
-        workers: local processes; 1 = this one.
+        workers: local processes; 1 = this process.
         scheduler: address of a Dask scheduler; empty = none.
-        batch: dockings written at once, 0 = as suits.
-        report: told the rows of every batch once they are written.
+        batch: dockings per write, 0 = automatic.
+        report: called with the rows of every written batch.
         stop: whether to end.
-        tell: told what happened to workers.
+        tell: called with messages about workers.
 
     Raises:
-        CampaignError: workers died again and again, none is there, or they have other versions.
+        CampaignError: workers died repeatedly, there is none, or they have other versions.
     """
 
     def record(rows: list[Row]) -> None:
@@ -51,7 +51,7 @@ def run_missing(
     if workers == 1:
         _run_here(store, batch, record, stop)
     else:
-        _run_again_and_again(store, workers, batch, record, stop, tell)
+        _run_with_restarts(store, workers, batch, record, stop, tell)
 
 
 def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
@@ -62,10 +62,10 @@ def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
             return
 
 
-def _run_again_and_again(
+def _run_with_restarts(
     store: Store, workers: int, batch: int, record: Record, stop: Stop, tell: Callable[[str], None]
 ) -> None:
-    """Run in local processes; where one dies, all begin anew with what is not written."""
+    """Run in local processes; if one dies, all restart with the dockings that are not written."""
     for _ in range(_TRIES):
         try:
             _run_local(store, workers, batch, record, stop)
@@ -73,8 +73,8 @@ def _run_again_and_again(
         except BrokenProcessPool:
             if stop():
                 return
-            tell("a worker process died; what it had not written starts again")
-    raise CampaignError(f"worker processes died {_TRIES} times; is there enough memory? The same command goes on")
+            tell("a worker process died; its unwritten dockings start again")
+    raise CampaignError(f"worker processes died {_TRIES} times; check the free memory. The same command continues")
 
 
 def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:
@@ -99,17 +99,17 @@ def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Sto
 def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: Stop) -> None:
     """Run the dockings that the store lacks on the workers of a scheduler.
 
-    A batch whose worker dies is run by another one; its rows come once, and are the same.
+    Another worker runs the batch of one that dies; its rows arrive once, unchanged.
 
     Args:
         store: open.
         address: of the scheduler, e.g. tcp://host:8786.
-        batch: dockings written at once, 0 = as suits.
-        record: told the rows of each batch.
+        batch: dockings per write, 0 = automatic.
+        record: called with the rows of each batch.
         stop: whether to end.
 
     Raises:
-        CampaignError: Dask is missing, nobody answers there, no worker is there, or one has other versions.
+        CampaignError: Dask is missing, no scheduler answers, it has no worker, or one has other versions.
     """
     try:
         import distributed
@@ -122,22 +122,22 @@ def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: S
     with client, client.as_current():
         threads = sum(client.nthreads().values())
         if not threads:
-            raise CampaignError(f"the scheduler at {address} has no workers; start `dask worker {address}` somewhere")
+            raise CampaignError(f"the scheduler at {address} has no workers; start `dask worker {address}`")
         executor = client.get_executor(pure=False, retries=_LOST)
         text, left = store.settings.to_json(), batches(store.missing(), batch, threads)
         try:
             hand_out(lambda numbers: executor.submit(run_batch, text, numbers), left, threads, record, stop)
         except distributed.KilledWorker as error:
-            raise CampaignError(f"workers died again and again: {error}; the same command goes on") from error
+            raise CampaignError(f"workers died repeatedly: {error}; the same command continues") from error
         except ModuleNotFoundError as error:
             raise CampaignError(
-                f"a worker lacks {error.name}; install deltacharger there, in the same version"
+                f"a worker lacks {error.name}; install the same version of deltacharger there"
             ) from error
 
 
 @contextlib.contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Let processes that start meanwhile not hear Ctrl-C, which a terminal sends to all; here it comes afterwards."""
+    """Make processes that start in this context ignore Ctrl-C, which a terminal sends to all; it arrives here after."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -147,7 +147,7 @@ def _without_ctrl_c() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Let processes that start meanwhile use one thread for linear algebra, unless the user chose otherwise."""
+    """Make processes that start in this context use one thread for linear algebra, unless the user chose otherwise."""
     names: list[str] = [name for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name not in os.environ]
     os.environ.update(dict.fromkeys(names, "1"))
     try:

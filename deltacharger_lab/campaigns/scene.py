@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of campaigns: one YAML file says what is drawn for each docking, at random or from a list."""
+"""Scenes of campaigns: a YAML file with what to draw for each docking, at random or from a list."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ SECTIONS = (
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
 _LONGEST = 100_000  # dockings of a list
-_SHAPES = {"choose", "mean", "stddev", "log", "either_sign"}  # of a mapping that is one value
+_SHAPES = {"choose", "mean", "stddev", "log", "either_sign"}  # of a mapping that describes one value
 
 
 @dataclass(frozen=True)
 class CampaignScene:
-    """What each docking of a campaign is drawn from.
+    """Distributions and lists that define each docking of a campaign.
 
     Attributes:
-        name: what it is called.
+        name: of the scene.
         description: one or two sentences for people.
-        spreads: where each key's value comes from; keys without one stay at their default.
-        dockings: values of the first, second, … docking, which go before the spreads; empty = none.
-        content: the file as read, for the record.
-        file: where it was read from.
+        spreads: distribution of each key; other keys keep their default.
+        dockings: values of the first, second, … docking, which take precedence over the spreads; empty = none.
+        content: of the file, for the record.
+        file: its path.
     """
 
     name: str
@@ -69,8 +69,8 @@ def packaged_campaigns() -> dict[str, Path]:
     return packaged_files("campaigns")
 
 
-def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
-    """Return a scene's content with that of the packaged scene it is based on, whose keys it may set anew."""
+def _with_base(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
+    """Return a scene's content merged into its packaged base scene, whose keys it may override."""
     if not isinstance(content, Mapping) or _BASE not in content:
         return content
     base = content[_BASE]
@@ -81,13 +81,13 @@ def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
         )
     rest = {key: value for key, value in content.items() if key != _BASE}
     under = {
-        key: each for key, each in _whole(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
+        key: each for key, each in _with_base(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
     }
     return _laid_over(under, rest)
 
 
 def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return two nested mappings as one; a value of either kind that both have is the upper one's, null = none."""
+    """Merge two nested mappings; a value in both, of any kind, is the upper one's; null removes it."""
     merged = dict(under)
     for key, value in over.items():
         below = merged.get(key)
@@ -100,19 +100,19 @@ def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, A
 
 
 def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignScene:
-    """Build a scene from what a YAML file contains.
+    """Build a scene from the content of a YAML file.
 
     Args:
         content: the mapping.
-        name: taken where the mapping has no `name`.
+        name: used if the mapping has no `name`.
         file: for messages.
 
     Raises:
         ParameterError: a key or value is refused, or two contradict each other.
     """
-    content = {} if content is None else _whole(content, name)
+    content = {} if content is None else _with_base(content, name)
     if not isinstance(content, Mapping):
-        raise ParameterError("(top)", content, "is no mapping of keys to values")
+        raise ParameterError("(top)", content, "is not a mapping of keys to values")
     for key in content:
         if key not in _TOP:
             known = did_you_mean(key, _TOP) or f"; known are {', '.join(_TOP)}"
@@ -155,7 +155,7 @@ def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, Declaratio
         beside = sorted({key[len(parent) + 1 :].split(".")[0] for key in keys if key.startswith(f"{parent}.")})
         raise ParameterError(where, value, f"unknown key{did_you_mean(last, beside)}; known: {', '.join(beside)}")
     if not isinstance(value, Mapping):
-        raise ParameterError(where, value, f"{brief(value)} is no mapping of keys to values; known: {', '.join(below)}")
+        raise ParameterError(where, value, f"{brief(value)} is not a mapping; known keys: {', '.join(below)}")
     for key, item in value.items():
         yield from _leaves(item, f"{name}.{key}", f"{where}.{key}")
 
@@ -164,12 +164,12 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
     if entries is None:
         return ()
     if not isinstance(entries, list) or not 0 < len(entries) <= _LONGEST:
-        raise ParameterError("dockings", entries, f"is no list of 1 to {_LONGEST} dockings, each a mapping")
+        raise ParameterError("dockings", entries, f"is not a list of 1 to {_LONGEST} dockings, each a mapping")
     result = []
     for index, entry in enumerate(entries):
         where = f"dockings[{index}]"
         if not isinstance(entry, Mapping):
-            raise ParameterError(where, entry, f"{brief(entry)} is no mapping of keys to values")
+            raise ParameterError(where, entry, f"{brief(entry)} is not a mapping of keys to values")
         for key in entry:
             if key not in SECTIONS:
                 raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{did_you_mean(key, SECTIONS)}")
@@ -177,24 +177,24 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
         for name, spread in _spreads(entry, where):
             if spread.shape != "fixed":
                 raise ParameterError(
-                    f"{where}.{name}", name, "a listed docking has fixed values; ranges stand beside it"
+                    f"{where}.{name}", name, "a listed docking has fixed values; give ranges outside the list"
                 )
             if name in spreads:
-                raise ParameterError(f"{where}.{name}", name, "is given here and for all dockings; keep one of them")
+                raise ParameterError(f"{where}.{name}", name, "is set here and for all dockings; keep one")
             values[name] = spread.numbers[0]
         result.append(values)
     return tuple(result)
 
 
 def _check_contradictions(scene: CampaignScene) -> None:
-    """Refuse keys that have no effect or that no docking could have together."""
+    """Refuse keys without effect or in contradiction."""
     _without_effect(scene, "world.magnets.force", ("world.magnets.range", "world.magnets.width", "world.magnets.floor"))
     if "gravity.anywhere" not in scene.drawn():
         _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)
     for name, made in DERIVED.items():
         for other in made if name in scene.drawn() else ():
             if other in scene.spreads or any(other in values for values in scene.dockings):
-                raise ParameterError(other, other, f"is what {name} draws; remove one of them")
+                raise ParameterError(other, other, f"is drawn by {name}; remove one of them")
     low, high = (scene.spreads.get(f"world.circuit.voltage_{end}") for end in ("min", "max"))
     if low is not None and high is not None and float(low.ends[1]) >= float(high.ends[0]):
         raise ParameterError("world.circuit.voltage_min", low.ends[1], "reaches voltage_max; keep it below")
@@ -214,4 +214,4 @@ def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...]
     zero = spread.ends == (0.0, 0.0) and spread.shape != "normal" if spread is not None else unset
     for name in dependent:
         if zero and name in scene.spreads:
-            raise ParameterError(name, scene.spreads[name].ends[0], f"has no effect where {cause} is 0; remove one")
+            raise ParameterError(name, scene.spreads[name].ends[0], f"has no effect if {cause} is 0; remove one")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the servos do in a docking: how hard they push at most, and what they carry at rest while it charges."""
+"""Load of the servos in a docking: largest push, and currents at rest while it charges."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from deltacharger_lab.campaigns.disturbances import Nudging
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.mechanics import Mechanics
 
-SECONDS = 3.0  # of charging after the outcome, in which docking may still shift its load from servo to servo
+SECONDS = 3.0  # of charging after the outcome, in which docking may still shift load between servos
 _LAST = 1.0  # s at the end that count
 
 
 class Effort:
-    """Largest push so far while in contact: the servos' force along z at the platform, gravity and impacts apart.
+    """Largest push so far while in contact: the servos' force along z at the platform, without gravity and impacts.
 
-    What the platform's own mass adds when it strikes a stiff target is not in it.
+    It excludes the force of the platform's own mass when it strikes a stiff target.
 
     Attributes:
-        most: N along z, 0 where the electrodes were never in contact.
+        most: N along z, 0 if the electrodes were never in contact.
     """
 
     def __init__(self, charger: VirtualCharger) -> None:
@@ -29,19 +29,19 @@ class Effort:
         self.most = 0.0
 
     def look(self) -> None:
-        """Take the present push where it is larger."""
+        """Take the present push if it is larger."""
         mechanics = self._world.mechanics
         if mechanics.contact_force > 0.0 and isinstance(mechanics, Mechanics):
             self.most = max(self.most, mechanics.servo_push())
 
 
 class Rest:
-    """Goes on with a docking that charges, and looks at its end.
+    """Continues a charging docking, and records its end.
 
     Args:
         charger: right after its outcome.
-        seconds: for which it is watched.
-        nudging: what nudges its target meanwhile; None = nothing.
+        seconds: time to watch it.
+        nudging: nudges its target in this time; None = nothing.
     """
 
     def __init__(self, charger: VirtualCharger, seconds: float = SECONDS, nudging: Nudging | None = None) -> None:
@@ -54,7 +54,7 @@ class Rest:
         self._push: list[float] = []
 
     def watch(self) -> dict[str, Any]:
-        """Let the time pass and return its columns of the results; currents of a charge that ended are unknown."""
+        """Advance and return the result columns; currents are NaN if charging ended."""
         charger = self._charger
         distort, charger.distort = charger.distort, self._listen
         while charger.now < self._until and charger.machine.status.charging:
@@ -75,7 +75,7 @@ class Rest:
         }
 
     def _see_open(self, nudging: Nudging) -> None:
-        """Go on until the contactor that was told to open is open; one that is welded stays closed."""
+        """Advance until the commanded contactor is open; a welded one stays closed."""
         charger = self._charger
         until = charger.now + charger.parameters.open_timeout
         while charger.world.circuit.closed and charger.now < until:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What decides the results of a campaign, as one record: compared before a campaign goes on, sent to every worker."""
+"""Record of everything that decides a campaign's results: compared before it continues, sent to every worker."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _ALSO = (
 
 
 class CampaignError(RuntimeError):
-    """A campaign cannot be run, continued or read. The message says why and what to do."""
+    """A campaign cannot be run, continued or read. The message states why and what to do."""
 
 
 class CampaignRefused(CampaignError):
-    """What was given does not fit: other settings than those in the folder, no campaign there, no pairs."""
+    """The input does not fit: settings that differ from the folder's, no campaign there, no pairs."""
 
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """Everything that the rows of a campaign follow from, and how many there shall be.
+    """Everything that decides the rows of a campaign, and their wanted number.
 
     Attributes:
         n: dockings.
         seed: of the campaign.
         approach: of docking's parameters.
-        exact: whether every tick and frame is computed as the nodes would.
+        exact: whether every tick and frame is computed, as in the nodes.
         scene: content of the scene.
         scene_name: name of the scene.
-        versions: of what computes.
+        versions: of Python, numpy and code.
     """
 
     n: int
@@ -58,15 +58,15 @@ class CampaignSettings:
     versions: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """Return the record as text that is the same for equal settings."""
+        """Return the record as text, equal for equal settings."""
         return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
 
     @staticmethod
     def from_json(text: str) -> CampaignSettings:
-        """Read what `to_json` wrote.
+        """Read the output of `to_json`.
 
         Raises:
-            ValueError, TypeError, KeyError: it is no such record.
+            ValueError, TypeError, KeyError: it is not such a record.
         """
         read = CampaignSettings(**parse_json(text))
         kinds = {"seed": int, "approach": str, "exact": bool, "scene": dict, "scene_name": str, "versions": dict}
@@ -78,7 +78,7 @@ class CampaignSettings:
         return read
 
     def differences(self, other: CampaignSettings) -> list[tuple[str, str, str]]:
-        """Return what differs in `other` from these, each as (what, value here, value there); more dockings may be."""
+        """Return the differences to `other`, each as (what, value here, value there); a larger n may differ."""
         pairs: dict[str, tuple[Any, Any]] = {
             name: (getattr(self, name), getattr(other, name)) for name in ("seed", "approach", "exact")
         }
@@ -90,7 +90,7 @@ class CampaignSettings:
             pairs[f"scene's {key}"] = was.get(key, "not given"), shall.get(key, "not given")
         for key in sorted(self.versions.keys() | other.versions.keys()):
             pairs[f"version of {key}"] = self.versions.get(key), other.versions.get(key)
-        return [(what, _told(one), _told(two)) for what, (one, two) in pairs.items() if one != two]
+        return [(what, _shown(one), _shown(two)) for what, (one, two) in pairs.items() if one != two]
 
 
 @functools.lru_cache(maxsize=8)
@@ -114,7 +114,7 @@ def versions() -> dict[str, str]:
 
 
 def _digest() -> str:
-    """Return 16 hexadecimal digits that change with the code, and any model, that a docking follows from."""
+    """Return 16 hexadecimal digits that change with the code and models that decide a docking."""
     digest = hashlib.sha256()
     for name, path in computing():
         digest.update(name.encode() + meaning(path))
@@ -122,7 +122,7 @@ def _digest() -> str:
 
 
 def computing() -> Iterator[tuple[str, Path]]:
-    """Yield name and place of every file that a docking follows from: code without its ROS shells, and models."""
+    """Yield name and path of every file that decides a docking: code without its ROS shells, and models."""
     for package in _COMPUTES:
         root = _root(package)
         for path in sorted(root.rglob("*")):
@@ -139,10 +139,7 @@ def _root(package: str) -> Path:
 
 
 def meaning(path: Path) -> bytes:
-    """Return what a file says to Python: comments, docstrings and layout of code change no docking.
-
-    Of other files, every byte.
-    """
+    """Return code without comments, docstrings and layout, which change no docking; of other files, every byte."""
     content = path.read_bytes()
     if path.suffix != ".py":
         return content
@@ -164,5 +161,5 @@ def flat(content: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return found
 
 
-def _told(value: Any) -> str:
+def _shown(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign draws a value from: a number or word, a range on either scale, a normal distribution or a choice."""
+"""Distribution of a campaign's value: a number or word, a linear or log range, a normal distribution or a choice."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 
 Value = float | bool | str
-_REDRAWS = 1000  # of a normal distribution outside the bounds; then its mean
+_REDRAWS = 1000  # of a normal distribution outside the bounds; then the mean is used
 _LOG, _SIDES = "log", "either_sign"
 HELP = (
     "give a number, a range [low, high], {log: [low, high]}, {either_sign: [low, high]}, {mean: …, stddev: …} or "
@@ -23,11 +23,11 @@ HELP = (
 
 @dataclass(frozen=True)
 class Spread:
-    """Where a value comes from.
+    """Distribution of a value.
 
     Attributes:
         shape: "fixed", "range", "log", "either_sign", "normal" or "choose".
-        numbers: the value; low and high, of either sign those of the size; mean and standard deviation; or the choices.
+        numbers: the value; low and high (of the size for "either_sign"); mean and standard deviation; or the choices.
         key: bounds and kind; a number, a truth value or a word.
     """
 
@@ -36,7 +36,7 @@ class Spread:
     key: Declaration
 
     def draw(self, source: random.Random) -> Value:
-        """Return one value, which lies within the bounds."""
+        """Return one value within the bounds."""
         first = self.numbers[0]
         if self.shape == "fixed":
             return first
@@ -62,12 +62,12 @@ class Spread:
 
     @property
     def ends(self) -> tuple[Value, Value]:
-        """Smallest and largest value of a range or a choice; of a normal distribution twice its mean."""
+        """Smallest and largest value of a range or a choice; of a normal distribution its mean twice."""
         if self.shape == "normal":
             return self.numbers[0], self.numbers[0]
         if self.shape == _SIDES:
             return -float(self.numbers[1]), self.numbers[1]
-        known = cast(tuple[float, ...], self.numbers)  # or words alone, which have an order, too
+        known = cast(tuple[float, ...], self.numbers)  # or words, which have an order, too
         return min(known), max(known)
 
 
@@ -93,11 +93,11 @@ def _checked(key: Declaration, value: Any, where: str) -> Value:
 
 
 def read_spread(value: Any, key: Declaration, where: str) -> Spread:
-    """Return the spread that a YAML value describes.
+    """Return the distribution that a YAML value describes.
 
     Args:
         value: number, truth value, word, [low, high], {mean, stddev} or {choose}.
-        key: what it may be.
+        key: its bounds and kind.
         where: dotted key, for messages.
 
     Raises:
@@ -117,13 +117,13 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if len(value) == 1 and {_LOG, _SIDES} & set(value) and key.kind is float:
             shape, ends = next(iter(value.items()))
             return _read_scale(shape, ends, key, where)
-        raise ParameterError(where, dict(value), f"{brief(dict(value))} is no distribution; {_usage(key)}")
+        raise ParameterError(where, dict(value), f"{brief(dict(value))} is not a distribution; {_usage(key)}")
     return Spread("fixed", (_checked(key, value, where),), key)
 
 
 def _read_range(value: Any, key: Declaration, where: str) -> Spread:
     if len(value) != 2 or key.kind in (bool, str):
-        raise ParameterError(where, value, f"{brief(value)} is no range [low, high]; {_usage(key)}")
+        raise ParameterError(where, value, f"{brief(value)} is not a range [low, high]; {_usage(key)}")
     low, high = (cast(float, _checked(key, item, f"{where}[{index}]")) for index, item in enumerate(value))
     if low > high:
         raise ParameterError(where, value, f"{low:g} is above {high:g}; give the lower one first")
@@ -134,13 +134,13 @@ def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
     """Return a spread over sizes: logarithmic, or linear with either sign."""
     where = f"{where}.{shape}"
     if not isinstance(ends, list | tuple):
-        raise ParameterError(where, ends, f"{brief(ends)} is no range [low, high]; {HELP}")
+        raise ParameterError(where, ends, f"{brief(ends)} is not a range [low, high]; {HELP}")
     low, high = cast(tuple[float, float], _read_range(ends, key, where).numbers)
     if shape == _LOG and low <= 0.0:
         raise ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
     if shape == _SIDES:
         if low < 0.0:
-            raise ParameterError(where, ends, f"{low!r} is no size; give both ends from 0 on")
+            raise ParameterError(where, ends, f"{low!r} is not a size; give both ends ≥ 0")
         _checked(key, -high, where)
     return Spread(shape, (low, high), key)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a campaign's results: its settings and Parquet files, one for each batch, each written whole or not."""
+"""The folder of a campaign's results: its settings, and a Parquet file per batch, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of
 
 SETTINGS = "_campaign.json"
-"""Readers of Parquet folders pass over names that begin with _."""
+"""Readers of Parquet folders skip names that begin with _."""
 _LARGEST_PART, _MOST_TEXT = 64 * 2**20, 64 * 2**20  # bytes
 _MOST_VALUES = 1_000_000  # of a file; a batch of 50 rows has 5000
 _LIMITS = {"thrift_string_size_limit": 2**20, "thrift_container_size_limit": 10_000}
@@ -37,15 +37,15 @@ def require_pyarrow() -> Any:
 
 
 class Store:
-    """Results of one campaign that is being run; a context that holds the folder for this process alone.
+    """Results of a running campaign; a context that reserves the folder for this process.
 
     Args:
-        folder: made where it is missing.
+        folder: created if missing.
         settings: of the campaign.
 
     Raises:
-        CampaignError: pyarrow is missing, another process is writing there, or the folder holds something else or a
-            campaign with other settings; the message names what differs.
+        CampaignError: pyarrow is missing, another process writes there, or the folder has other files or a campaign
+            with other settings; the message names the differences.
     """
 
     def __init__(self, folder: Path, settings: CampaignSettings) -> None:
@@ -58,10 +58,10 @@ class Store:
 
     def __enter__(self) -> Store:
         if self.folder.exists() and not self.folder.is_dir():
-            raise CampaignRefused(f"{self.folder} is a file; give a folder, which is made where it is missing")
+            raise CampaignRefused(f"{self.folder} is a file; give a folder, which is created if missing")
         strangers = self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / _LOCK).exists()
         if strangers and not (self.folder / SETTINGS).exists():
-            raise CampaignRefused(f"{self.folder} holds other files and no campaign; give a folder of its own")
+            raise CampaignRefused(f"{self.folder} has other files and no campaign; give another folder")
         self.folder.mkdir(parents=True, exist_ok=True)
         self._lock = self._hold()
         try:
@@ -73,14 +73,14 @@ class Store:
 
     def __exit__(self, *exception: object) -> None:
         if self._lock is not None:
-            self._lock.close()  # and with it the lock
+            self._lock.close()  # releases the lock
 
     def missing(self) -> list[int]:
         """Return the numbers that have no row yet."""
         return [number for number in range(self.settings.n) if number not in self.done]
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> int:
-        """Write rows as one file and return how many were new; those that are there already are left out."""
+        """Write new rows as one file and return their number; rows already there are left out."""
         fresh = {row["number"]: row for row in rows if row["number"] not in self.done}
         if not fresh:
             return 0
@@ -108,7 +108,7 @@ class Store:
             if differences:
                 named = "; ".join(f"{what} is {shall}, was {was}" for what, was, shall in differences)
                 raise CampaignRefused(
-                    f"{self.folder} holds a campaign with other settings: {named}. Give the same ones to go on, or "
+                    f"{self.folder} has a campaign with other settings: {named}. Give the same ones to continue, or "
                     "another --out"
                 )
             self.done = {number for part in read_parts(self.folder, ["number"]) for number in part["number"]}
@@ -119,15 +119,15 @@ def read_settings(folder: Path) -> CampaignSettings:
     """Return the settings of a campaign.
 
     Raises:
-        CampaignError: the folder holds none, or a damaged one.
+        CampaignError: the folder has none, or a damaged one.
     """
     path = folder / SETTINGS
     try:
         settings = CampaignSettings.from_json(read_text(path))
-        scene_of(settings.to_json())  # which every reader of it asks for
+        scene_of(settings.to_json())  # checks the scene, which every reader needs
         return settings
     except FileNotFoundError as error:
-        raise CampaignRefused(f"{folder} holds no campaign: {SETTINGS} is missing") from error
+        raise CampaignRefused(f"{folder} has no campaign: {SETTINGS} is missing") from error
     except (ValueError, TypeError, KeyError, OSError) as error:
         raise CampaignError(f"{path} cannot be read as the settings of a campaign: {error}") from error
 
@@ -137,10 +137,10 @@ def read_results(folder: Path, wanted: Sequence[str] = ()) -> dict[str, list[Any
 
     Args:
         folder: of the campaign.
-        wanted: columns, `number` among them; empty = all.
+        wanted: columns including `number`; empty = all.
 
     Raises:
-        CampaignError: pyarrow is missing, or the folder holds no campaign, a damaged file or a docking twice.
+        CampaignError: pyarrow is missing, or the folder has no campaign, a damaged file or a docking twice.
     """
     names = list(wanted or columns(scene_of(read_settings(folder).to_json())[1]))
     result: dict[str, list[Any]] = {name: [] for name in names}
@@ -149,7 +149,7 @@ def read_results(folder: Path, wanted: Sequence[str] = ()) -> dict[str, list[Any
             result[name] += part[name]
     numbers = result["number"]
     if len(set(numbers)) != len(numbers):
-        raise CampaignError(f"{folder} holds a docking twice; were files copied into it?")
+        raise CampaignError(f"{folder} has a docking twice; remove files that were copied into it")
     order = sorted(range(len(numbers)), key=numbers.__getitem__)
     return {name: [values[index] for index in order] for name, values in result.items()}
 
@@ -168,17 +168,17 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
                 yield _read_part(pyarrow, stream, list(names))
         except CampaignRefused as error:
             raise CampaignRefused(f"{path} {error}") from error
-        except Exception as error:  # of damaged files pyarrow raises whatever it stumbles over
+        except Exception as error:  # pyarrow raises many kinds for damaged files
             problem = f"{error}"[:_LONGEST_PROBLEM]
             raise CampaignError(
-                f"{path} cannot be read: {problem}; remove it, and the same command runs it again"
+                f"{path} cannot be read: {problem}; remove it; the same command runs its dockings again"
             ) from error
 
 
 def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, list[Any]]:
-    """Return the named columns of a file, whose metadata are compared with what such a file may be before it is read.
+    """Return the named columns of a file, after its metadata are checked against the limits of such a file.
 
-    Texts are read dictionary-encoded, so that one that comes again a million times takes no memory.
+    Texts are read dictionary-encoded, so that a million repetitions take no memory.
     """
     file = pyarrow.parquet.ParquetFile(stream, **_LIMITS)
     meta, kinds = file.metadata, file.schema_arrow
@@ -189,10 +189,10 @@ def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, li
     texts = [name for name in names if kinds.field(name).type == pyarrow.string()]
     numbers = (pyarrow.int64(), pyarrow.float64(), pyarrow.bool_(), pyarrow.string())
     if any(kinds.field(name).type not in numbers for name in names) or meta.num_rows * meta.num_columns > _MOST_VALUES:
-        raise ValueError("it holds other things than rows of a campaign, or too many")
-    # Columns' metadata are not asked: damaged ones end the process there (pyarrow 26), while reading refuses them.
+        raise ValueError("it has too many rows, or other content than rows of a campaign")
+    # Not the columns' metadata: damaged ones crash the process (pyarrow 26), but reading refuses them.
     if sum(meta.row_group(group).total_byte_size for group in range(meta.num_row_groups)) > _MOST_TEXT:
-        raise ValueError("it unpacks to more than results take")
+        raise ValueError("it unpacks to more than results can take")
     stream.seek(0)
     table = pyarrow.parquet.ParquetFile(stream, read_dictionary=texts, **_LIMITS).read(columns=names).select(names)
     if sum(_text_length(chunk) for name in texts for chunk in table[name].chunks) > _MOST_TEXT:
@@ -204,7 +204,7 @@ def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, li
 
 
 def _text_length(chunk: Any) -> int:
-    """Return the bytes that the texts of a column would take, written out."""
+    """Return the bytes of a column's texts without encoding."""
     import pyarrow.compute as compute
 
     return int(compute.sum(compute.binary_length(chunk.dictionary).take(chunk.indices)).as_py() or 0)

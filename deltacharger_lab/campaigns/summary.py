@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign's results say on the whole."""
+"""Summary of a campaign's results."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ NUMBERS = {
 OF_CHARGED = ("time", "moves", "final_misalignment")
 RATES = ("charged", "aligned")
 COLUMNS = ("number", "code_name", "shorts", "energised_unsafe", *RATES, *NUMBERS)
-"""What summaries and comparisons read of the results."""
+"""Columns that summaries and comparisons read."""
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """Return the summary of results as `read_results` gives them.
+    """Return the summary of results from `read_results`.
 
     Returns:
         n; charged and aligned as shares, with 95 % intervals (Wilson) under charged_interval and aligned_interval;
         refused, how often by code; crashed; shorts and energised_unsafe (s), sums; and for each of `NUMBERS` median,
-        p95 and max, NaN where there is none.
+        p95 and max, NaN for none.
     """
     count = len(results["number"])
     codes = Counter(name for name in results["code_name"] if name not in ("NONE", CRASHED))
@@ -55,13 +55,13 @@ def summarise(results: Results) -> dict[str, Any]:
 
 
 def quantiles(values: np.ndarray, *shares: float) -> list[float]:
-    """Return quantiles of what is finite; NaN where nothing is."""
+    """Return quantiles of the finite values; NaN for none."""
     known = values[np.isfinite(values)]
     return [float(each) for each in np.quantile(known, shares)] if len(known) else [math.nan] * len(shares)
 
 
 def numbers(results: Results, name: str) -> np.ndarray:
-    """Return a column as floats (n,), NaN where the number does not count: of a docking not charged, or crashed."""
+    """Return a column as floats (n,); NaN if the docking does not count: not charged, or crashed."""
     values = np.asarray(results[name], dtype=float)
     counts = np.asarray(results["charged"], dtype=bool)
     if name not in OF_CHARGED:
@@ -70,7 +70,7 @@ def numbers(results: Results, name: str) -> np.ndarray:
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (Wilson 1927), which stays within 0 to 1; NaN without any."""
+    """Return the 95 % interval of a share (Wilson 1927), which stays within 0 to 1; NaN for no count."""
     if not count:
         return math.nan, math.nan
     from scipy.stats import binomtest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking is told of arm and gravity otherwise than it is: keys `told`, and what they make of the truth."""
+"""Wrong assumptions of docking about arm and gravity: keys `told`, and the assumed values that they give."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from deltacharger_core.parameters import declared, number
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_lab.campaigns.spread import Value
 
-_WRONG = 0.005  # m; who builds or measures an arm sees a part that is wrong by more
-_TURNED = 0.1  # rad; a zero that is wrong by more puts the platform 12 mm off, which homing shows
+_WRONG = 0.005  # m; a larger error is seen when the arm is built or measured
+_TURNED = 0.1  # rad; a zero that errs by more puts the platform 12 mm off, which homing shows
 _GEOMETRY = "told.geometry."
 _COMMON = ("base_radius", "arm", "rod", "platform_radius", "z_offset")
 
 
 @dataclass(frozen=True)
 class ToldLimb:
-    """How docking's numbers of one limb differ from the true ones."""
+    """Errors of docking's parameters of one limb."""
 
     radius_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of base radius − platform radius of this limb")
     tangential_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of its plane, counter-clockwise about z")
     height_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of its motor axis, toward +z")
     arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this arm")
     rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this rod")
-    angle_offset: float = number(0.0, -_TURNED, _TURNED, "rad", "error of this arm's zero: assumed less true angle")
+    angle_offset: float = number(0.0, -_TURNED, _TURNED, "rad", "error of this arm's zero: assumed − true angle")
 
 
 @dataclass(frozen=True)
 class ToldGeometry:
-    """How docking's dimensions of the arm differ from the true ones: told less true."""
+    """Errors of docking's dimensions of the arm: assumed − true."""
 
     base_radius: float = number(
         0.0, -_WRONG, _WRONG, "m", "error of the base radius; only its difference to platform_radius's error counts"
@@ -41,7 +41,7 @@ class ToldGeometry:
     arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all arms")
     rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all rods")
     platform_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the platform's radius")
-    z_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of the motor plane's place along z")
+    z_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of the motor plane's position along z")
     limb_0: ToldLimb = field(default_factory=ToldLimb)
     limb_1: ToldLimb = field(default_factory=ToldLimb)
     limb_2: ToldLimb = field(default_factory=ToldLimb)
@@ -49,7 +49,7 @@ class ToldGeometry:
 
 @dataclass(frozen=True)
 class Told:
-    """What docking takes arm and gravity for."""
+    """Docking's assumptions about arm and gravity."""
 
     servo_stiffness: float = number(1.0, 0.25, 4.0, "", "servo stiffness that docking assumes, over the true one")
     torque_constant: float = number(
@@ -63,10 +63,10 @@ class Told:
 
 
 def told_gravity(values: Mapping[str, Value], true: Vector) -> Vector:
-    """Return the gravity (m/s², charger_base) that docking is told, where it is told any.
+    """Return the gravity (m/s², charger_base) that docking assumes.
 
-    `told.gravity_tilt` turns the true one, level or not: first −y as `gravity.tilt` and `gravity.azimuth` do, then all
-    of it by the shortest rotation that brings −y to the true direction. Without it docking is told the true one where
+    `told.gravity_tilt` turns the true gravity: first −y, as `gravity.tilt` and `gravity.azimuth` do, then the result by
+    the shortest rotation that brings −y to the true direction. Without it docking assumes the true gravity if
     `gravity.known`, else −y.
     """
     if "told.gravity_tilt" not in values:
@@ -84,8 +84,8 @@ def tilted_gravity(tilt: float, azimuth: float) -> Vector:
 def _turned(vector: Vector, true: Vector) -> Vector:
     """Return a vector turned by the shortest rotation from −y to the direction of `true`.
 
-    With b = −y and the unit vector a of `true` that is v − ((a + b)·v / (1 + a·b)) (a + b) + 2 (b·v) a (Rodrigues).
-    Where they are opposite each half turn about an axis across y is as short: the one about x is taken.
+    With b = −y and the unit vector a of `true` this is v − ((a + b)·v / (1 + a·b)) (a + b) + 2 (b·v) a (Rodrigues).
+    If they are opposite, all half turns about an axis across y are equally short: the one about x is taken.
     """
     size = math.hypot(*true)
     ax, ay, az = (each / size for each in true)
@@ -98,7 +98,7 @@ def _turned(vector: Vector, true: Vector) -> Vector:
 
 
 def told_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
-    """Return the dimensions by which docking moves the arm; None = the true ones."""
+    """Return the dimensions that docking assumes for the arm; None = the true ones."""
     names = (name for name in values if name.startswith(_GEOMETRY))
     errors = {name.removeprefix(_GEOMETRY): float(values[name]) for name in names}
     if not any(errors.values()):
@@ -110,7 +110,7 @@ def told_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
 
 
 def _limb(common: DeltaGeometry, index: int, errors: Mapping[str, float]) -> LimbAdjustment:
-    """Return what a limb differs in from the common dimensions as told."""
+    """Return the assumed differences of a limb from the common dimensions."""
     found: dict[str, Any] = {}
     for item in declared(ToldLimb):
         error = errors.get(f"limb_{index}.{item.name}", 0.0)

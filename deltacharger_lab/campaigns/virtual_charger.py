@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
 
-It is there because thousands of dockings, the same on every machine, cannot wait for real seconds.
-Between them stands what the nodes do: the servo goal at 100 Hz, services that take their time, the contactor's lease.
-The machine gets only what the robot's topics carry.
+Thousands of dockings, equal on every machine, need more than real time. It models the nodes in between: the servo goal
+at 100 Hz, the delay of services, the contactor's lease. The machine gets only data that the robot's topics carry.
 """
 
 from __future__ import annotations
@@ -58,10 +57,10 @@ GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
 
 
 class PoseModel(Protocol):
-    """What makes an estimate of two averaged, tared pads."""
+    """Makes an estimate from two averaged, tared pads."""
 
     def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return what has the attributes of docking's `FeltPose`, but for its classes."""
+        """Return an estimate with the attributes of docking's `FeltPose`, except its classes."""
 
 
 @functools.cache
@@ -71,13 +70,13 @@ def packaged_model() -> PoseEstimator:
 
 
 def counts(current: float) -> float:
-    """Return a current (A) as the servo's register resolves it."""
+    """Return a current (A) with the resolution of the servo's register."""
     return round(current / CURRENT_UNIT) * CURRENT_UNIT
 
 
 @dataclass
 class Pending:
-    """A request on its way: when it was asked and is answered (s), and the frames (N) that its answer is made of."""
+    """A pending request: times of request and answer (s), and the frames (N) of its answer."""
 
     request: Request
     asked: float
@@ -86,18 +85,18 @@ class Pending:
 
 
 class VirtualCharger:
-    """Steps everything by 10 ms; `distort` may change each observation to stage a fault.
+    """Steps world and machine by 10 ms; `distort` may change each observation to inject a fault.
 
     Args:
         world: the simulated world; None = defaults.
         parameters: of docking, and servo_node's torque constant; None = defaults with the world's servo stiffness.
         seed: course of noise and jitter.
-        rig_seed: which device's pads.
+        rig_seed: seed of the device with the pads.
         tactile: the pads; None = those of `rig_seed` and `seed`.
-        geometry: the arm's dimensions as docking is told them; None = the true ones.
+        geometry: the arm's dimensions that docking assumes; None = the true ones.
 
     Attributes:
-        excess: what taxels read too much after each tare (2, 10, 10) N; None = nothing.
+        excess: excess reading of taxels after each tare (2, 10, 10) N; None = none.
     """
 
     def __init__(
@@ -121,7 +120,7 @@ class VirtualCharger:
         self.states: list[State] = []
         self.outcome: DockingOutcome | None = None
         self.model: PoseModel = packaged_model()
-        self.classes: Callable[[np.ndarray, np.ndarray], MisalignmentClasses] | None = None  # where they are asked for
+        self.classes: Callable[[np.ndarray, np.ndarray], MisalignmentClasses] | None = None  # if requested
         self.baseline = np.zeros((PADS, ROWS, COLUMNS))
         self.excess: Array | None = None
         self._tared = False
@@ -133,8 +132,8 @@ class VirtualCharger:
         self._bound = [CURRENT_BOUND] * 3
         self._pending: list[Pending] = []
         self._replies: list[Reply] = []
-        self._earlier: list[Reading] = []  # of the servos, since the machine was stepped
-        self._waits = NEXT  # what the machine waits for
+        self._earlier: list[Reading] = []  # of the servos, since the machine's last step
+        self._waits = NEXT  # pending condition of the machine
         self._energised = False
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
@@ -148,12 +147,12 @@ class VirtualCharger:
         return self.finish(limit)
 
     def begin(self, goal: DockGoal) -> None:
-        """Start a Dock goal; raises what the machine refuses."""
+        """Start a Dock goal; raises the machine's refusal."""
         self.outcome, self._waits = None, NEXT
         self.machine.start_dock(goal, self.observe())
 
     def start(self, script: Callable[[Context], Script[str]]) -> None:
-        """Start somebody else's script on the machine."""
+        """Start another script on the machine."""
         self.outcome, self._waits = None, NEXT
         self.machine.start(script, self.observe())
 
@@ -196,7 +195,7 @@ class VirtualCharger:
         self._step()
 
     def _step(self) -> None:
-        """Let the machine decide, and carry out what it says."""
+        """Let the machine decide, and carry out its commands."""
         command = self.machine.step(self.distort(self.observe()))
         self._replies, self._earlier = [], []
         self._waits = command.waits
@@ -223,7 +222,7 @@ class VirtualCharger:
                 self.plant.open_contactor(True)
 
     def observe(self) -> Observation:
-        """Return what the topics would tell."""
+        """Return the observation that the topics would carry."""
         angles, currents = self._reading()
         battery, target, current, closed, fault = self.plant.read_power()
         return Observation(
@@ -248,7 +247,7 @@ class VirtualCharger:
         )
 
     def _reading(self) -> tuple[Vector, Vector]:
-        """Return angles (rad) and currents (A) as servo_state tells them."""
+        """Return angles (rad) and currents (A) as in servo_state."""
         (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = (self.plant.read_servo(index) for index in range(3))
         return (a, b, c), (counts(i), counts(j), counts(k))
 

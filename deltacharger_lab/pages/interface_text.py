@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What .msg, .srv and .action files say, for the page of topics: fields, constants, and the comments beside them."""
+"""Content of .msg, .srv and .action files for the page of topics: fields, constants, and their comments."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def read(path: Path) -> Interface:
     """Read an interface file.
 
     Raises:
-        ValueError: a line is no declaration, or there are other parts than the kind of file has.
+        ValueError: a line is not a declaration, or the number of parts does not fit the kind of file.
     """
     names = PARTS[path.suffix]
     pieces = re.split(r"^---$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -65,7 +65,7 @@ def _part(path: Path, name: str, piece: str, head: list[str]) -> InterfacePart:
             continue
         if line.startswith("#"):
             head.append(comment)
-        elif line.lstrip().startswith("#"):  # goes on from the line above
+        elif line.lstrip().startswith("#"):  # continues the line above
             part.fields[-1].text += f" {comment}"
         else:
             _declare(path, part, line)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the parameters that no node has: those of the simulation's models and the keys of campaigns."""
+"""Tables of parameters without a node: the simulation's models and the keys of campaigns."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _allowed(key: Declaration) -> str:
 
 
 def text(value: Any) -> str:
-    """Return a default as the page has it."""
+    """Return a default in the page's format."""
     if value is None:
         return "none"
     if isinstance(value, str):

@@ -66,14 +66,14 @@ def _allowed(descriptor: Any) -> str:
 
 @contextmanager
 def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
-    """Run the nodes of a robot, those of its simulation and those that show it, each once, and return them."""
+    """Run the nodes of a robot, of its simulation and of its display, each once, and return them."""
     from deltacharger_records.view.passive_joints_node import PassiveJointsNode
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import STANDARD_NODES, parse_scene
 
     others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
     names = [*STANDARD_NODES, *others]
-    defaults = {"docking_recorder_node": {"scene": ""}}  # which a scene would tell
+    defaults = {"docking_recorder_node": {"scene": ""}}  # a scene would set it
     scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
     with Composition(scene, context, namespace) as composition, ExitStack() as stack:
         nodes: list[Any] = [running.node for running in composition.nodes]
@@ -90,13 +90,13 @@ def _camera(context: Context, namespace: str) -> Any:
     from deltacharger_vision.cameras.keeper import CameraUnavailable
 
     def no_camera(*arguments: Any) -> Any:
-        raise CameraUnavailable("its parameters alone are looked at")
+        raise CameraUnavailable("only its parameters are read")
 
     return CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
 
 
 def _player(context: Context, namespace: str) -> Any:
-    """Return a player in a namespace of its own, as it never plays beside a charger, of a message of every topic."""
+    """Return a player of a message of every topic, in a separate namespace, because it never runs with a charger."""
     from deltacharger_records.recording.docking_topics import TOPICS
     from deltacharger_records.recording.mcap_recording import McapWriter
     from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
@@ -122,7 +122,7 @@ def write_page(document: Callable[[list[Node]], str], namespace: str) -> int:
 
 
 def with_every_node(use: Callable[[list[Node]], object], namespace: str) -> int:
-    """Call `use` with all nodes running; the main of a page."""
+    """Call `use` with all nodes running; the main function of a page."""
     streams.secure()
     environment.prepare()
     environment.isolate()

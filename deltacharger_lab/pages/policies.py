@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The policies of SROS 2 in config/security, from the nodes: python -m deltacharger_lab.pages.policies config/security.
 
-One profile a node, of what it publishes, hears, serves and calls and nothing else, and an enclave for each; one enclave
-for a charger in one process, and one each for fleet managers and for whoever calibrates.
+Each node has a profile of exactly what it publishes, subscribes to, serves and calls, and an enclave. A charger in one
+process has one enclave; so have fleet managers, and persons who calibrate.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _EVERY_NODES = {
     *(Endpoint("serves", f"~/{name}", "") for name in (*_PARAMETERS, "set_parameters_atomically")),
     Endpoint("serves", "~/get_type_description", ""),
 }
-_NOT_OF_A_CHARGER = {"recording_player_node"}  # says what others have said
+_NOT_OF_A_CHARGER = {"recording_player_node"}  # republishes others' messages
 _FLEET = "fleet"
 _WORKSHOP = "workshop"
 _ASKED = ("servo_node/get", "servo_node/list", "tactile_node/get", "tactile_node/list")
@@ -57,10 +57,10 @@ def documents(nodes: Iterable[Node]) -> dict[str, str]:
     running = list(nodes)
     found, _ = everything(running)
     everywhere: set[Endpoint] = set().union(*found.values())
-    heard = {Endpoint("subscribes to", each.name, "") for each in everywhere if _is_told(each)}
+    readable = {Endpoint("subscribes to", each.name, "") for each in everywhere if _is_topic(each)}
     goals = {Endpoint("calls the action", each.name, "") for each in everywhere if _is_goal(each)}
     context, namespace = running[0].context, running[0].get_namespace()
-    fleet = heard | goals | _of(ChargerClient(namespace, context), Recorder(context, namespace))
+    fleet = readable | goals | _of(ChargerClient(namespace, context), Recorder(context, namespace))
     arm, recording = ArmClient(context, DeltaGeometry(), namespace), RecordingCharger(context, namespace)
     workshop = fleet | _of(arm, recording) | _ON_DEMAND
     profiles = {**found, _FLEET: fleet, _WORKSHOP: workshop}
@@ -69,7 +69,7 @@ def documents(nodes: Iterable[Node]) -> dict[str, str]:
     return {**files, "policy.xml": _policy(sorted(profiles), sorted({*found, _FLEET} - _NOT_OF_A_CHARGER))}
 
 
-def _is_told(each: Endpoint) -> bool:
+def _is_topic(each: Endpoint) -> bool:
     return each.verb == "publishes" and "/_" not in each.name
 
 
@@ -78,7 +78,7 @@ def _is_goal(each: Endpoint) -> bool:
 
 
 def _of(*guests: Guest) -> set[Endpoint]:
-    """Return what the programs of some commands have."""
+    """Return the endpoints of some commands' programs."""
     found: set[Endpoint] = set()
     for guest in guests:
         with guest:

@@ -24,23 +24,22 @@ _OF_TF = "transform_timeout"  # a parameter of every node that reads tf, where t
 _TRANSFORMS = "tf2_msgs/TFMessage"
 _ROOT = Path(__file__).parents[2]
 _FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
-_NOTICED = 10.0  # s for a node to notice that somebody wants what it publishes
-_WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder hears it all the time
+_NOTICED = 10.0  # s for a node to notice a subscriber
+_WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder subscribes all the time
 _HEAD = """# Topics, services, actions
 
-What each node publishes, subscribes to, serves and calls, from running nodes, and every field of the package's own
-messages, services and actions, from `msg/`, `srv/` and `action/`. Names are relative, so that a namespace makes a
-second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for
-the electrodes, *while heard* only while somebody subscribes to what the node publishes. /tf and /tf_static are heard
-where tf2_ros is installed, by electrode_detector_node only with mount_from_tf. Mock nodes have topics and
-services of the nodes in whose place they stand. A subscriber that asks for reliable delivery hears nothing of a topic
-that is best effort.
+The endpoints of each node, read from running nodes, and every field of the package's messages, services and actions,
+from `msg/`, `srv/` and `action/`. Names are relative, so a second charger needs only a namespace; names with a leading
+/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while heard* only
+while a client subscribes to the node's topics. Nodes subscribe to /tf and /tf_static if tf2_ros is installed,
+electrode_detector_node only with mount_from_tf. Mock nodes have the topics and services of the nodes that they
+replace. A subscriber that requests reliable delivery receives nothing from a best-effort topic.
 """
 
 
 @dataclass(frozen=True, order=True)
 class Endpoint:
-    """One end of a topic, service or action: what the node does with it, its name, type and quality of service."""
+    """One end of a topic, service or action: the node's role, name, type and quality of service."""
 
     verb: str
     name: str
@@ -56,7 +55,7 @@ _VERBS = ("publishes", "subscribes to", "serves", "calls", "serves the action", 
 
 
 def endpoints(node: Node) -> set[Endpoint]:
-    """Return what a running node has now, without what every ROS node has."""
+    """Return a running node's present endpoints, without those of every ROS node."""
     found = {
         Endpoint(verb, _relative(node, each.topic_name), _type(each.msg_type), quality(each.qos_profile))
         for verb, those in (("publishes", node.publishers), ("subscribes to", node.subscriptions))
@@ -78,8 +77,8 @@ def endpoints(node: Node) -> set[Endpoint]:
     name, namespace = node.get_name(), node.get_namespace()
     servers = get_action_server_names_and_types_by_node(node, name, namespace)
     clients = get_action_client_names_and_types_by_node(node, name, namespace)
-    played = {each.topic_name for each in node.publishers}  # who plays an action's topics does not serve it
-    heard = {each.topic_name for each in node.subscriptions}  # and who only hears of its goals does not call it
+    played = {each.topic_name for each in node.publishers}  # a player of an action's topics does not serve it
+    heard = {each.topic_name for each in node.subscriptions}  # a subscriber to its goals does not call it
     servers = [each for each in servers if f"{each[0]}/_action/feedback" not in played]
     clients = [each for each in clients if f"{each[0]}/_action/feedback" not in heard]
     for verb, actions in (("serves the action", servers), ("calls the action", clients)):
@@ -95,7 +94,7 @@ def quality(profile: QoSProfile) -> str:
 
 
 def everything(nodes: Iterable[Node]) -> tuple[dict[str, set[Endpoint]], dict[str, set[Endpoint]]]:
-    """Return what each running node ever has, and what it has at rest, in the order of their names."""
+    """Return each running node's endpoints of all times, and those at rest, in the order of names."""
     ordered = sorted(nodes, key=lambda node: node.get_name())
     _wait_until_subscribed(ordered, _WHILE_HEARD)
     at_rest = {node.get_name(): endpoints(node) for node in ordered}
@@ -104,7 +103,7 @@ def everything(nodes: Iterable[Node]) -> tuple[dict[str, set[Endpoint]], dict[st
 
 
 def document(nodes: Iterable[Node]) -> str:
-    """Return the whole page for running nodes, in the order of their names."""
+    """Return the complete page for running nodes, in the order of their names."""
     all_of_them, at_rest = everything(nodes)
     sections = [_HEAD, _overview(all_of_them)]
     sections += [_section(name, found, at_rest[name]) for name, found in all_of_them.items()]
@@ -116,7 +115,7 @@ def document(nodes: Iterable[Node]) -> str:
 
 @contextlib.contextmanager
 def _looking(nodes: Iterable[Node]) -> Iterator[None]:
-    """Let the detector look, and wait until the simulated camera has noticed."""
+    """Start the detector, and wait until the simulated camera has noticed."""
     by_name: dict[str, Any] = {node.get_name(): node for node in nodes}
     with by_name["electrode_detector_node"]._camera.watching():
         _wait_until_subscribed(by_name.values(), "simulated_camera_node")
@@ -128,12 +127,12 @@ def _wait_until_subscribed(nodes: Iterable[Node], name: str) -> None:
     end = time.monotonic() + _NOTICED
     while not any(each.verb == "subscribes to" for each in endpoints(node)):
         if time.monotonic() > end:
-            raise TimeoutError(f"{name} did not notice that what it publishes is wanted")
+            raise TimeoutError(f"{name} did not notice its subscriber")
         time.sleep(0.02)
 
 
 def _overview(found: dict[str, set[Endpoint]]) -> str:
-    lines = ["## Who speaks to whom", "", "| topic | from | to |", "|---|---|---|"]
+    lines = ["## Topics between nodes", "", "| topic | from | to |", "|---|---|---|"]
     ends = {each.name for those in found.values() for each in those if each.quality}
     topics = sorted(name for name in ends if "/_action/" not in name)
     for topic in topics:
@@ -176,7 +175,7 @@ def _part(part: InterfacePart) -> str:
 
 
 def _linked(kind: str) -> str:
-    """Return a type, as a link where it is one of the package's own."""
+    """Return a type, as a link if it is one of the package's own."""
     name = kind.removeprefix("deltacharger/").removesuffix("[]")
     known = any((_ROOT / folder / f"{name}.{folder}").exists() for folder in _FOLDERS)
     return f"[{name}](#{name.lower()})" if known else kind

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports: what the parts of DeltaCharger measure to, as pages with tables and pictures."""
+"""Reports: measurements of DeltaCharger's parts, as pages with tables and pictures."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of reports: from a template and the figures, and as one HTML file to send around.
+"""Pages of reports from a template and the figures, also as one HTML file.
 
-Templates leave out the line under the head of a table: a block of rows is a table, and its first row is the head.
+Templates omit the line under the head of a table: a block of rows is a table, its first row the head.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from deltacharger_lab.reports import formats
 _TEMPLATES = Path(__file__).parent / "templates"
 _FILTERS = dict(inspect.getmembers(formats, inspect.isfunction))
 _WIDTH = 125
-_NO_PROSE = ("#", "- ", "![")  # blocks that keep their lines
+_NO_PROSE = ("#", "- ", "![")  # blocks that are not wrapped
 
 
 def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
-    """Return the page of figures as they stand in JSON; errors as `rendered`."""
+    """Return the page of the JSON figures; errors as `rendered`."""
     text = rendered(f"{subject}.md.j2", {**figures, "figures": figures, **more})
     return "\n\n".join(map(_wrapped, re.split(r"\n\s*\n", text.strip()))) + "\n"
 
 
 def rendered(name: str, values: Mapping[str, Any]) -> str:
-    """Return what a template makes of values.
+    """Return a template rendered with values.
 
     Raises:
         ModuleNotFoundError: jinja2 is missing.
-        jinja2.TemplateError: the template asks for what is not there.
+        jinja2.TemplateError: the template uses an unknown name.
     """
     import jinja2
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all reports have in common: where and when they were written, their pictures, their targets, and their files."""
+"""Common parts of reports: machine and date, pictures, targets and files."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from deltacharger_lab.reports.page import render, write_html
 from deltacharger_ros.outcomes import json_ready
 
 Progress = Callable[[str], None]
-"""Told what is done next."""
+"""Called with the next step."""
 Picture = Callable[[dict[str, Any], Path], None]
 """Draws results into a file."""
 
 
 class Report:
-    """A report on its way: `results` takes what is measured; then `draw`, the targets, and `write`.
+    """A report in progress: put measurements and targets into `results`; then `draw` and `write`.
 
     Args:
-        subject: of the report, of its template and of its files SUBJECT.json and SUBJECT.md.
+        subject: name of the report, its template and its files SUBJECT.json and SUBJECT.md.
         command: that writes it.
-        libraries: whose versions are told.
-        html: whether the page is written as one HTML file too.
-        measures_with: libraries without which it cannot be measured.
+        libraries: whose versions the page lists.
+        html: whether to write the page as one HTML file, too.
+        measures_with: libraries that the measurement needs.
 
     Raises:
-        ModuleNotFoundError: what measures or writes the page is missing; told before anything takes time.
+        ModuleNotFoundError: a needed library is missing; raised before anything takes time.
     """
 
     def __init__(
@@ -61,13 +61,13 @@ class Report:
     def draw(
         self, pictures: Mapping[str, Picture], directory: Path, missing: Mapping[str, str] | None = None, **more: Any
     ) -> None:
-        """Write every picture that can be written; note those that are missing, with the reason, and the time it took.
+        """Write all possible pictures; record missing ones with the reason, and the elapsed time.
 
         Args:
-            pictures: by name of the file.
+            pictures: by file name.
             directory: of the report.
-            missing: pictures that there cannot be, and why.
-            more: what pictures show besides the results, and no file keeps.
+            missing: pictures that cannot be drawn, with the reason.
+            more: further data for pictures, which no file keeps.
         """
         reasons = dict(missing or {})
         for name, draw in pictures.items():
@@ -81,12 +81,12 @@ class Report:
         self.results["elapsed_s"] = time.monotonic() - self._started
 
     def write(self, directory: Path, indent: int | None = 1, **more: Any) -> dict[str, Any]:
-        """Write figures (NaN and infinity as null), the page rendered from exactly these, and HTML; return the figures.
+        """Write figures (NaN and infinity as null), the page rendered from them, and HTML; return the figures.
 
         Args:
             directory: of the report.
             indent: of the JSON; None = all in one line.
-            more: what the template needs besides the figures.
+            more: further names for the template.
 
         Raises:
             OSError: a file cannot be written.
@@ -100,7 +100,7 @@ class Report:
 
 
 def machine(libraries: Iterable[str]) -> dict[str, Any]:
-    """Return processor, cores, load, system, Python and the versions of those libraries that are installed."""
+    """Return processor, cores, load, system, Python and the versions of installed libraries."""
     versions = {}
     for name in libraries:
         with contextlib.suppress(PackageNotFoundError):
@@ -120,23 +120,23 @@ def machine(libraries: Iterable[str]) -> dict[str, Any]:
 
 
 def at_most(name: str, value: float | None, limit: float, unit: str, wanted: str = "") -> dict[str, Any]:
-    """Return a target that a figure must not pass; `wanted` says it in other words than "≤ limit"."""
+    """Return a target that a figure must not exceed; `wanted` replaces the text "≤ limit"."""
     return _target(name, wanted or f"≤ {limit:g}", value, unit, -math.inf, limit)
 
 
 def at_least(name: str, value: float | None, limit: float, unit: str, wanted: str = "") -> dict[str, Any]:
-    """Return a target that a figure must reach; `wanted` says it in other words than "≥ limit"."""
+    """Return a target that a figure must reach; `wanted` replaces the text "≥ limit"."""
     return _target(name, wanted or f"≥ {limit:g}", value, unit, limit, math.inf)
 
 
 def none(name: str, count: float | None, unit: str) -> dict[str, Any]:
-    """Return a target that something never happens."""
+    """Return a target of no events."""
     return at_most(name, count, 0.0, unit, "= 0")
 
 
 def _target(name: str, wanted: str, value: float | None, unit: str, low: float, high: float) -> dict[str, Any]:
     measured = math.nan if value is None else float(value)
-    met = low <= measured <= high or math.isclose(measured, low) or math.isclose(measured, high)  # but for rounding
+    met = low <= measured <= high or math.isclose(measured, low) or math.isclose(measured, high)  # apart from rounding
     return {
         "name": name,
         "wanted": wanted,

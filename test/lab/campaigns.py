@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of campaigns share: a quick scene, and rows that compare equal though they hold NaN."""
+"""Common parts of the campaign tests: a quick scene, and rows that compare equal although they have NaN."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, versions
 
-# A stiff arm right before its target, so that a docking takes a few hundredths of a second.
+# A stiff arm close to its target, so that a docking takes a few hundredths of a second.
 QUICK: dict[str, Any] = {
     "name": "quick",
     "target": {"x": [-0.002, 0.002], "y": [-0.002, 0.002], "roll": [-0.05, 0.05]},
@@ -31,7 +31,7 @@ def scene(content: Mapping[str, Any] | None = None) -> CampaignScene:
 
 
 def comparable(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows in the order of their numbers with NaN as a word, so that == means equal to the last bit."""
+    """Return rows in the order of their numbers with NaN as text, so that == means equal to the last bit."""
     ordered = sorted(rows, key=lambda row: int(row["number"]))
     return [
         {name: "NaN" if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole quick report, run as a command for the module that names it in REPORT; what reads it is slow."""
+"""A complete quick report, run as a command for the module that names it in REPORT; tests that read it are slow."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
 
 @pytest.fixture(scope="module")
 def quick_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Quick:
-    """Run the command for real: its folder, what it printed, its figures and its page."""
+    """Run the command for real: its folder, output, figures and page."""
     subject, *options = request.module.REPORT
     for module in request.module.MEASURES_WITH:
         pytest.importorskip(module, reason="`make optional` installs what all reports need")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns: a docking follows from seed and number alone, whoever runs it and whatever happened before."""
+"""Campaigns: a docking depends only on seed and number, not on the worker or on earlier dockings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def quick(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_a_docking_follows_from_seed_and_number_alone() -> None:
+def test_a_docking_depends_only_on_seed_and_number() -> None:
     text = settings(4).to_json()
     forward = run_batch(text, [0, 1, 2, 3])
     backward = run_batch(text, [3, 2]) + run_batch(text, [1, 0])
@@ -86,7 +86,7 @@ def test_workers_make_no_difference(capsys: pytest.CaptureFixture[str], tmp_path
     assert contract | {"final_misalignment", "peak_push", "time_above_band"} <= set(alone)
 
 
-def test_after_kill_9_the_same_command_has_every_docking_once(
+def test_after_kill_9_the_same_command_completes_every_docking_once(
     start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str
 ) -> None:
     out = tmp_path / "killed"
@@ -106,7 +106,7 @@ def test_after_kill_9_the_same_command_has_every_docking_once(
 
 
 def children(parent: int) -> set[int]:
-    """Return the processes that `parent` has started, as Linux tells them."""
+    """Return the processes that `parent` has started (Linux)."""
     found = set()
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -124,7 +124,7 @@ def is_alive(process: int) -> bool:
 
 
 @pytest.mark.slow
-def test_workers_end_with_a_parent_that_is_killed(start: Callable[..., Process], tmp_path: Path, quick: str) -> None:
+def test_workers_end_with_a_killed_parent(start: Callable[..., Process], tmp_path: Path, quick: str) -> None:
     out = tmp_path / "killed"
     process = start(*WORDS, "-n", "2000", "--scenes", quick, "--batch", "1", "--workers", "2", "--out", str(out))
     wait_until(lambda: list(out.glob("part-*.parquet")), "a part")
@@ -135,26 +135,26 @@ def test_workers_end_with_a_parent_that_is_killed(start: Callable[..., Process],
 
 
 @pytest.mark.slow
-def test_a_worker_process_that_dies_loses_and_doubles_nothing(tmp_path: Path) -> None:
-    told: list[str] = []
+def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
+    messages: list[str] = []
 
     def report(rows: Sequence[dict[str, Any]]) -> None:
-        if not told:
+        if not messages:
             workers = [
                 each for each in children(os.getpid()) if "spawn_main" in Path(f"/proc/{each}/cmdline").read_text()
             ]
-            told.append("killed")
+            messages.append("killed")
             os.kill(workers[0], signal.SIGKILL)
 
     with Store(tmp_path / "s", settings(12)) as store:
-        run_missing(store, 2, "", 1, report, lambda: False, told.append)
+        run_missing(store, 2, "", 1, report, lambda: False, messages.append)
         assert store.missing() == []
-    assert "a worker process died" in told[1]
+    assert "a worker process died" in messages[1]
     assert stored(tmp_path / "s") == comparable(run_batch(settings(12).to_json(), range(12)))
 
 
 @pytest.mark.parametrize("workers", ["1", slow("2")])
-def test_ctrl_c_leaves_a_file_that_goes_on_and_exits_130(
+def test_ctrl_c_leaves_a_resumable_file_and_exits_130(
     start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str, workers: str
 ) -> None:
     out = tmp_path / "stopped"
@@ -163,16 +163,16 @@ def test_ctrl_c_leaves_a_file_that_goes_on_and_exits_130(
     wait_until(lambda: list(out.glob("part-*.parquet")), "a part")
     process.process.send_signal(signal.SIGINT)
     assert process.end() == 130
-    told = json.loads(process.out[-1])
-    assert (told["success"], told["complete"]) == (False, False)
-    assert 0 < told["n"] < 2000
+    answer = json.loads(process.out[-1])
+    assert (answer["success"], answer["complete"]) == (False, False)
+    assert 0 < answer["n"] < 2000
     code, summary, _ = run(capsys, "-n", "2000", *common, "--approach", "paper")
     assert code == 2
     assert "approach is paper, was guarded" in summary["error"]
-    assert len(stored(out)) == told["n"]
+    assert len(stored(out)) == answer["n"]
 
 
-def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
+def test_different_settings_are_refused_and_named(tmp_path: Path) -> None:
     with Store(tmp_path / "s", settings(3)) as store:
         store.add(run_batch(store.settings.to_json(), [0]))
     wider = {**QUICK, "target": {"x": [-0.004, 0.002], "y": [-0.002, 0.002], "roll": [-0.05, 0.05]}}
@@ -185,7 +185,7 @@ def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
         with pytest.raises(CampaignRefused) as refusal, Store(tmp_path / "s", other):
             pass
         assert named in str(refusal.value)
-    with Store(tmp_path / "s", settings(5)) as store:  # more of the same
+    with Store(tmp_path / "s", settings(5)) as store:  # more dockings of the same campaign
         assert store.missing() == [1, 2, 3, 4]
 
 
@@ -259,7 +259,7 @@ def test_a_worker_with_other_versions_computes_nothing(monkeypatch: pytest.Monke
         run_batch(text, [0])
 
 
-def test_batches_hold_every_number_once_and_suit_the_workers() -> None:
+def test_batches_have_every_number_once_and_suit_the_workers() -> None:
     assert batches([], 0, 2) == []
     assert batches([4, 7, 9], 2, 1) == [[4, 7], [9]]
     shared = batches(range(100), 0, 4)
@@ -268,7 +268,7 @@ def test_batches_hold_every_number_once_and_suit_the_workers() -> None:
     assert max(map(len, batches(range(10**6), 0, 2))) <= 50
 
 
-def test_wilson_holds_the_truth_as_often_as_it_says() -> None:
+def test_wilson_intervals_have_their_nominal_coverage() -> None:
     import random
 
     draw_one = random.Random(1)
@@ -279,32 +279,32 @@ def test_wilson_holds_the_truth_as_often_as_it_says() -> None:
     assert held / 2000 == pytest.approx(0.95, abs=0.02)
 
 
-def test_what_the_commands_refuse(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
+def test_the_commands_refuse_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     for words, named in (
         ((), "--out DIR is missing"),
         (("--out", str(Path(quick) / "no" / "where")), "cannot be made"),
         (("--out", str(tmp_path / "x"), "--scenes", "defualt"), "did you mean 'default'"),
         (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
         (("--out", quick, "--scenes", quick), "is a file"),
-        (("compare", str(tmp_path), str(tmp_path)), "holds no campaign"),
+        (("compare", str(tmp_path), str(tmp_path)), "has no campaign"),
         (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "end it in"),
     ):
-        code, told, _ = run(capsys, *words)
-        assert (code, told["success"]) == (2, False), words
-        assert named in told["error"]
+        code, answer, _ = run(capsys, *words)
+        assert (code, answer["success"]) == (2, False), words
+        assert named in answer["error"]
 
 
-def test_without_pyarrow_it_says_what_to_install(
+def test_without_pyarrow_the_error_names_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    code, told, _ = run(capsys, "-n", "1", "--out", str(tmp_path / "x"))
+    code, answer, _ = run(capsys, "-n", "1", "--out", str(tmp_path / "x"))
     assert code == 1
-    assert "install deltacharger[campaign]" in told["error"]
+    assert "install deltacharger[campaign]" in answer["error"]
     assert not (tmp_path / "x").exists()
 
 
-def test_what_is_never_reached_ends_at_its_limit() -> None:
+def test_an_unreached_condition_ends_at_the_limit() -> None:
     charger = VirtualCharger()
     with pytest.raises(TimeoutError, match="state IDLE"):
         charger.until(lambda: False, 0.05)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparing campaigns: what is equal is not told to differ more often than the interval says, and what differs is."""
+"""Comparing campaigns: equal ones seem to differ no more often than the interval allows, and differences are found."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .campaigns import settings
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
 
 
-def test_the_interval_of_a_number_holds_its_shift_as_often_as_it_says() -> None:
+def test_intervals_of_numbers_have_their_nominal_coverage() -> None:
     random = np.random.default_rng(2)
     held = seen = 0
     for trial in range(200):
@@ -35,7 +35,7 @@ def test_the_interval_of_a_number_holds_its_shift_as_often_as_it_says() -> None:
     assert seen / 200 > 0.8  # unpaired, 14 s of scatter between dockings would hide half a second
 
 
-def test_no_difference_covers_zero() -> None:
+def test_intervals_cover_zero_without_a_difference() -> None:
     same = np.linspace(1.0, 9.0, 50)
     found = compare_numbers(same, same)
     assert (found["difference"], found["interval"]) == (0.0, [0.0, 0.0])
@@ -91,7 +91,7 @@ def written(folder: Path, **kind: Any) -> Path:
     return folder
 
 
-def test_the_command_tells_and_draws_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_command_reports_and_draws_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     a, b = written(tmp_path / "a"), written(tmp_path / "b", approach="paper")
     other = written(tmp_path / "c", seed=9)
     assert main(["campaign", "compare", str(a), str(b), "--json"]) == 0
@@ -102,7 +102,7 @@ def test_the_command_tells_and_draws_differences(capsys: pytest.CaptureFixture[s
     low, high = found["numbers"]["peak_push"]["interval"]
     assert low <= found["numbers"]["peak_push"]["difference"] <= high
     assert main(["campaign", "compare", str(a), str(other), "--json"]) == 2
-    assert "no pairs" in json.loads(capsys.readouterr().out)["error"]
+    assert "not pairs" in json.loads(capsys.readouterr().out)["error"]
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra report)")
     picture = tmp_path / "differences.png"
     assert main(["campaign", "compare", str(a), str(b), "--picture", str(picture)]) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign on Dask workers: every docking once and the same as alone, though a worker is killed midway."""
+"""A campaign on Dask workers: every docking once and unchanged, although a worker is killed."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ distributed = pytest.importorskip("distributed", reason="Dask is not installed (
 
 
 @pytest.mark.slow
-def test_a_killed_worker_loses_and_doubles_nothing(tmp_path: Path) -> None:
-    told: list[int] = []
+def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path) -> None:
+    numbers: list[int] = []
     killed = threading.Event()
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
@@ -31,7 +31,7 @@ def test_a_killed_worker_loses_and_doubles_nothing(tmp_path: Path) -> None:
         victims = [worker.pid for worker in cluster.workers.values()]
 
         def report(rows: list[dict[str, object]]) -> None:
-            told.extend(int(str(row["number"])) for row in rows)
+            numbers.extend(int(str(row["number"])) for row in rows)
             if not killed.is_set():
                 killed.set()
                 os.kill(victims[0], signal.SIGKILL)
@@ -39,12 +39,12 @@ def test_a_killed_worker_loses_and_doubles_nothing(tmp_path: Path) -> None:
         with Store(tmp_path / "d", settings(16)) as store:
             run_missing(store, 1, cluster.scheduler_address, 2, report, lambda: False, print)
             assert store.missing() == []
-    assert sorted(told) == list(range(16))
+    assert sorted(numbers) == list(range(16))
     assert stored(tmp_path / "d") == comparable(run_batch(settings(16).to_json(), range(16)))
 
 
-def test_stopped_it_keeps_what_is_written_and_goes_on(tmp_path: Path) -> None:
-    told: list[int] = []
+def test_a_stopped_campaign_keeps_written_rows_and_continues(tmp_path: Path) -> None:
+    written: list[int] = []
     with (
         distributed.LocalCluster(
             n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0", silence_logs=50
@@ -53,17 +53,17 @@ def test_stopped_it_keeps_what_is_written_and_goes_on(tmp_path: Path) -> None:
     ):
 
         def report(rows: list[dict[str, object]]) -> None:
-            told.append(len(rows))
+            written.append(len(rows))
 
-        run_missing(store, 1, cluster.scheduler_address, 1, report, lambda: bool(told), print)
+        run_missing(store, 1, cluster.scheduler_address, 1, report, lambda: bool(written), print)
         assert 0 < len(store.done) < 12
         run_missing(store, 1, cluster.scheduler_address, 1, report, lambda: False, print)
         assert store.missing() == []
-    assert sum(told) == 12
+    assert sum(written) == 12
     assert stored(tmp_path / "d") == comparable(run_batch(settings(12).to_json(), range(12)))
 
 
-def test_a_scheduler_that_is_not_there_or_has_no_workers_is_told(
+def test_a_missing_scheduler_or_one_without_workers_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from deltacharger_lab.campaigns import runner

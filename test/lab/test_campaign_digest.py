@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign goes on only with the code that began it: whatever a docking follows from changes the digest."""
+"""A campaign continues only with the code that began it: every file that decides a docking changes the digest."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ONLY_READS = (
     "deltacharger_lab.campaigns.settings",
     "deltacharger_driver.emulators.servo_faults",
 )
-"""Loaded, but no number of a row follows from it: where scenes lie; the record; names of faults."""
+"""Loaded without effect on the numbers of a row: paths of scenes; the record; names of faults."""
 
 
 def test_every_module_that_a_docking_loads_is_covered() -> None:
@@ -56,7 +56,7 @@ def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch)
     assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "driver", "lab"}
 
 
-def test_words_about_code_are_no_part_of_the_digest(tmp_path: Path) -> None:
+def test_comments_and_docstrings_do_not_change_the_digest(tmp_path: Path) -> None:
     def meaning(text: str) -> bytes:
         (tmp_path / "module.py").write_text(text, "utf-8")
         return settings.meaning(tmp_path / "module.py")

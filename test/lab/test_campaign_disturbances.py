@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens to a docking besides: taxels that read too much, faces askew, a nudge while charging, other pads."""
+"""Disturbances of a docking: taxels that read too high, faces askew, a nudge while charging, other pads."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def second(**family: Any) -> dict[str, Any]:
         ({"nudge": {"roll": 0.5}}, "nudge.roll", "-0.2 to 0.2 rad"),
         ({"pads": "secnd"}, "pads", "not one of first, second; did you mean 'second'"),
         ({"pads": 2}, "pads", "not text; give one of first, second"),
-        ({"pads": ["first", "second"]}, "pads", "no range [low, high]; give one of first, second"),
-        ({"pads": {"log": ["first", "second"]}}, "pads", "no distribution; give one of first, second"),
+        ({"pads": ["first", "second"]}, "pads", "not a range [low, high]; give one of first, second"),
+        ({"pads": {"log": ["first", "second"]}}, "pads", "not a distribution; give one of first, second"),
         ({"pads": {"choose": ["first", "other"]}}, "pads.choose[1]", "not one of first, second"),
-        ({"pads": "second", "tactile": {"sensor": {"bits": 9}}}, "tactile.sensor.bits", "where pads is second"),
-        ({"pads": "second", "electrode": {"hole": 0.002}}, "electrode.hole", "where pads is second"),
+        ({"pads": "second", "tactile": {"sensor": {"bits": 9}}}, "tactile.sensor.bits", "if pads is second"),
+        ({"pads": "second", "electrode": {"hole": 0.002}}, "electrode.hole", "if pads is second"),
         (second(sheet={"dead_band": [0.0, 1.0]}), "second.sheet.dead_band_spread", "not below half"),
         (second(sheet={"dead_band": {"choose": [0.0, 0.1, 1.0]}}), "second.sheet.dead_band_spread", "not below half"),
         (second(sheet={"dead_band": {"mean": 1.0, "stddev": 0.5}}), "second.sheet.dead_band_spread", "not below half"),
@@ -61,7 +61,7 @@ def second(**family: Any) -> dict[str, Any]:
             "give more",
         ),
         ({"estimator": {"model": "2N"}}, "estimator.model", "not one of packaged, 1N"),
-        ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "where estimator.paper is true"),
+        ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "if estimator.paper is true"),
         ({"docking": {"current_signal": "max"}}, "docking.current_signal", "unknown key"),
     ],
 )
@@ -81,7 +81,7 @@ def test_a_normal_nudge_moves_though_its_mean_is_none() -> None:
     parse_campaign_scene({"nudge": {"x": {"mean": 0.0, "stddev": 0.001}, "after": 3.0}}, "x")
 
 
-def test_a_high_row_is_ten_taxels_of_one_pad_and_drawn_by_the_docking() -> None:
+def test_a_high_row_is_ten_taxels_of_one_pad_drawn_per_docking() -> None:
     assert np.count_nonzero(high_row(1.5, 4)) == 10
     assert np.count_nonzero(high_row(1.5, 4).any(axis=2)) == 1
     rows = {tuple(np.argwhere(high_row(1.0, seed))[0][:2]) for seed in range(400)}
@@ -91,7 +91,7 @@ def test_a_high_row_is_ten_taxels_of_one_pad_and_drawn_by_the_docking() -> None:
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
-    told, content = [], {**QUICK, "taxels": {"high_row": 1.5}}
+    readings, content = [], {**QUICK, "taxels": {"high_row": 1.5}}
     for each in (content, QUICK):
         drawn = draw(parse_campaign_scene(each, "x"), 3, 0, "guarded")
         charger = make_charger(drawn, exact)
@@ -99,12 +99,12 @@ def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
         assert not charger.observe().tactile_contact
         charger.until(lambda charger=charger: charger._tared, 30.0)
         charger.run(0.05)
-        told.append((charger.baseline, charger.observe().tactile_contact, charger.excess))
-    (high, feels, excess), (low, feels_not, none) = told
+        readings.append((charger.baseline, charger.observe().tactile_contact, charger.excess))
+    (high, feels, excess), (low, feels_not, none) = readings
     assert (feels, feels_not) == (True, False)
     assert none is None
     alive = np.isfinite(low)
-    # What is subtracted is too little by so much.
+    # The baseline is too small by this much.
     np.testing.assert_allclose((low - high)[alive], excess[alive], atol=1e-9)
 
 
@@ -120,13 +120,13 @@ def test_a_heading_turns_the_faces_back() -> None:
 
 
 def test_docking_knows_that_there_are_no_magnets_but_not_how_strong_others_are() -> None:
-    for force, told in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
-        assert build_parts({"world.magnets.force": force}, "guarded")[2].magnet_force == told
+    for force, assumed in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
+        assert build_parts({"world.magnets.force": force}, "guarded")[2].magnet_force == assumed
     assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0}, "guarded")[2].magnet_force == 40.0
 
 
 def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[str, Any]:
-    """Return the row of a docking whose target is nudged."""
+    """Return the row of a docking with a nudged target."""
     world = {**QUICK["world"], "contact": {"friction": friction}}
     content = {**QUICK, "target": {}, "camera": {}, "world": world, "nudge": nudge}
     row = dock_once(parse_campaign_scene(content, "x"), 3, 0, "guarded", exact)
@@ -135,18 +135,18 @@ def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[s
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_a_target_that_is_turned_while_it_charges_is_let_go(exact: bool) -> None:
+def test_turning_a_charging_target_ends_charging(exact: bool) -> None:
     row = nudged(exact, 0.3, roll=0.18, after=1.5)
     assert row["charged"]
     assert row["ended"] == "CRITICAL_ANGLE"
-    # Two looks find it, two seconds apart; the first may come at once.
+    # Two estimates detect it, two seconds apart; the first may be immediate.
     parameters = DockingParameters()
     assert parameters.clearance_period < row["nudge_opened"] < 2.0 * (parameters.clearance_period + 0.5)
     assert row["energised"] == pytest.approx(1.5 + row["nudge_opened"], abs=0.1)
     assert row["shorts"] == 0
 
 
-def test_the_nudge_comes_once_and_when_it_is_time() -> None:
+def test_the_nudge_occurs_once_at_its_time() -> None:
     drawn = draw(parse_campaign_scene({**QUICK, "nudge": {"x": 0.002, "after": 1.0}}, "x"), 3, 0, "guarded")
     charger = make_charger(drawn, False)
     nudging = docking.Nudging(drawn.nudge, charger.world)
@@ -166,7 +166,7 @@ def test_the_nudge_comes_once_and_when_it_is_time() -> None:
     assert math.isnan(nudging.opened)
 
 
-def test_a_nudge_that_leaves_clearance_is_watched_and_charging_goes_on() -> None:
+def test_charging_continues_after_a_nudge_with_clearance() -> None:
     row, plain = nudged(x=0.001, after=1.5), dock_once(parse_campaign_scene(QUICK, "x"), 3, 0, "guarded")
     assert row["ended"] == plain["ended"] == ""
     assert math.isnan(row["nudge_opened"])
@@ -174,7 +174,7 @@ def test_a_nudge_that_leaves_clearance_is_watched_and_charging_goes_on() -> None
     assert row["energised"] > 1.5 + watched_after(DockingParameters()) > plain["energised"]
 
 
-def test_until_the_nudge_the_docking_is_as_without_it() -> None:
+def test_before_the_nudge_the_docking_is_unchanged() -> None:
     plain = dock_once(load_campaign_scene("default"), 7, 1, "guarded")
     content = {"based_on": "default", "nudge": {"y": 0.002, "roll": 0.02}}
     row = dock_once(parse_campaign_scene(content, "x"), 7, 1, "guarded")
@@ -189,7 +189,7 @@ def test_a_nudge_before_the_outcome_belongs_to_the_docking() -> None:
     assert 0.0 < row["nudge_opened"] < 1.0
 
 
-def test_second_pads_are_made_by_their_word_and_pairs_stay_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_second_pads_are_made_by_name_and_pairs_stay_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
     def make(kind: str, tactile: Any, _: Any, *seeds: int) -> ContactSource:
@@ -227,7 +227,7 @@ def test_words_are_stored_and_read(tmp_path: Any) -> None:
     assert row["estimator.model"] in ("packaged", "1N")
 
 
-def test_the_pose_model_is_the_one_that_is_named() -> None:
+def test_the_pose_model_is_the_named_one() -> None:
     for name, threshold in zip(("packaged", "1N"), MODEL_PATHS, strict=True):
         drawn = draw(parse_campaign_scene({**QUICK, "estimator": {"model": name}}, "x"), 3, 0, "guarded")
         charger = make_charger(drawn, False)
@@ -245,8 +245,8 @@ def test_a_packaged_scene_docks(name: str, exact: bool) -> None:
 
 
 @pytest.mark.parametrize("dead_band", [False, True])
-def test_pads_that_tell_little_of_small_forces_are_felt_anew(dead_band: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame of the first touch says nothing of later ones where readings are not proportional to the force."""
+def test_pads_with_a_dead_band_are_read_again(dead_band: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame of the first touch does not predict later ones if readings are not proportional to the force."""
 
     class Banded(ContactSource):
         def frames(self, *given: Any) -> Any:
@@ -261,12 +261,12 @@ def test_pads_that_tell_little_of_small_forces_are_felt_anew(dead_band: bool, mo
     while charger.outcome is None and len(felt) < 400:
         charger.tick()
         if charger._tared and charger.world.misalignment is not None:
-            told = charger.observe().tactile_contact
+            seen = charger.observe().tactile_contact
             most = float(np.nanmax(charger.feel(1, 0.0)[0] - charger.baseline))
             if abs(most - 1.0) > 0.4:
-                felt.append((told, most >= 1.0))
+                felt.append((seen, most >= 1.0))
     assert len(felt) > 20
-    assert all(told is felt_now for told, felt_now in felt)
+    assert all(seen is felt_now for seen, felt_now in felt)
 
 
 @pytest.mark.parametrize("exact", [False, True])

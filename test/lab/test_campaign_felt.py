@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign does to estimates is what its scene says, and what it keeps of them is the truth beside them."""
+"""A campaign adds the scene's errors to estimates, and records estimates with the truth."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ TRUTH = (-0.002, 0.0012, 0.052)
 
 
 def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
-    """Return what `Felt` asks of a charger."""
+    """Return a charger with what `Felt` needs."""
     world = SimpleNamespace(misalignment=truth, snapshot=lambda: SimpleNamespace(clearance=0.004))
     return SimpleNamespace(world=world, answer={}, model=None, parameters=DockingParameters())
 
 
 def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[FeltPose]]:
-    """Return what becomes of `ESTIMATE`, so many times."""
+    """Return the changed `ESTIMATE`, this many times."""
     stand_in = charger()
     felt = Felt(stand_in, errors, seed)
     replies = [stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE)) for _ in range(count)]
     return felt, [reply.estimate for reply in replies]
 
 
-def test_without_errors_an_estimate_stays_as_it_is() -> None:
+def test_without_errors_an_estimate_is_unchanged() -> None:
     felt, found = answers(EstimatorErrors(), 2)
     assert found == [ESTIMATE, ESTIMATE]
     assert felt.count == 2
@@ -70,7 +70,7 @@ def test_bias_and_scale_are_exact() -> None:
 
 
 @pytest.mark.parametrize(("tail", "beyond_5"), [(1e6, 0.0), (3.0, 0.003)])
-def test_tails_have_the_width_that_is_told_and_the_weight_of_students_t(tail: float, beyond_5: float) -> None:
+def test_tails_have_the_reported_width_and_the_weight_of_students_t(tail: float, beyond_5: float) -> None:
     _, found = answers(EstimatorErrors(tail=tail, stddev_scale=0.5), 6000)
     x, y, angle = TRUTH
     across = y * math.cos(angle) - x * math.sin(angle)
@@ -86,7 +86,7 @@ def test_tails_have_the_width_that_is_told_and_the_weight_of_students_t(tail: fl
         assert each.vertical == pytest.approx((each.across + each.horizontal * math.sin(angle)) / math.cos(angle))
 
 
-def test_the_tail_leaves_the_noise_as_it_was() -> None:
+def test_the_tail_does_not_change_the_noise() -> None:
     _, noisy = answers(EstimatorErrors(position_stddev=0.001), 3)
     _, both = answers(EstimatorErrors(position_stddev=0.001, tail=1e6), 3)
     _, tail = answers(EstimatorErrors(tail=1e6), 3)
@@ -94,7 +94,7 @@ def test_the_tail_leaves_the_noise_as_it_was() -> None:
         assert two.horizontal - three.horizontal == pytest.approx(one.horizontal - ESTIMATE.horizontal)
 
 
-def test_what_was_felt_without_contact_is_counted_and_has_no_error() -> None:
+def test_estimates_without_contact_are_counted_and_have_no_error() -> None:
     stand_in = charger(None)
     felt = Felt(stand_in, EstimatorErrors(tail=3.0), 1)
     reply = stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE))
@@ -103,7 +103,7 @@ def test_what_was_felt_without_contact_is_counted_and_has_no_error() -> None:
     assert stand_in.answer[Service.ESTIMATE](Reply(2, False)) == Reply(2, False)
 
 
-def test_a_row_tells_the_rest_and_the_estimates_beside_the_truth() -> None:
+def test_a_row_has_the_values_at_rest_and_the_estimates_with_the_truth() -> None:
     scene = parse_campaign_scene(QUICK, "quick")
     row = dock_once(scene, 3, 1, "guarded")
     assert set(row) == set(columns(scene))
@@ -131,12 +131,12 @@ def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     assert row["first_angle_stddev"] == 0.0
     assert math.degrees(row["felt_angle"]) == pytest.approx(round(math.degrees(row["felt_angle"])))
     assert row["last_horizontal_stddev"] == row["last_vertical_stddev"] == 0.0
-    told = PaperClasses().predict(*np.random.default_rng(1).uniform(0.0, 4.0, (2, 10, 10)))
-    assert {told.horizontal, told.vertical} <= {-0.01, -0.005, 0.0, 0.005, 0.01}
+    classes = PaperClasses().predict(*np.random.default_rng(1).uniform(0.0, 4.0, (2, 10, 10)))
+    assert {classes.horizontal, classes.vertical} <= {-0.01, -0.005, 0.0, 0.005, 0.01}
 
 
 @pytest.mark.parametrize("paper", [False, True])
-def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_hears_the_estimate(paper: bool) -> None:
+def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_uses_the_estimate(paper: bool) -> None:
     content = {**QUICK, "estimator": {"paper": paper, "bias_angle": 0.2}}
     printed = dock_once(parse_campaign_scene(content, "x"), 3, 0, "published")
     assert printed["error"] == ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The committed list of dockings: some of it docks here, each to the end that its scene must have."""
+"""The committed list of dockings: some of them run here, each to its required result."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ EXPECTED = {
     45: ("NONE",),  # a corner of the workspace, 20 N·m/rad
     55: ("NONE",),  # 2.5 N·m/rad on 1e7 N/m
     64: ("NONE",),  # 20 N·m/rad on 1e4 N/m, which bottoms under the magnets
-    70: ("NO_TACTILE_CONTACT", "ESTIMATE_UNSURE"),  # no magnets: the push alone is hardly felt
+    70: ("NO_TACTILE_CONTACT", "ESTIMATE_UNSURE"),  # no magnets: the pads hardly detect the push alone
     76: ("NONE",),  # gravity upward, 6 N·m/rad
     97: ("NONE",),  # tilted about y on 1e5 N/m
-    104: ("UNREACHABLE",),  # told to be beyond a corner of the workspace
-    106: ("NO_CONTACT",),  # 30 mm behind where it was said to be
-    107: ("NO_CONTACT",),  # not there at all
+    104: ("UNREACHABLE",),  # goal beyond a corner of the workspace
+    106: ("NO_CONTACT",),  # 30 mm behind the goal
+    107: ("NO_CONTACT",),  # absent
 }
 
 
-def test_the_list_is_as_long_as_ever() -> None:
+def test_the_list_keeps_its_length() -> None:
     assert len(load_campaign_scene("fixed").dockings) == 160
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quick charger of campaigns against the one that does all that the nodes do."""
+"""The quick charger of campaigns against the one that computes everything that the nodes do."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deltacharger_tactile.source import ContactSource
 from .campaigns import QUICK, scene
 
 
-def test_frames_at_once_are_frames_one_by_one() -> None:
+def test_frames_in_one_call_equal_single_frames() -> None:
     together, one_by_one = ContactSource(None, 7, 3), ContactSource(None, 7, 3)
     pose = (0.001, -0.002, 0.03)
     together.begin_docking()
@@ -33,7 +33,7 @@ def test_frames_at_once_are_frames_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [2.5, 20.0])
-def test_lines_are_the_usual_ones(stiffness: float) -> None:
+def test_lines_equal_the_planners(stiffness: float) -> None:
     source = random.Random(4)
     parameters, geometry = DockingParameters(servo_stiffness=stiffness), DeltaGeometry()
     quick, usual = QuickPlanner(parameters, geometry), Planner(parameters, geometry)
@@ -53,7 +53,7 @@ def test_lines_are_the_usual_ones(stiffness: float) -> None:
                 assert np.abs(np.interp(shares, known, two) - one)[inside].max() < most
 
 
-def test_a_way_that_leaves_the_reach_is_refused_all_the_same() -> None:
+def test_a_path_that_leaves_the_reach_is_refused() -> None:
     quick = QuickPlanner(DockingParameters(), DeltaGeometry())
     with pytest.raises(Unreachable):
         quick.check_way(0.1, (0.0, 0.0, 0.08), (0.0, 0.0, 0.5))
@@ -62,7 +62,7 @@ def test_a_way_that_leaves_the_reach_is_refused_all_the_same() -> None:
     quick.check_way(0.1, (0.0, 0.0, 0.08), (0.03, -0.03, 0.06), (0.0, 0.0, 0.0))
 
 
-def test_a_whole_line_is_told_once_and_stops_where_it_is_held() -> None:
+def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
     parameters = DockingParameters()
     line = Planner(parameters, DeltaGeometry()).line((0.0, 0.0, 0.05), (0.0, 0.0, 0.08), 0.05)
     feed = WholeFeed(0.06)
@@ -92,7 +92,7 @@ def test_a_whole_line_is_told_once_and_stops_where_it_is_held() -> None:
         ({"world": {"target": {"tilt_x": 0.005, "tilt_y": -0.003}}}, "guarded"),
     ],
 )
-def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], approach: str) -> None:
+def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any], approach: str) -> None:
     quick = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach)
     exact = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach, exact=True)
     assert quick["error"] == exact["error"] == ""
@@ -106,7 +106,7 @@ def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], app
 
 @pytest.mark.parametrize(("number", "seed"), [(473, 20), (989, 20)])
 def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_springs(number: int, seed: int) -> None:
-    """The pads' moment, which follows the force, must not drive the force up in turn: it once told 23 000 N here."""
+    """The pads' moment depends on the force and must not increase it in turn: once this gave 23 000 N."""
     row = dock_once(load_campaign_scene("edge"), seed, number, "guarded")
     assert row["error"] == ""
     assert 100.0 < row["peak_force"] < 2000.0

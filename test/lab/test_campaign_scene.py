@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign draws: spreads within their bounds, scenes checked whole, and a world that is what was drawn."""
+"""Draws of a campaign: values within bounds, complete checks of scenes, and a world with the drawn values."""
 
 from __future__ import annotations
 
@@ -55,20 +55,20 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
 @pytest.mark.parametrize(
     ("content", "key", "problem"),
     [
-        ([], "(top)", "no mapping"),
+        ([], "(top)", "not a mapping"),
         ({"wrold": {}}, "wrold", "did you mean 'world'"),
         ({"name": 3}, "name", "not text"),
         ({"world": {"servo": {"stifness": 15}}}, "world.servo.stifness", "did you mean 'stiffness'"),
         ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2 to 40 N·m/rad"),
-        ({"world": {"servo": 15}}, "world.servo", "no mapping"),
+        ({"world": {"servo": 15}}, "world.servo", "not a mapping"),
         ({"world": {"target": {"x": 0.01}}}, "world.target.x", "give target.x"),
         ({"docking": {"approach": "paper"}}, "docking.approach", "--approach"),
         ({"target": {"x": [0.01, -0.01]}}, "target.x", "above"),
-        ({"target": {"x": [0.01, 0.02, 0.03]}}, "target.x", "no range"),
-        ({"target": {"x": {"mean": 0.0}}}, "target.x", "no distribution"),
+        ({"target": {"x": [0.01, 0.02, 0.03]}}, "target.x", "not a range"),
+        ({"target": {"x": {"mean": 0.0}}}, "target.x", "not a distribution"),
         ({"target": {"x": {"log": [0.0, 0.01]}}}, "target.x.log", "no logarithm"),
-        ({"target": {"x": {"either_sign": [-0.01, 0.01]}}}, "target.x.either_sign", "no size"),
-        ({"target": {"x": {"either_sign": 0.01}}}, "target.x.either_sign", "no range"),
+        ({"target": {"x": {"either_sign": [-0.01, 0.01]}}}, "target.x.either_sign", "not a size"),
+        ({"target": {"x": {"either_sign": 0.01}}}, "target.x.either_sign", "not a range"),
         ({"target": {"z": {"either_sign": [0.0, 0.05]}}}, "target.z.either_sign[1]", "outside"),
         (
             {"world": {"servo": {"friction": {"either_sign": [0.0, 0.1]}}}},
@@ -85,7 +85,7 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
         ({"target": {"x": "left"}}, "target.x", "not a number"),
         ({"gravity": {"known": 1}}, "gravity.known", "true or false"),
         ({"tactile": {"sensor": {"bits": 9.5}}}, "tactile.sensor.bits", "whole number"),
-        ({"dockings": []}, "dockings", "no list"),
+        ({"dockings": []}, "dockings", "not a list"),
         ({"dockings": [{"target": {"x": [0.0, 0.01]}}]}, "dockings[0].target.x", "fixed values"),
         ({"dockings": [{"traget": {}}]}, "dockings[0].traget", "did you mean 'target'"),
         ({"target": {"x": 0.0}, "dockings": [{"target": {"x": 0.01}}]}, "dockings[0].target.x", "keep one"),
@@ -95,7 +95,7 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
         ({"world": {"circuit": {"voltage_min": 30.0, "voltage_max": 30.0}}}, "world.circuit.voltage_min", "below"),
     ],
 )
-def test_what_a_scene_refuses(content: Any, key: str, problem: str) -> None:
+def test_a_scene_refuses_wrong_keys_and_values(content: Any, key: str, problem: str) -> None:
     with pytest.raises(ParameterError) as refusal:
         parse_campaign_scene(content, "bad")
     assert refusal.value.key == key
@@ -113,12 +113,12 @@ def test_packaged_scenes_load_and_a_file_names_itself(tmp_path: Path) -> None:
     assert (refusal.value.file, refusal.value.key) == (str(path), "target.x")
 
 
-def test_every_number_of_the_world_can_be_drawn_or_says_what_to_give_instead() -> None:
+def test_every_number_of_the_world_can_be_drawn_or_names_its_replacement() -> None:
     for each in declared(WorldParameters, "world"):
         assert each.name in set(known_keys()) | set(TAKEN), each.name
 
 
-def test_the_goal_is_what_the_camera_saw_and_the_world_what_is_there() -> None:
+def test_the_goal_is_the_cameras_pose_and_the_world_has_the_true_one() -> None:
     content = {
         "target": {"x": 0.01, "y": -0.005, "z": 0.002, "roll": 0.04},
         "shift": {"x": 0.003, "z": -0.001, "roll": -0.02},
@@ -132,7 +132,7 @@ def test_the_goal_is_what_the_camera_saw_and_the_world_what_is_there() -> None:
     assert drawn.estimator == EstimatorErrors(angle_stddev=0.01)
 
 
-def test_errors_of_camera_and_mount_have_the_width_that_they_say() -> None:
+def test_errors_of_camera_and_mount_have_their_declared_width() -> None:
     content = {"camera": {"position_stddev": 0.001, "roll_stddev": 0.01}, "hand_eye": {"position_stddev": 0.002}}
     scene = parse_campaign_scene(content, "x")
     goals = np.array([draw(scene, 1, number, "guarded").goal.position for number in range(1500)])
@@ -151,8 +151,8 @@ def test_a_tilted_robot_has_tilted_gravity(azimuth: float, expected: tuple[float
     assert math.hypot(world.gravity_x, world.gravity_y, world.gravity_z) == pytest.approx(9.81)
     assert world.gravity_x == pytest.approx(9.81 * math.sin(0.1) * expected[0])
     assert docking.gravity == (0.0, -9.81, 0.0)
-    _, _, told = build_parts({**values, "gravity.known": True}, "guarded")
-    assert told.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
+    _, _, docking = build_parts({**values, "gravity.known": True}, "guarded")
+    assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
 
 
 def test_electrodes_have_the_hole_that_the_scene_gives_them() -> None:
@@ -178,7 +178,7 @@ def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
     ("name", "digest"),
     [("default", "77ca1c1e2391afcbb846db50afc10b09"), ("steep", "e45b5150f0adaa90ca984d8888f6637e")],
 )
-def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
+def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
     scene = load_campaign_scene(name)
     found = hashlib.sha256()
     for number in range(40):
@@ -201,7 +201,7 @@ def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
         {"shift": {"limit": 0.06, "x": {"either_sign": [0.001, 0.002]}}},
     ],
 )
-def test_a_new_key_leaves_what_the_others_drew(more: dict[str, Any]) -> None:
+def test_a_new_key_does_not_change_the_values_of_others(more: dict[str, Any]) -> None:
     base = {"target": {"x": [-0.02, 0.02]}, "camera": {"position_stddev": 0.001}, "hand_eye": {"rotation_stddev": 0.01}}
     for number in range(5):
         one = draw(parse_campaign_scene(base, "x"), 4, number, "guarded")
@@ -210,7 +210,7 @@ def test_a_new_key_leaves_what_the_others_drew(more: dict[str, Any]) -> None:
         assert (one.goal, one.seed, one.rig_seed) == (two.goal, two.seed, two.rig_seed)
 
 
-def test_gravity_from_anywhere_has_every_direction_alike() -> None:
+def test_gravity_from_anywhere_has_all_directions_equally_likely() -> None:
     scene = parse_campaign_scene({"gravity": {"anywhere": True, "known": True}}, "x")
     drawn = [draw(scene, 1, number, "guarded") for number in range(1500)]
     pull = np.array([(each.world.gravity_x, each.world.gravity_y, each.world.gravity_z) for each in drawn]) / 9.81
@@ -221,7 +221,7 @@ def test_gravity_from_anywhere_has_every_direction_alike() -> None:
     assert {"gravity.tilt", "gravity.azimuth"} <= set(scene.drawn())
 
 
-def test_vision_errs_within_the_limit_that_is_left_at_contact() -> None:
+def test_errors_of_vision_stay_within_the_limit_at_contact() -> None:
     content = {"shift": {"x": [-0.01, 0.01], "y": 0.009, "limit": 0.01}, "hand_eye": {"position_stddev": 0.005}}
     scene = parse_campaign_scene(content, "x")
     drawn = [draw(scene, 1, number, "guarded") for number in range(400)]
@@ -233,7 +233,7 @@ def test_vision_errs_within_the_limit_that_is_left_at_contact() -> None:
     assert np.std([one.goal.position[2] for one in drawn]) == pytest.approx(0.005, rel=0.1)
 
 
-def test_beside_zero_clearance_the_wrong_bars_nearly_touch() -> None:
+def test_near_zero_clearance_the_wrong_bars_nearly_touch() -> None:
     scene = parse_campaign_scene({"shift": {"y": [-0.006, 0.006], "beyond_zero": [-0.01, 0.01]}}, "x")
     below = sides = 0
     for number in range(200):
@@ -241,7 +241,7 @@ def test_beside_zero_clearance_the_wrong_bars_nearly_touch() -> None:
         target = one.world.target
         x, y = target.x - one.goal.position[0], target.y - one.goal.position[1]
         true = Overlap(one.world.terminal, x, y, target.roll).clearance
-        assert abs(true) < 0.0008  # 0.01 rad · 35 mm and what the formula lies below the geometry
+        assert abs(true) < 0.0008  # 0.01 rad · 35 mm and the formula's error against the geometry
         below += true < 0.0
         sides += target.roll > 0.0
     assert 40 < below < 160
@@ -250,7 +250,7 @@ def test_beside_zero_clearance_the_wrong_bars_nearly_touch() -> None:
     assert zero_angle(0.06, 0.0037, 0.035) == 0.0
 
 
-def test_a_scene_based_on_another_has_its_keys_but_for_its_own(tmp_path: Path) -> None:
+def test_a_scene_inherits_the_keys_that_it_does_not_set(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("based_on: edge\nshift: {roll: null, x: 0.001}\nworld: {contact: {stiffness: 2.0e+4}}", "utf-8")
     mine, edge, everything = load_campaign_scene(str(path)), load_campaign_scene("edge"), load_campaign_scene("random")
@@ -266,9 +266,9 @@ def test_a_scene_based_on_another_has_its_keys_but_for_its_own(tmp_path: Path) -
             load_campaign_scene(str(path))
 
 
-def test_a_comment_is_no_other_version_and_a_number_is(tmp_path: Path) -> None:
-    told = []
+def test_a_number_changes_the_version_and_a_comment_does_not(tmp_path: Path) -> None:
+    meanings = []
     for text in ("LIMIT = 2.2\n", "# of a contact\nLIMIT = (2.2)\n", "LIMIT = 2.3\n"):
         (tmp_path / "rule.py").write_text(text)
-        told.append(meaning(tmp_path / "rule.py"))
-    assert told[0] == told[1] != told[2]
+        meanings.append(meaning(tmp_path / "rule.py"))
+    assert meanings[0] == meanings[1] != meanings[2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking is told of arm and gravity otherwise than it is: docking has it, and the world keeps the truth."""
+"""Wrong assumptions about arm and gravity: docking uses them, and the world keeps the true values."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_what_is_refused(content: dict[str, Any], key: str, problem: str) -> Non
     assert problem in refusal.value.problem
 
 
-def test_stiffness_and_torque_constant_are_told_beside_the_true_ones() -> None:
+def test_assumed_stiffness_and_torque_constant_do_not_change_the_true_ones() -> None:
     world, _, docking = build_parts({"world.servo.stiffness": 5.0, "told.servo_stiffness": 2.5}, "guarded")
     assert (world.servo.stiffness, docking.servo_stiffness) == (5.0, 12.5)
     world, _, docking = build_parts({"world.servo.torque_constant": 1.2}, "guarded")
@@ -60,8 +60,8 @@ def test_stiffness_and_torque_constant_are_told_beside_the_true_ones() -> None:
 
 
 @pytest.mark.parametrize(("true", "factor"), [("low", "low"), ("high", "high")])
-def test_every_stiffness_of_the_world_may_be_told_wrongly_by_every_factor(true: str, factor: str) -> None:
-    stiffness, told, docking = (
+def test_every_stiffness_may_be_assumed_wrong_by_every_factor(true: str, factor: str) -> None:
+    stiffness, assumed, docking = (
         {key.name: key for key in declared(of)}[name]
         for of, name in (
             (ServoParameters, "stiffness"),
@@ -69,17 +69,17 @@ def test_every_stiffness_of_the_world_may_be_told_wrongly_by_every_factor(true: 
             (DockingParameters, "servo_stiffness"),
         )
     )
-    assert docking.low <= getattr(stiffness, true) * getattr(told, factor) <= docking.high
+    assert docking.low <= getattr(stiffness, true) * getattr(assumed, factor) <= docking.high
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_a_servos_bound_in_amperes_follows_from_the_constant_that_is_told(exact: bool) -> None:
+def test_a_servos_current_bound_follows_from_the_assumed_constant(exact: bool) -> None:
     scene = parse_campaign_scene({**QUICK, "told": {"torque_constant": 0.8}}, "x")
     charger = make_charger(draw(scene, 3, 0, "guarded"), exact)
     charger._trajectory = (Waypoint(1.0, (0.0, 0.0, 0.0), (0.3, 0.6, 0.9)),)
     charger._servos()
-    told = 0.8 * TORQUE_CONSTANT
-    assert charger._bound == pytest.approx([0.3 / told, 0.6 / told, 0.9 / told])
+    constant = 0.8 * TORQUE_CONSTANT
+    assert charger._bound == pytest.approx([0.3 / constant, 0.6 / constant, 0.9 / constant])
 
 
 def angle(one: Any, two: Any) -> float:
@@ -87,9 +87,9 @@ def angle(one: Any, two: Any) -> float:
 
 
 @pytest.mark.parametrize("true", [(0.0, 0.0), (0.3, 1.0), (math.pi, 0.0), (2.0, -2.0)])
-def test_gravity_is_told_so_far_off_the_true_one(true: tuple[float, float]) -> None:
+def test_assumed_gravity_differs_by_the_given_angle(true: tuple[float, float]) -> None:
     stands = {"gravity.tilt": true[0], "gravity.azimuth": true[1]}
-    told = []
+    assumed = []
     for azimuth in (0.0, 0.5 * math.pi):
         world, _, docking = build_parts(
             {**stands, "told.gravity_tilt": 0.2, "told.gravity_azimuth": azimuth}, "guarded"
@@ -97,8 +97,8 @@ def test_gravity_is_told_so_far_off_the_true_one(true: tuple[float, float]) -> N
         down = world.gravity_x, world.gravity_y, world.gravity_z
         assert angle(docking.gravity, down) == pytest.approx(0.2)
         assert math.hypot(*docking.gravity) == pytest.approx(GRAVITY_STRENGTH)
-        told.append(docking.gravity)
-    assert angle(*told) == pytest.approx(math.acos(math.cos(0.2) ** 2))
+        assumed.append(docking.gravity)
+    assert angle(*assumed) == pytest.approx(math.acos(math.cos(0.2) ** 2))
     world, _, docking = build_parts({**stands, "told.gravity_tilt": 0.0}, "guarded")
     assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
     level, _, docking = build_parts({"told.gravity_tilt": 0.2, "told.gravity_azimuth": 0.5 * math.pi}, "guarded")
@@ -106,20 +106,20 @@ def test_gravity_is_told_so_far_off_the_true_one(true: tuple[float, float]) -> N
     assert (level.gravity_x, level.gravity_z) == (0.0, 0.0)
 
 
-def test_geometry_is_told_as_true_plus_error() -> None:
+def test_assumed_geometry_is_the_true_one_plus_error() -> None:
     assert told_geometry({"target.x": 0.01}) is None
     assert told_geometry({"told.geometry.arm": 0.0}) is None
     values = {"told.geometry.arm": 0.001, "told.geometry.limb_1.arm": 0.0005, "told.geometry.limb_2.angle_offset": 0.01}
-    told, true = told_geometry(values), DeltaGeometry()
-    assert told is not None
-    assert told.limb(0).arm == pytest.approx(true.arm + 0.001)
-    assert told.limb(1).arm == pytest.approx(true.arm + 0.0015)
-    assert told.limbs[2] == LimbAdjustment(angle_offset=0.01)
-    assert told.limb(0).rod == told.limb(1).rod == true.rod
+    assumed, true = told_geometry(values), DeltaGeometry()
+    assert assumed is not None
+    assert assumed.limb(0).arm == pytest.approx(true.arm + 0.001)
+    assert assumed.limb(1).arm == pytest.approx(true.arm + 0.0015)
+    assert assumed.limbs[2] == LimbAdjustment(angle_offset=0.01)
+    assert assumed.limb(0).rod == assumed.limb(1).rod == true.rod
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_docking_moves_by_the_told_geometry_in_a_world_that_keeps_the_true_one(exact: bool) -> None:
+def test_docking_moves_by_the_assumed_geometry_in_the_true_world(exact: bool) -> None:
     content = {**QUICK, "told": {"geometry": {"limb_0": {"angle_offset": 0.01}}}}
     drawn = draw(parse_campaign_scene(content, "x"), 3, 0, "guarded")
     charger = make_charger(drawn, exact)
@@ -151,7 +151,7 @@ def test_pairs_stay_pairs() -> None:
         assert two.geometry is not None
 
 
-def test_what_is_told_truly_changes_no_row() -> None:
+def test_true_assumptions_change_no_row() -> None:
     true = {"servo_stiffness": 1.0, "torque_constant": 1.0, "geometry": {"arm": 0.0, "limb_1": {"rod": 0.0}}}
     names = list(dock_once(parse_campaign_scene(QUICK, "x"), 3, 0, "guarded"))
     rows = [dock_once(parse_campaign_scene({**QUICK, **more}, "x"), 3, 0, "guarded") for more in ({}, {"told": true})]

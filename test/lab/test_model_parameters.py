@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of parameters has what models and campaigns declare."""
+"""The page of parameters matches the declarations of models and campaigns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.pages.model_parameters import sections
 
 
-def test_the_page_is_what_models_and_campaigns_declare() -> None:
+def test_the_page_matches_the_declarations_of_models_and_campaigns() -> None:
     page = (Path(__file__).parents[2] / "docs" / "parameters.md").read_text(encoding="utf-8")
     assert page.endswith(sections()), "python -m deltacharger_lab.pages.parameters > docs/parameters.md"
 

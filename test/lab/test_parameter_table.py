@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of parameters is what the nodes declare."""
+"""The page of parameters matches the nodes' declarations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deltacharger_scenes.parameter_check import tables
 pytestmark = pytest.mark.ros
 
 
-def test_the_page_is_what_the_nodes_declare(context: Any, namespace: str) -> None:
+def test_the_page_matches_the_nodes_declarations(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="electrode_detector_node needs deltacharger[vision]")
     pytest.importorskip("mcap", reason="docking_recorder_node needs deltacharger[record]")
     page = Path(__file__).parents[2] / "docs" / "parameters.md"
@@ -25,6 +25,6 @@ def test_the_page_is_what_the_nodes_declare(context: Any, namespace: str) -> Non
         own = {"use_sim_time", "start_type_description_service"}
         declares = {node.get_name(): set(node._parameters) - own for node in nodes}
     for name in NODES.keys() & declares.keys():
-        told = {each.name for table in tables(name) for each in declared(table)}
+        listed = {each.name for table in tables(name) for each in declared(table)}
         found = {parameter for parameter in declares[name] if not parameter.startswith("qos_overrides.")}
-        assert told == found, f"the table of nodes tells other parameters of {name} than it declares"
+        assert listed == found, f"the table of nodes lists other parameters of {name} than it declares"

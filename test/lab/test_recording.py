@@ -25,7 +25,7 @@ SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
 
 
 def silent(_: str) -> None:
-    """Take no note of progress."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def data() -> Dataset:
     return record_paper(SMALL, silent)
 
 
-def test_it_holds_both_sets_with_the_labels_of_the_protocol(data: Dataset) -> None:
+def test_a_recording_has_both_sets_with_the_protocols_labels(data: Dataset) -> None:
     assert len(data) == 6 * 6 + 25
     assert [len(examples(data, target)) for target in TARGETS] == [36, 25, 25]
     by_angle = data.subset == SUBSET_ANGLE
@@ -49,7 +49,7 @@ def commanded(data: Dataset) -> Any:
     return np.column_stack([data.horizontal, data.vertical, data.angle])
 
 
-def test_vision_leaves_of_the_start_what_it_errs_and_not_a_share(data: Dataset) -> None:
+def test_vision_leaves_its_error_and_not_a_share_of_the_start(data: Dataset) -> None:
     starts = np.concatenate([part.starts() for part in SMALL.parts() if part.set == "angle"])
     assert np.abs(starts).max() == pytest.approx(0.020)
     assert set(np.round(1e3 * np.abs(starts)).ravel()) <= {0.0, 4.0, 8.0, 12.0, 16.0, 20.0}
@@ -58,7 +58,7 @@ def test_vision_leaves_of_the_start_what_it_errs_and_not_a_share(data: Dataset) 
     assert (left.std(axis=0) < 0.0025).all(), "the camera's errors; the mount's are the same in every docking"
 
 
-def test_where_the_target_is_felt_is_where_it_was_commanded_but_for_jitter(data: Dataset) -> None:
+def test_the_felt_offset_is_the_commanded_one_apart_from_jitter(data: Dataset) -> None:
     off = data.contact_pose - commanded(data)
     assert np.abs(off[:, :2]).max() < 4.5 * DOCKING_JITTER + 0.001, "jitter, and what friction holds back"
     assert np.abs(off[:, 2]).max() < np.radians(1.0)
@@ -66,7 +66,7 @@ def test_where_the_target_is_felt_is_where_it_was_commanded_but_for_jitter(data:
     assert (data.force > 15.0).all()
 
 
-def test_one_seed_is_one_recording_to_the_bit(data: Dataset, tmp_path: Path) -> None:
+def test_one_seed_gives_one_recording_to_the_bit(data: Dataset, tmp_path: Path) -> None:
     part = SMALL.parts()[3]
     felt = [touch.frames for touch in record_part(SMALL, part)]
     again = [touch.frames for touch in record_part(SMALL, part)]
@@ -77,7 +77,7 @@ def test_one_seed_is_one_recording_to_the_bit(data: Dataset, tmp_path: Path) -> 
     assert Dataset.load(tmp_path / "data.npz").meta == data.meta
 
 
-def test_rows_of_a_docking_are_frames_one_after_the_other() -> None:
+def test_rows_of_a_docking_are_successive_frames() -> None:
     part = SMALL.parts()[0]
     one, several = (record_part(dataclasses.replace(SMALL, rows=rows), part)[0] for rows in (1, 5))
     assert one.frames.shape[0] == 1
@@ -96,7 +96,7 @@ def test_a_docking_that_fails_three_times_is_named(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     "words", [["--set", "angle"], ["--compose"], ["--repeat", "2"], ["--namespace", "a"], ["--x-mm", "3"]]
 )
-def test_what_needs_a_running_charger_is_refused_beside_a_protocol(
+def test_options_for_a_running_charger_are_refused_with_a_protocol(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "data.npz"
@@ -105,7 +105,7 @@ def test_what_needs_a_running_charger_is_refused_beside_a_protocol(
     assert not out.exists()
 
 
-def test_the_command_writes_the_data_set_or_says_what_failed(
+def test_the_command_writes_the_data_set_or_names_the_failure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, data: Dataset
 ) -> None:
     asked: list[Protocol] = []

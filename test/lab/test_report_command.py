@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every `deltacharger report` says to wrong words, to a file in its way and to Ctrl-C."""
+"""Every `deltacharger report` with wrong arguments, with a file in place of its folder, and with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ WRONG = [
 
 
 @pytest.mark.parametrize("words", WRONG, ids=" ".join)
-def test_wrong_words_are_2(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+def test_wrong_arguments_exit_with_2(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
     assert main(("report", *words, "--json")) == 2
     assert json.loads(capsys.readouterr().out)["success"] is False
 
 
 @pytest.mark.parametrize("subject", ["footprint", "kinematics", "simulation", "tactile", "vision"])
-def test_a_file_where_the_folder_should_be_is_2(
+def test_a_file_in_place_of_the_folder_exits_with_2(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, subject: str
 ) -> None:
     path = tmp_path / "file"
@@ -51,7 +51,7 @@ def test_a_file_where_the_folder_should_be_is_2(
         ("report vision", ("cv2",), "vision"),
     ],
 )
-def test_without_what_it_measures_with_it_says_what_to_install(
+def test_without_a_needed_library_the_error_names_what_to_install(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report docking`: bounds, bins and targets as they are defined, and a report that goes on."""
+"""`deltacharger report docking`: bounds, bins and targets, and a report that continues."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ALIGNED = "what is called aligned, lean5"
 
 
 def rows(count: int, **changes: Any) -> Columns:
-    """Return so many charged dockings of level targets."""
+    """Return this many charged dockings of level targets."""
     names = ("servo_push", "peak_push", "final_horizontal", "final_vertical", "final_misalignment")
     usual: dict[str, Any] = dict.fromkeys(names, 0.001)
     usual |= {"place_roll": 0.0, "code_name": "NONE", "charged": True, "ended": "", "moves": 1, "time": 8.0}
@@ -44,7 +44,7 @@ def rows(count: int, **changes: Any) -> Columns:
 
 
 @pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 300), (0, 20_000), (1, 20_000), (3, 40), (12, 2000)])
-def test_a_rate_at_its_bound_shows_so_few_events_in_one_of_twenty_campaigns(hits: int, count: int) -> None:
+def test_a_rate_at_its_bound_has_at_most_this_count_in_one_of_twenty_campaigns(hits: int, count: int) -> None:
     bound = upper_bound(hits, count)
     few = sum(math.comb(count, k) * bound**k * (1.0 - bound) ** (count - k) for k in range(hits + 1))
     assert few == pytest.approx(0.05, rel=1e-6)
@@ -52,13 +52,13 @@ def test_a_rate_at_its_bound_shows_so_few_events_in_one_of_twenty_campaigns(hits
         assert bound <= 3.0 / count
 
 
-def test_a_bound_has_its_ends() -> None:
+def test_the_bound_is_right_at_its_ends() -> None:
     assert upper_bound(0, 20_000) == pytest.approx(1.5e-4, rel=0.01)
     assert upper_bound(5, 5) == 1.0
     assert math.isnan(upper_bound(0, 0))
 
 
-def test_bins_hold_every_docking_once_on_either_side() -> None:
+def test_bins_have_every_docking_of_either_sign_once() -> None:
     every = rows(400)
     every["degrees"] = np.linspace(0.0, 20.0, 400)
     every["charged"] = every["degrees"] < 9.5
@@ -89,7 +89,7 @@ def verdicts(upright: Columns, **campaigns: Columns) -> dict[str, bool | None]:
         ({"code_name": "CRASHED"}, {"dockings that crashed"}),
     ],
 )
-def test_a_target_is_missed_by_what_it_is_about_alone(changes: dict[str, Any], missed: set[str]) -> None:
+def test_only_its_own_figure_misses_a_target(changes: dict[str, Any], missed: set[str]) -> None:
     assert _missed(random=rows(10, **changes)) == missed
 
 
@@ -112,7 +112,7 @@ def test_a_target_is_missed_by_what_it_is_about_alone(changes: dict[str, Any], m
         ("strike", {"peak_push": 30.0}, {"strike, exact, default, 99 %"}),
     ],
 )
-def test_targets_of_one_scene_are_judged_by_it(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
+def test_targets_of_one_scene_use_only_that_scene(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
     assert _missed(**{scene: rows(10, **changes)}) == missed
 
 
@@ -120,19 +120,19 @@ def _missed(**campaigns: Columns) -> set[str]:
     return {name for name, met in verdicts(rows(10), **campaigns).items() if not met}
 
 
-def test_what_was_not_run_is_not_met() -> None:
+def test_targets_of_missing_campaigns_are_not_measured() -> None:
     found = docking_summary.targets({}, None)
     assert {each["met"] for each in found} == {None}
 
 
-def test_a_largest_figure_is_that_of_the_campaigns_that_charged() -> None:
+def test_a_largest_figure_uses_only_campaigns_that_charged() -> None:
     refused = docking_summary.summarise(rows(3, charged=False, code_name="MISALIGNED"))
     found = docking_summary.targets({"default": refused, "edge": docking_summary.summarise(rows(3))}, None)
     (hottest,) = (each["measured"] for each in found if each["name"].startswith("hottest servo"))
     assert hottest == 0.5
 
 
-def test_a_plan_has_scenes_that_are_there_and_the_counts_that_are_asked_for() -> None:
+def test_a_plan_has_existing_scenes_and_the_requested_counts() -> None:
     counts = {part.name: part.count for part in PARTS}
     assert (counts["random"], counts["edge"], counts["zero"]) == (20_000, 20_000, 2_000)
     assert counts["fixed"] == len(load_campaign_scene("fixed").dockings)
@@ -151,7 +151,7 @@ def report(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[s
     return code, json.loads(captured.out), captured.err
 
 
-def test_a_report_runs_what_is_missing_and_tells_what_it_has(
+def test_a_report_runs_missing_dockings_and_shows_present_ones(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib", reason="draws with deltacharger[report]")
@@ -181,7 +181,7 @@ def test_a_report_runs_what_is_missing_and_tells_what_it_has(
     assert "version of code" in answer["error"]
 
 
-def test_an_unknown_campaign_is_refused_with_those_that_there_are(
+def test_an_unknown_campaign_is_refused_with_the_known_names(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     code, answer, _ = report(capsys, "--only", "egde", "--out", str(tmp_path))
@@ -198,7 +198,7 @@ def test_each_threshold_is_a_parameter_and_names_where_it_was_chosen() -> None:
     assert SEED not in grounds.CHOSEN
 
 
-def test_headlines_are_told_beside_every_campaign_that_contradicts_them() -> None:
+def test_headlines_are_listed_with_every_contradicting_campaign() -> None:
     names = {part.name: part for part in PARTS}
     beside = {world.name for world in grounds.WORLDS}
     assert beside <= names.keys()
@@ -208,7 +208,7 @@ def test_headlines_are_told_beside_every_campaign_that_contradicts_them() -> Non
     assert [world.name for world, _ in grounds.worlds(parts)] == ["default", "second"]
 
 
-def test_nudges_count_who_opened_and_who_was_unsafe() -> None:
+def test_nudges_count_opened_and_unsafe_dockings() -> None:
     every = rows(6, nudge_opened=math.nan)
     every["nudge_opened"] = np.array([0.2, 0.4, math.nan, math.nan, 2.0, math.nan])
     every["energised_unsafe"] = np.array([0.1, 0.0, 0.3, 0.0, 0.0, 0.0])
@@ -233,7 +233,7 @@ def leaning(yaws: list[float], pitches: list[float], **changes: Any) -> Columns:
     return found | {f"world.target.tilt_{axis}": np.radians(each) for axis, each in tilts.items()}
 
 
-def test_leans_are_told_by_whole_degrees_either_way() -> None:
+def test_leans_are_binned_by_integer_degrees_of_either_sign() -> None:
     every = leaning([0.5, -4.5, 5.0, 2.2], [-1.5, 4.9, -5.0, 0.0])
     every["charged"][1], every["code_name"] = False, np.array(["NONE", "LEANING", "NONE", "NONE"])
     cells = lean.by_lean(every)
@@ -250,7 +250,7 @@ def test_a_robot_that_stands_askew_has_yawed_faces() -> None:
     assert (yaw[0], pitch[0]) == (pytest.approx(3.0), 0.0)
 
 
-def test_what_is_refused_late_or_by_no_name_is_not_refused_soon() -> None:
+def test_late_or_unnamed_refusals_do_not_count_as_soon() -> None:
     every = leaning([4.0] * 4, [0.0] * 4, charged=False, code_name="LEANING")
     every["time"], every["contacts"] = np.array([19.0, 21.0, 0.0, 5.0]), np.array([1, 1, 0, 1])
     every["code_name"] = np.array(["LEANING", "LEANING", "LEANING", "CRASHED"])
@@ -258,7 +258,7 @@ def test_what_is_refused_late_or_by_no_name_is_not_refused_soon() -> None:
     assert (found["soon"]["hits"], found["soon"]["n"], found["untouched"], found["leaning"]) == (2, 4, 1, 3)
 
 
-def test_the_told_offset_is_judged_against_where_the_electrodes_rest() -> None:
+def test_the_reported_offset_is_compared_with_the_electrodes_rest() -> None:
     assert lean.figures(leaning([0.0], [0.0]))["told"]["rms"] == pytest.approx((0.002 - 0.001) / 0.0005)
     assert lean.figures(leaning([0.0], [0.0], charged=False, code_name="LEANING"))["told"]["n"] == 0
 
@@ -276,12 +276,12 @@ def test_the_told_offset_is_judged_against_where_the_electrodes_rest() -> None:
         ({"time": 17.0}, {"seconds to charging, lean5, median"}),
     ],
 )
-def test_a_target_of_leaning_faces_is_missed_by_what_it_is_about(changes: dict[str, Any], missed: set[str]) -> None:
+def test_only_its_own_figure_misses_a_target_of_leaning_faces(changes: dict[str, Any], missed: set[str]) -> None:
     found = lean.targets({"lean5": lean.figures(leaning([1.0, 4.0], [1.0, 0.0], **changes))})
     assert {each["name"] for each in found if each["met"] is False} == missed
 
 
-def test_each_number_of_the_filters_over_contacts_has_a_ground() -> None:
+def test_each_parameter_of_the_filters_over_contacts_has_a_stated_choice() -> None:
     known = {name for choice in grounds.CHOICES for name in choice.names}
     declared_names = {each.name for each in declared(DockingParameters)}
     read = set()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report footprint`: what is measured of a known process, of a scene, and the command's own contract."""
+"""`deltacharger report footprint`: measurements of a known process and of a scene, and the command's contract."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ psutil = pytest.importorskip("psutil", reason="measures with deltacharger[report
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.realtime,
-    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux tells what a process uses"),
+    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux reports what a process uses"),
 ]
 MEGA = 1_000_000
 PAUSE = "\nimport sys\nprint('ready', flush=True)\nsys.stdin.read()"
@@ -38,7 +38,7 @@ Child = Callable[[str], "subprocess.Popen[str]"]
 
 @pytest.fixture
 def child() -> Iterator[Child]:
-    """Start Python code that says 'ready' and then waits; it ends with the test."""
+    """Start Python code that prints 'ready' and then waits; it ends with the test."""
     running: list[subprocess.Popen[str]] = []
 
     def start(code: str) -> subprocess.Popen[str]:
@@ -54,7 +54,7 @@ def child() -> Iterator[Child]:
         each.communicate()
 
 
-def test_memory_that_a_process_takes_is_counted(child: Child) -> None:
+def test_memory_of_a_process_is_counted(child: Child) -> None:
     plain, heavy = (footprint_process.usage([child(code).pid]) for code in ("", "held = b'x' * 50_000_000"))
     for key in ("pss", "rss"):
         assert getattr(heavy, key) - getattr(plain, key) == pytest.approx(50 * MEGA, abs=3 * MEGA)
@@ -65,11 +65,11 @@ def test_memory_that_a_process_takes_is_counted(child: Child) -> None:
 def test_processor_time_is_counted_to_the_tick_and_waiting_is_not(child: Child) -> None:
     burn = "import time\nwhile time.process_time() < {}: pass\ntime.sleep(0.2)"
     spent = [footprint_process.usage([child(burn.format(seconds)).pid]).cpu for seconds in (0.2, 0.7)]
-    assert spent[0] == pytest.approx(0.2, abs=0.1)  # and what Python takes to start and print
+    assert spent[0] == pytest.approx(0.2, abs=0.1)  # including Python's start and printing
     assert spent[1] - spent[0] == pytest.approx(0.5, abs=0.1)
 
 
-def test_children_and_threads_count_and_so_does_the_time_of_children_that_have_ended(child: Child) -> None:
+def test_children_threads_and_the_time_of_ended_children_count(child: Child) -> None:
     lazy = child(
         "import threading\n[threading.Thread(target=threading.Event().wait, daemon=True).start() for _ in '123']"
     )
@@ -87,7 +87,7 @@ def test_children_and_threads_count_and_so_does_the_time_of_children_that_have_e
     assert together.processes == 3
 
 
-def test_a_process_that_has_ended_is_an_error_and_not_nothing(child: Child) -> None:
+def test_an_ended_process_is_an_error(child: Child) -> None:
     process = child("")
     process.kill()
     wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_ZOMBIE, "its end")
@@ -97,7 +97,7 @@ def test_a_process_that_has_ended_is_an_error_and_not_nothing(child: Child) -> N
         process.wait(DEADLINE)
 
 
-def test_a_library_in_memory_is_found_and_none_where_none_is(child: Child) -> None:
+def test_only_libraries_in_memory_are_found(child: Child) -> None:
     pytest.importorskip("PIL")
     assert footprint_process.mapped([child("").pid]) == set()
     assert footprint_process.mapped([child("import PIL._imaging").pid]) == {"PIL"}
@@ -117,7 +117,7 @@ def test_a_library_in_plain_python_is_found_when_its_process_ends(tmp_path: Path
     assert {"json", "importlib"} <= started.modules
 
 
-def test_a_process_that_ends_early_is_told_with_its_last_words(tmp_path: Path) -> None:
+def test_a_process_that_ends_early_is_reported_with_its_last_line(tmp_path: Path) -> None:
     started = Started(tmp_path)
     started.start("some node", "import sys; sys.exit('the port is taken')")
     started.processes["some node"].wait(DEADLINE)
@@ -133,7 +133,7 @@ def test_every_packaged_scene_is_measured_or_left_out_with_a_reason() -> None:
     assert all(plan.left_out.values())
 
 
-def test_a_scene_that_needs_a_camera_or_a_recording_says_so(tmp_path: Path) -> None:
+def test_a_scene_that_needs_a_camera_or_a_recording_is_left_out_with_the_reason(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("nodes: [camera_node]\n", "utf-8")
     assert "OAK-D" in footprint_plan.make_plan([str(file)]).left_out["mine"]
@@ -175,7 +175,7 @@ def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], st
 
 
 @pytest.mark.slow
-def test_a_scene_that_does_not_run_says_why_and_keeps_no_other_from_it(
+def test_a_scene_that_does_not_run_is_reported_and_others_still_run(
     quick: tuple[Path, dict[str, Any], str],
 ) -> None:
     _, answer, messages = quick
@@ -185,7 +185,7 @@ def test_a_scene_that_does_not_run_says_why_and_keeps_no_other_from_it(
 
 
 @pytest.mark.slow
-def test_the_pages_tables_are_tables_and_hold_what_was_measured(quick: tuple[Path, dict[str, Any], str]) -> None:
+def test_the_pages_tables_are_well_formed_and_have_the_measurements(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, _ = quick
     page = (folder / "footprint.md").read_text("utf-8")
     tables = [block.split("\n") for block in page.strip().split("\n\n") if block.startswith("|")]
@@ -224,14 +224,14 @@ def test_figures_of_several_runs_are_median_and_spread() -> None:
     assert formats.median([float("nan")] * 3, 1) == "–"
 
 
-def test_a_scene_that_does_not_exist_is_2_with_the_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_scene_exits_with_2_and_the_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(("report", "footprint", "--scene", "bensch", "--json")) == 2
     error = json.loads(capsys.readouterr().out)["error"]
     assert "--scene" in error
     assert "'bench'" in error
 
 
-def test_with_nothing_to_measure_it_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_with_nothing_to_measure_the_error_states_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("nodes: [camera_node]\n", "utf-8")
     assert main(("report", "footprint", "--scene", str(file), "--out", str(tmp_path / "out"), "--json")) == 1
@@ -239,7 +239,7 @@ def test_with_nothing_to_measure_it_says_why(capsys: pytest.CaptureFixture[str],
     assert not (tmp_path / "out").exists()
 
 
-def test_elsewhere_than_on_linux_it_says_so(
+def test_systems_other_than_linux_are_refused(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")

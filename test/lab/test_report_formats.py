@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all reports share: how figures are written, when a target is met, and what a page or picture that fails says."""
+"""Common parts of reports: formats of figures, verdicts of targets, and errors of pages and pictures."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ NUMBERS = (formats.fixed, formats.short, formats.number, formats.power, formats.
 
 
 @pytest.mark.parametrize("write", NUMBERS)
-def test_what_is_unknown_is_a_dash_whether_it_comes_from_json_or_not(write: Callable[..., str]) -> None:
+def test_unknown_values_are_a_dash_from_json_or_not(write: Callable[..., str]) -> None:
     assert write(None) == write(math.nan) == "–"
     assert write(0.0) != "–"
 
 
-def test_numbers_are_written_with_what_counts() -> None:
+def test_numbers_have_their_significant_digits() -> None:
     assert [formats.number(each) for each in (3.0, 1234.0, 0.12345, -math.inf)] == ["3", "1234", "0.123", "−inf"]
     assert [formats.plain(each) for each in (12345.6, 0.12345)] == ["12346", "0.123"]
     assert formats.rate({"n": 3, "share": 2 / 3, "interval": [0.2, 0.9]}) == "66.67 (20.00–90.00)"
@@ -40,13 +40,13 @@ def test_a_target_is_met_up_to_its_limit_and_rounding() -> None:
     assert [none("x", count, "of 9")["met"] for count in (0, 1)] == [True, False]
 
 
-def test_a_template_that_asks_for_what_is_not_there_is_an_error() -> None:
+def test_a_template_with_an_unknown_name_is_an_error() -> None:
     jinja2 = pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
-    with pytest.raises(jinja2.UndefinedError, match="'date' is undefined"):
+    with pytest.raises(jinja2.UndefinedError, match="'targets' is undefined"):
         render("docking", {})
 
 
-def test_pictures_that_cannot_be_drawn_are_told_with_the_reason(tmp_path: Path) -> None:
+def test_pictures_that_cannot_be_drawn_are_listed_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
 
     def written(results: dict[str, Any], path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report kinematics`: the measured laws of the kinematics, and the command's own contract."""
+"""`deltacharger report kinematics`: the measured laws of the kinematics, and the command's contract."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_ours_answers_everywhere_on_the_right_knee_within_the_bounds(quick_repor
     assert figures["round_trip"]["Delta.inverse"]["max"] <= 5e-16
 
 
-def test_ours_takes_no_point_for_reachable_that_is_not_and_none_the_other_way(quick_report: Quick) -> None:
+def test_ours_decides_reach_without_error(quick_report: Quick) -> None:
     decisions = quick_report[2]["reach"]["solvers"]
     for name in OURS:
         assert [decisions[name][each] for each in (*OUTSIDE, "boundary")] == [0, 0, 0], name
@@ -57,13 +57,13 @@ def test_the_closed_forms_lose_half_their_digits_at_the_edge_and_ours_does_not(q
     assert max(each for name in OURS for each in curves[name] if each is not None) <= 8e-16
 
 
-def test_every_extreme_input_comes_back_as_wanted(quick_report: Quick) -> None:
+def test_every_extreme_input_has_the_required_answer(quick_report: Quick) -> None:
     found = quick_report[2]["extremes"]
-    assert len({each["name"] for each in found}) >= 35  # some names are those of the row above
+    assert len({each["name"] for each in found}) >= 35  # some names repeat the row above
     assert not [each for each in found if not each["ok"]]
 
 
-def test_no_robot_is_too_odd(quick_report: Quick) -> None:
+def test_every_robot_is_solved_within_the_bounds(quick_report: Quick) -> None:
     for robot in quick_report[2]["robots"]:
         assert robot["count"] > 0
         assert robot["wrong_decisions"] == 0, robot
@@ -71,14 +71,14 @@ def test_no_robot_is_too_odd(quick_report: Quick) -> None:
         assert max(robot["array"], robot["point"]) <= 1e-15, robot
 
 
-def test_every_table_says_set_count_and_seed(quick_report: Quick) -> None:
+def test_every_table_has_set_count_and_seed(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     for each in figures["sets"] + figures["reach"]["sets"]:
         assert f"| {each['name']} | {each['about']} | {each['count']} |" in page
     assert page.count("set, seed 1") == 2
 
 
-def test_without_peers_and_matplotlib_the_tables_stay_and_say_what_is_missing(
+def test_without_peers_and_matplotlib_the_tables_remain_and_list_what_is_missing(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for module in ("casadi", "pinocchio", "matplotlib"):
@@ -101,12 +101,12 @@ def test_without_peers_and_matplotlib_the_tables_stay_and_say_what_is_missing(
 
 @pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
 def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) -> None:
-    """Its inverse and forward are written apart, so that they can only agree where both are right."""
+    """Inverse and forward are independent code, so they agree only if both are right."""
     exact = ExactDelta(geometry)
     points = sets.interior(geometry, np.random.default_rng(3), 20).points
     solved = exact.inverse(points).angles
     nudge = exact.forward(solved.high)
-    # The angles are rounded to doubles before they go back, so the way is as long as that rounding.
+    # The angles are rounded to doubles before the way back, so the error is of that rounding.
     assert nudge.distance(points).max() < 2e-16
     assert (solved.angle_error(solved.high) <= 3e-16).all()
 
@@ -135,7 +135,7 @@ def test_every_closed_form_is_right_inside_the_workspace(name: str) -> None:
     assert truth.angle_error(one_by_one).max() < 1e-10
 
 
-def test_points_are_the_same_for_the_same_seed() -> None:
+def test_one_seed_gives_the_same_points() -> None:
     exact = ExactDelta()
     first, again = (sets.fold(exact, np.random.default_rng(6), 30).points for _ in range(2))
     assert np.array_equal(first, again)

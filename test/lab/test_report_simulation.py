@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report simulation`: the measured laws of the simulated charger, and the command's own contract."""
+"""`deltacharger report simulation`: the measured laws of the simulated charger, and the command's contract."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REPORT = ("simulation",)
 MEASURES_WITH = ("matplotlib",)
 
 
-def test_the_targets_that_do_not_hang_on_the_machine_are_met(quick_report: Quick) -> None:
+def test_targets_independent_of_the_machine_are_met(quick_report: Quick) -> None:
     verdicts = {target["name"]: target["met"] for target in quick_report[2]["targets"]}
     lean_speed = "light model at 10 ms with lean and compliance, in motion, slowest"
     machine = {"light model at 10 ms, in motion", lean_speed, "whole report"}
@@ -50,12 +50,12 @@ def test_the_reference_confirms_the_light_model_and_knows_where_others_diverge(q
     assert stability.DIVERGED in fast
     usual = [point for point in figures["map"] if point["model"] == simulation_plan.MUJOCO_USUAL]
     lost = [point for point in usual if point["cell"] == stability.DIVERGED]
-    assert len(lost) < fast.count(stability.DIVERGED)  # its guard softens what would diverge
+    assert len(lost) < fast.count(stability.DIVERGED)  # its guard softens contacts that would diverge
     codes = {row["code"] for row in figures["dockings"] if row["docking"] == 1}
     assert codes == {"NONE"}
 
 
-def test_every_extreme_and_every_part_is_told(quick_report: Quick) -> None:
+def test_every_extreme_and_every_part_is_listed(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     for scene in simulation_extremes.SCENES:
         assert f"| {scene.name} |" in page
@@ -65,7 +65,7 @@ def test_every_extreme_and_every_part_is_told(quick_report: Quick) -> None:
     assert all(row["step_us"] > 0.0 and row["memory_kb"] > 0.0 for row in figures["costs"])
 
 
-def test_leaning_contacts_are_told_and_rest_where_the_reference_does(quick_report: Quick) -> None:
+def test_leaning_contacts_are_listed_and_rest_like_the_reference(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     assert "## Leaning contacts" in page
     cases = lean.cases(simulation_plan.QUICK)
@@ -81,14 +81,14 @@ def test_leaning_contacts_are_told_and_rest_where_the_reference_does(quick_repor
         rest = [point["rest"] for point in row["yaws"]]
         assert rest == sorted(rest)
         assert all(point["rest"] < point["yaw"] or row["compliance"] == 0.0 for point in row["yaws"])
-    # With both bars flat, force and compliance say when one lifts: F/(2 k up) + c F up.
+    # With both bars flat, force and compliance give the pitch at which one lifts: F/(2 k up) + c F up.
     for row in figures["lean_remains"]:
         force, up = 80.0, 0.0087
         lifts = math.degrees(force / (2.0 * row["contact"] * up) + row["compliance"] * force * up)
         assert row["bar_lifts"] == pytest.approx(lifts, rel=0.05)
 
 
-def test_peaks_are_told_right_where_those_of_steps_ends_are_not(quick_report: Quick) -> None:
+def test_peaks_are_right_when_those_of_steps_ends_are_not(quick_report: Quick) -> None:
     rows = quick_report[2]["strikes"]
     assert {row["strike"] for row in rows} == {strike.name for strike in impact.STRIKES}
     assert {row["contact"] for row in rows} == set(simulation_plan.QUICK.strike_contacts)
@@ -98,7 +98,7 @@ def test_peaks_are_told_right_where_those_of_steps_ends_are_not(quick_report: Qu
     assert all(row["ends_percent"] < -20.0 for row in stiff)
 
 
-def test_the_whole_model_in_tiny_steps_comes_to_the_references_peak(quick_report: Quick) -> None:
+def test_the_complete_model_in_tiny_steps_converges_to_the_references_peak(quick_report: Quick) -> None:
     for row in quick_report[2]["tiny_steps"]:
         assert 0.8 < row["order"] < 1.2, row
         assert all(abs(percent) < 5.0 for percent in row["percent"].values()), row
@@ -106,14 +106,14 @@ def test_the_whole_model_in_tiny_steps_comes_to_the_references_peak(quick_report
             assert row["limit"] == pytest.approx(row["exact"], rel=0.01)
 
 
-def test_energy_only_falls_and_its_account_is_whole(quick_report: Quick) -> None:
+def test_energy_only_falls_and_its_losses_are_complete(quick_report: Quick) -> None:
     for row in quick_report[2]["energy"]:
         assert row["gain"] < 0.01 * row["released"], row["scene"]
         for part in ("servos' damping", "gears' friction", "electrodes' friction"):
             assert row["lost"][part] > -1e-3 * row["released"], (row["scene"], part)
 
 
-def test_the_packages_map_says_what_the_report_finds(quick_report: Quick) -> None:
+def test_the_packages_map_agrees_with_the_report(quick_report: Quick) -> None:
     points = [point for point in quick_report[2]["map"] if point["model"] == LIGHT]
     assert points
     for point in points:
@@ -128,14 +128,14 @@ def test_the_packages_map_says_what_the_report_finds(quick_report: Quick) -> Non
     assert [len(rows) for rows in written["CELLS"]] == [len(written["CONTACT_STIFFNESSES"])]
 
 
-def test_the_packaged_map_is_that_of_the_full_plan() -> None:
+def test_the_packaged_map_has_the_points_of_the_full_plan() -> None:
     plan = simulation_plan.SimulationPlan()
     assert plan.map_steps == stability_map.STEPS
     assert plan.map_contacts == stability_map.CONTACT_STIFFNESSES
     assert plan.map_servos == stability_map.SERVO_STIFFNESSES
 
 
-def test_a_path_is_no_distance_from_itself_at_any_sampling() -> None:
+def test_a_path_has_distance_0_from_itself_at_any_sampling() -> None:
     fine = docking(LIGHT, world(), 0.005)["trace"]
     assert rms(fine, fine) == 0.0
     assert rms(fine[1::2], fine) == 0.0

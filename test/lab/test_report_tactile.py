@@ -41,19 +41,19 @@ def test_every_model_is_better_than_chance_and_every_shift_is_judged(quick_repor
     assert {row["verdict"] for row in figures["shifts"]} <= {HOLDS, FIRES, NEITHER}
 
 
-def test_a_split_at_random_by_frame_flatters(quick_report: Quick) -> None:
+def test_a_random_split_by_frame_is_optimistic(quick_report: Quick) -> None:
     found = {(row["model"], row["target"], row["split"]): row["accuracy"] for row in quick_report[2]["splits"]}
     honest = found["forest", "horizontal", tactile_splits.BY_DOCKING]
     assert found["forest", "horizontal", tactile_splits.BY_FRAME] > honest + 0.02
     assert found["forest", "horizontal", tactile_splits.RIG_OUT] < honest
 
 
-def test_more_dockings_tell_more(quick_report: Quick) -> None:
+def test_more_dockings_improve_the_accuracy(quick_report: Quick) -> None:
     found = {row["name"].split(",")[0]: row["horizontal"] for row in quick_report[2]["ceiling"]}
     assert found["1 docking"] < found["3 dockings"] >= 0.98
 
 
-def test_every_judged_model_and_both_estimates_meet_physics_that_none_has_seen(quick_report: Quick) -> None:
+def test_every_judged_model_and_both_estimates_are_tested_on_unseen_physics(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     found = figures["second"]
     assert {(row["model"], row["target"]) for row in found["models"]} == {
@@ -68,7 +68,7 @@ def test_every_judged_model_and_both_estimates_meet_physics_that_none_has_seen(q
     assert sum("second physics" in row["name"] for row in figures["targets"]) == 3
 
 
-def test_every_table_and_picture_says_that_the_data_are_simulated(quick_report: Quick) -> None:
+def test_every_table_and_picture_is_marked_as_simulated(quick_report: Quick) -> None:
     folder, _, _, page = quick_report
     lines = page.splitlines()
     heads = [lines[index - 1] for index, line in enumerate(lines) if line.startswith("|---")]
@@ -115,22 +115,22 @@ def test_the_interval_is_over_rigs() -> None:
     assert found["half"] == pytest.approx(4.303 * 0.02 / 3**0.5, rel=1e-3)
 
 
-def test_tasks_come_back_in_their_order() -> None:
+def test_results_are_in_the_order_of_tasks() -> None:
     tasks = [ReportTask("sum", sum, ([index, 1],), float(weight)) for index, weight in enumerate((1, 5, 2))]
-    told: list[str] = []
-    assert work(tasks, told.append) == {"sum": [1, 2, 3]}
-    assert told[-1].startswith("100 %")
+    messages: list[str] = []
+    assert work(tasks, messages.append) == {"sum": [1, 2, 3]}
+    assert messages[-1].startswith("100 %")
 
 
 def test_a_task_that_fails_ends_the_work_with_its_trace() -> None:
     tasks = [ReportTask("sum", max, (1, 2)), ReportTask("model", Classifier.load, ("/nowhere.npz",))]
     with pytest.raises(ReportFailed, match=r"model.*nowhere\.npz"):
-        work(tasks, lambda told: None)
+        work(tasks, lambda message: None)
 
 
-def test_a_task_without_its_library_says_which_one() -> None:
+def test_a_task_without_its_library_names_it() -> None:
     with pytest.raises(ModuleNotFoundError) as missing:
-        work([ReportTask("import", importlib.import_module, ("no_such_library",))], lambda told: None)
+        work([ReportTask("import", importlib.import_module, ("no_such_library",))], lambda message: None)
     assert missing.value.name == "no_such_library"
 
 
@@ -139,7 +139,7 @@ def test_without_pytorch_there_is_no_cuda_device(monkeypatch: pytest.MonkeyPatch
     assert measure.cuda_timing(tactile_plan.quick_plan(1)) == {"device": "", "trainers": []}
 
 
-def test_the_one_file_holds_its_pictures(tmp_path: Path) -> None:
+def test_the_html_file_contains_its_pictures(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"\x89PNG")
     (tmp_path / "page.md").write_text(
         "# A & B\n\n| x | y |\n|---|---|\n| 1 | **2** |\n\n![c](a.png)\n\n- one\n", "utf-8"

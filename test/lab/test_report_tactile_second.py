@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tactile report on contact physics that no model has seen: what is counted, on little data; nothing is trained."""
+"""The tactile report on contact physics that no model has seen: counts on little data, without training."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
     assert keys == {
         (physics, cut, count) for physics in ("first", "second") for cut in (0.25, 1.0) for count in (12, 1)
     }
-    told = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
-    for (cut, frames, physics), row in told.items():
+    summed = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
+    for (cut, frames, physics), row in summed.items():
         assert row["n"] == 2 * 60
         assert 0 <= row["unsafe"] <= row["acts"] <= row["n"]
         assert row["sure"] <= row["in_range"] <= row["contact"] <= 1.0
         if physics == "first":
-            other = told[cut, frames, "second"]
+            other = summed[cut, frames, "second"]
             assert other["in_range"] < row["in_range"], "a dead band of 1 N hides most of a contact"
             assert row["vertical"]["z"] < 2.0
-    bad = [row | {"unsafe": 3} for row in told.values()]
+    bad = [row | {"unsafe": 3} for row in summed.values()]
     families = [{"variant": "as it is", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
     assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
-    assert second.worst_z(told.values()) == max(told[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
+    assert second.worst_z(summed.values()) == max(summed[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
 
 
 KEYS = ("threshold", "frames", "physics")
 
 
 class Telling:
-    """Tells one pose (N, 3) or the same of all frames, and believes it by `stddev`."""
+    """Estimates given poses (N, 3), or one for all frames, with `stddev`."""
 
     def __init__(self, pose: np.ndarray, stddev: float) -> None:
         self._pose, self._stddev = pose, stddev
@@ -70,7 +70,7 @@ class Telling:
         return np.zeros(len(left), dtype=bool)
 
 
-def test_who_knows_the_pose_never_acts_unsafely(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exact_estimate_never_acts_unsafely(monkeypatch: pytest.MonkeyPatch) -> None:
     data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
     monkeypatch.setattr(second, "default_model", lambda cut: Telling(data.contact_pose, 1e-6))
     row = second._counts(data, 0.25)
@@ -86,7 +86,7 @@ def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> 
     assert row["angle"]["rms"] == pytest.approx(20.0 / math.sqrt(3.0), rel=0.2)
 
 
-def test_models_keep_what_they_learnt_on_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     from deltacharger_lab.reports.tactile.measure import _calibrate, fitted
     from deltacharger_tactile.classifiers import labels

@@ -61,7 +61,7 @@ def test_the_figures_are_those_of_their_images(quick_report: Quick) -> None:
             assert (math.isnan(value) and found is None) or found == pytest.approx(value), (name, part)
 
 
-def test_what_is_near_and_plain_is_found_and_right(quick_report: Quick) -> None:
+def test_near_unobstructed_terminals_are_found_and_right(quick_report: Quick) -> None:
     rows = quick_report[2]["rows"]
     plain = [rows[key(each)] for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
     assert sum(each["found"] for each in plain) >= 0.95 * sum(each["images"] for each in plain)
@@ -73,13 +73,13 @@ def test_what_is_near_and_plain_is_found_and_right(quick_report: Quick) -> None:
     assert sum(each["sure"] for each in before) == 0
 
 
-def test_the_mount_decides(quick_report: Quick) -> None:
+def test_the_mounts_error_dominates(quick_report: Quick) -> None:
     exact, half, whole = (quick_report[2]["mount"][name] for name in LEVELS)
     assert exact["base_mm_p50"] == pytest.approx(exact["camera_mm_p50"], rel=1e-6)
     assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
 
 
-def test_the_lean_is_told_by_depth_and_the_mount_spoils_it(quick_report: Quick) -> None:
+def test_depth_gives_the_lean_and_the_mounts_error_degrades_it(quick_report: Quick) -> None:
     rows, mount = quick_report[2]["rows"], quick_report[2]["mount"]
     near = [rows[key(each)] for each in members(BY_RANGE) if 0.18 < each.away < 0.35]
     assert all(each["leans"] == each["found"] > 0 for each in near)
@@ -87,7 +87,7 @@ def test_the_lean_is_told_by_depth_and_the_mount_spoils_it(quick_report: Quick) 
     assert mount["exact"]["yaw_rms"] < 0.3 * mount["1° / 3 mm"]["yaw_rms"]
 
 
-def test_the_page_says_what_the_figures_say(quick_report: Quick) -> None:
+def test_the_page_agrees_with_the_figures(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     assert "of simulated images" in page
     for target in figures["targets"]:
@@ -102,7 +102,7 @@ def test_the_page_says_what_the_figures_say(quick_report: Quick) -> None:
     assert "None" not in page
 
 
-def test_without_mujoco_and_pictures_the_page_says_why(quick_report: Quick) -> None:
+def test_without_mujoco_and_pictures_the_page_states_why(quick_report: Quick) -> None:
     figures = json.loads((quick_report[0] / "vision.json").read_text("utf-8"))
     figures["rows"] = {name: each for name, each in figures["rows"].items() if MUJOCO not in name}
     figures |= {"absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
@@ -127,7 +127,7 @@ def detection(position: tuple[float, float, float], roll: float = 0.0) -> Detect
     )
 
 
-def test_wrong_is_what_is_far_off() -> None:
+def test_large_errors_count_as_wrong() -> None:
     pose = np.eye(4)
     pose[2, 3] = 0.3
     named = FIELDS[1:]
@@ -162,7 +162,7 @@ def test_only_right_detections_count_as_found() -> None:
     assert worst(images[::2], real=False) == 0
 
 
-def test_a_target_that_is_missed_is_said_to_be() -> None:
+def test_a_missed_target_is_reported() -> None:
     good = row([[0, 1, 0, 0.1, 0.1, 0.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 0.1, 0.0]] * 100)
     bad = row(
         [[0, 0, 0, *NOTHING]] * 2
@@ -181,7 +181,7 @@ def test_a_target_that_is_missed_is_said_to_be() -> None:
         assert [each["met"] for each in found] == [met] * len(found), found
 
 
-def test_enough_images_for_what_is_claimed() -> None:
+def test_the_images_suffice_for_the_claims() -> None:
     plan = vision_plan.VisionPlan(vision_plan.FULL, 0, False, {})
     band = sum(plan.count(each.weight) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1])
     assert band >= 1500
@@ -212,7 +212,7 @@ def test_one_seed_is_one_view_for_both_renderers_and_all_defects() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in CONDITIONS if not name.startswith((ALARMS, RENDERERS))])
-def test_the_terminal_of_every_view_is_wholly_in_the_picture(name: str) -> None:
+def test_the_terminal_of_every_view_is_completely_in_the_picture(name: str) -> None:
     from deltacharger_vision.projection import project
 
     condition = CONDITIONS[name]
@@ -224,6 +224,6 @@ def test_the_terminal_of_every_view_is_wholly_in_the_picture(name: str) -> None:
         assert (pixels < [condition.takes.width - 1, condition.takes.height - 1]).all()
 
 
-def test_no_pose_where_the_terminal_is_larger_than_the_picture() -> None:
+def test_no_pose_if_the_terminal_is_larger_than_the_picture() -> None:
     with pytest.raises(ValueError, match="no pose"):
         vision_views.draw_pose(0.04, np.random.default_rng(0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The converged reference of the simulation: its kinematics, energy, statics, convergence, and who agrees with it."""
+"""The converged reference of the simulation: kinematics, energy, statics, convergence, agreement with models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytest.importorskip("scipy")
 
 
 @pytest.mark.parametrize("z", [0.0, 0.0199, 0.0201, 0.05, 0.08, 0.1])
-def test_its_kinematics_are_those_of_the_delta(z: float) -> None:
+def test_its_kinematics_equal_the_deltas(z: float) -> None:
     theta, first, second = angle(z)
     assert theta == pytest.approx(DELTA.inverse(0.0, 0.0, z)[0], abs=1e-12)
     assert first == pytest.approx(1.0 / (3.0 * DELTA.jacobian(0.0, 0.0, z)[6]), rel=1e-8)
@@ -28,7 +28,7 @@ def test_its_kinematics_are_those_of_the_delta(z: float) -> None:
 
 
 @pytest.mark.parametrize("contact", [1e5, 1e6, 1e8])
-def test_what_magnets_put_in_is_what_the_spring_holds_at_the_peak(contact: float) -> None:
+def test_the_spring_stores_the_magnets_work_at_the_peak(contact: float) -> None:
     parameters = axis_world(contact, 15.0)
     gap, magnets = 0.003, parameters.magnets
     found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)  # bound 0: the servos are limp
@@ -41,7 +41,7 @@ def test_what_magnets_put_in_is_what_the_spring_holds_at_the_peak(contact: float
     assert 0.5 * 1.235 * found.speed**2 == pytest.approx(work, rel=0.01)
 
 
-def test_the_gears_friction_takes_its_work_of_a_strike() -> None:
+def test_the_gears_friction_takes_its_work_from_a_strike() -> None:
     gap, contact, torque = 0.003, 1e6, 0.06
     parameters = world(contact, 15.0, friction=torque, gravity_y=0.0)
     found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)
@@ -64,14 +64,14 @@ def test_it_converges_and_comes_to_rest_where_springs_and_magnets_balance(contac
     assert fine.peak > fine.force
 
 
-def test_a_course_that_comes_to_no_end_is_no_course(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "_MOST_PIECES", 1)
     with pytest.raises(ArithmeticError, match=r"1 pieces.* s, before 1\.0 s"):
         on_axis(axis_world(1e5, 15.0), 0.07, [(0.0, angle(0.086)[0], 4.1)], 1.0)
 
 
 @pytest.mark.parametrize("strike", STRIKES, ids=lambda strike: strike.name)
-def test_peaks_in_steps_of_docking_are_within_what_is_stated(strike: object) -> None:
+def test_peaks_in_steps_of_docking_are_within_the_stated_limits(strike: object) -> None:
     parameters = axis_world(1e6, 15.0, strike.magnets)  # type: ignore[attr-defined]
     start, orders, duration = strike_orders(parameters, strike)  # type: ignore[arg-type]
     exact = on_axis(parameters, start, orders, duration).peak
@@ -81,7 +81,7 @@ def test_peaks_in_steps_of_docking_are_within_what_is_stated(strike: object) -> 
         assert moved.record.peak_force == pytest.approx(exact, rel=0.15)
 
 
-def test_the_light_models_path_comes_to_it_with_the_step_and_an_extrapolated_one_faster() -> None:
+def test_the_light_models_path_converges_with_the_step_and_the_extrapolated_one_faster() -> None:
     exact = axis_docking(1e5, 15.0)
     parameters = axis_world(1e5, 15.0)
     off = [rms(docking("light", parameters, step)["trace"], exact["trace"]) for step in (0.01, 0.005, 0.001)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of topics and the policies are what the nodes have, and the page is what the interface files say."""
+"""The page of topics and the policies match the nodes, and the page matches the interface files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
 
 
-def test_page_and_policies_are_what_the_nodes_have(context: Any, namespace: str) -> None:
+def test_page_and_policies_match_the_nodes(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="electrode_detector_node needs deltacharger[vision]")
     committed = (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
     if "nav2_msgs/" in committed:
@@ -49,7 +49,7 @@ def test_page_and_policies_are_what_the_nodes_have(context: Any, namespace: str)
         ("actions[@call]/action", "dock", {"mission_node", "fleet", "workshop"}),
     ],
 )
-def test_a_policy_lets_do_what_is_needed_and_no_more(grant: str, name: str, who: set[str]) -> None:
+def test_a_policy_allows_exactly_what_is_needed(grant: str, name: str, who: set[str]) -> None:
     profiles = {path.stem: ElementTree.parse(path) for path in policies.FOLDER.glob("*.xml")}
     granted = {each for each, tree in profiles.items() if name in {item.text for item in tree.findall(grant)}}
     assert granted == who
@@ -72,7 +72,7 @@ def test_a_file_is_read_as_the_generator_of_code_reads_it(path: Path) -> None:
             assert getattr(generated, name) == int(value)
 
 
-def test_a_comment_may_go_on_in_the_next_line(tmp_path: Path) -> None:
+def test_a_comment_may_continue_on_the_next_line(tmp_path: Path) -> None:
     file = tmp_path / "Twice.msg"
     file.write_text(
         "# What it is.\n# And more.\n\nfloat64 x 1.5   # m along x,\n                # of end_effector\nuint8 A=3\n"
@@ -86,7 +86,7 @@ def test_a_comment_may_go_on_in_the_next_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["float64\n", "float64 x\n---\nfloat64 y\n"], ids=["no name", "a part too many"])
-def test_what_is_no_message_is_refused(tmp_path: Path, text: str) -> None:
+def test_invalid_interface_files_are_refused(tmp_path: Path, text: str) -> None:
     def read_it() -> Interface:
         file = tmp_path / "Odd.msg"
         file.write_text(text)

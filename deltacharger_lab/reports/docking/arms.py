@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of dockings of arms that nobody measured, and of those that somebody did."""
+"""Dockings of arms with wrong assumed parameters, and of calibrated arms."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from deltacharger_lab.reports.docking.summary import Array, Columns, Figures
 from deltacharger_lab.reports.report import at_least, at_most, none
 
 STIFFNESS = ("told_stiffness", "told_stiffness_exact")
-"""Campaigns of servos of which docking is told a quarter to four times the true stiffness."""
+"""Campaigns in which docking assumes a quarter to four times the servos' true stiffness."""
 SCENES = ("default", *STIFFNESS, "soft_servos", "told_torque_constant", "calibrated")
-"""Campaigns of the table, those that were not run left out."""
+"""Campaigns of the table, if they were run."""
 BINS = (2.0, 3.0, 6.0, 12.0, 25.0, 40.0)  # N·m/rad
 CHARGED_LEAST, BAND_LEAST, SECONDS_MOST = 99.0, 99.0, 12.0  # %, % and s
 PUSH_MOST = {"told_torque_constant": 25.0, "calibrated": 5.0}  # %, of 95 in 100
 
 
 def figures(rows: Columns) -> Figures:
-    """Return the figures of one campaign: charged, stuck, band, s, and how true the told push and stiffness are."""
+    """Return the figures of one campaign: charged, stuck, band, s, and errors of the reported push and stiffness."""
     charged = rows["charged"].astype(bool)
-    whole = summary.summarise(rows)
+    total = summary.summarise(rows)
     true = stiffness(rows)
     return {
-        **{name: whole[name] for name in ("n", "charged", "in_band", "time", "refused")},
-        "stuck": whole["refused"].get(Code.STUCK.name, 0),
-        "unsafe": whole["unsafe"]["hits"],
-        "shorts": whole["shorts"],
+        **{name: total[name] for name in ("n", "charged", "in_band", "time", "refused")},
+        "stuck": total["refused"].get(Code.STUCK.name, 0),
+        "unsafe": total["unsafe"]["hits"],
+        "shorts": total["shorts"],
         "push": _sizes((rows["told_push"] / rows["true_push"] - 1.0)[charged]),
         "felt": _sizes((rows["believed_stiffness"] / true - 1.0)[charged]),
         "bins": [
@@ -59,7 +59,7 @@ def _sizes(errors: Array) -> dict[str, float]:
 
 
 def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
-    """Yield every target of arms that nobody measured.
+    """Yield every target of arms with wrong assumed parameters.
 
     Args:
         found: figures by the campaign's name; those that were not run are missing.

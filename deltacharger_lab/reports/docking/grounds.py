@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the docking report rests on: where each threshold was chosen, and what a headline becomes in other worlds."""
+"""Basis of the docking report: where each threshold was chosen, and the headline figures in other worlds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from deltacharger_core.parameters import declared
 from deltacharger_docking.parameters import DockingParameters
 
 CHOSEN = (5, 19)
-"""Seeds of campaigns on which rules and thresholds of docking are chosen; the report has another."""
+"""Seeds of the campaigns on which docking's rules and thresholds were chosen; the report uses another."""
 
 
 class Choice(NamedTuple):
-    """Parameters of docking that were chosen together."""
+    """Docking parameters chosen together."""
 
     names: tuple[str, ...]
     where: str
@@ -24,7 +24,7 @@ _SEEDS = " and ".join(map(str, CHOSEN))
 CHOICES = (
     Choice(
         ("critical_angle", "electrode_half_gap", "electrode_half_length"),
-        "no seed: the paper's critical angle, and electrodes that have it",
+        "no seed: the paper's critical angle, and electrodes with that angle",
     ),
     Choice(
         ("clearance_min", "clearance_sigmas", "clearance_sigmas_sure", "clearance_contacts"),
@@ -41,19 +41,19 @@ CHOICES = (
     ),
     Choice(
         ("magnet_force", "magnet_width", "magnet_floor", "pad_distance"),
-        "no seed: what the world and the pads' generator assume of magnets and pads",
+        "no seed: the world's and the pads' generator's assumptions about magnets and pads",
     ),
     Choice(("pad_yaw_stiffness",), "no seed: slope of the tactile contact model at 78 N, 690 N·m/rad"),
     Choice(("load_per_yaw",), "no seed: the pads' generator, which tilts by 10° per metre of horizontal offset"),
     Choice(
         ("force_repeatability", "force_error", "magnet_error", "magnet_width_error"),
         "no seed: hysteresis of a pad by its data sheet (4 to 4.5 %); spread of gains and magnets in the pads' "
-        "generator (5 %), a little more told; the width by judgement",
+        "generator (5 %), set a little higher; the width by judgement",
     ),
     Choice(
         ("platform_compliance", "yaw_stddev", "place_stddev"),
-        "no seed: the middle of what campaigns draw (0.01 to 0.03 rad/(N·m)), and how exactly a robot stands and "
-        "a goal tells the place; of each charger and site its own",
+        "no seed: the middle of the campaigns' range (0.01 to 0.03 rad/(N·m)), and the accuracy of a robot's place "
+        "and of a goal's pose; differs for each charger and site",
     ),
     Choice(
         ("yaw_max", "pitch_max", "lean_sigmas", "pitch_shift"),
@@ -94,7 +94,7 @@ CHOICES = (
 
 
 def thresholds() -> Iterator[tuple[str, str]]:
-    """Yield each group of thresholds with their present values, and where they were chosen."""
+    """Yield each group of thresholds with present values and where they were chosen."""
     known = {each.name: each for each in declared(DockingParameters)}
     for choice in CHOICES:
         values = (f"{name} {known[name].default:.4g} {known[name].unit}".rstrip() for name in choice.names)
@@ -102,25 +102,25 @@ def thresholds() -> Iterator[tuple[str, str]]:
 
 
 class OtherWorld(NamedTuple):
-    """A campaign beside the one that a headline is told of."""
+    """A campaign to compare with the one of a headline."""
 
     name: str
     about: str
 
 
 WORLDS = (
-    OtherWorld("default", "as told"),
+    OtherWorld("default", "the headline's conditions"),
     OtherWorld("strike", "every tick and frame computed"),
     OtherWorld("random", "everything at once"),
     OtherWorld("second", "contact physics that no estimator has seen"),
     OtherWorld("second_1N", "the same, by the pose model for sensors from 1 N on"),
-    OtherWorld("second_sensitive", "that physics, sheets that tell forces from 0.25 N on"),
+    OtherWorld("second_sensitive", "that physics, sheets that read forces from 0.25 N on"),
     OtherWorld("random_second", "`random` on that physics"),
-    OtherWorld("told_stiffness", "servo stiffness told wrongly by up to a factor of 4"),
+    OtherWorld("told_stiffness", "assumed servo stiffness wrong by up to a factor of 4"),
     OtherWorld("told_stiffness_exact", "the same, every tick and frame computed"),
-    OtherWorld("told_torque_constant", "torque constant told wrongly by 20 %"),
-    OtherWorld("told_gravity", "gravity told wrongly by up to 10°"),
-    OtherWorld("told_geometry", "the arm's geometry told wrongly"),
+    OtherWorld("told_torque_constant", "assumed torque constant wrong by 20 %"),
+    OtherWorld("told_gravity", "assumed gravity wrong by up to 10°"),
+    OtherWorld("told_geometry", "assumed geometry of the arm wrong"),
     OtherWorld("high_row", "a row of taxels reads high after the tare"),
     OtherWorld("parked", "the robot stands askew by up to 5°"),
     OtherWorld("nudged", "the target is moved while it charges"),
@@ -132,11 +132,11 @@ WORLDS = (
     OtherWorld("lean2_second", "`lean2` on that physics"),
     OtherWorld("lean5_second", "`lean5` on that physics"),
 )
-"""The campaigns of the table on what headlines rest on, those that were not run left out."""
+"""The campaigns of the table "What the headlines rest on", if they were run."""
 
 
 def worlds(parts: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[OtherWorld, Mapping[str, Any]]]:
-    """Yield each world that was run with its summary."""
+    """Yield each campaign that was run, with its summary."""
     for world in WORLDS:
         if world.name in parts:
             yield world, parts[world.name]

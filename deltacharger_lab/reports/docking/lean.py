@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of dockings at faces that lean: by campaign, over yaw and pitch, its targets, and what bounds it."""
+"""Dockings at leaning faces: by campaign, over yaw and pitch, with targets and bounds."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ SCENES = (
     *("default", "upright", "rigid", "lean2", "lean5", "lean5_stiff", "edge_lean", "parked"),
     *("second", "second_upright", "lean2_second", "lean5_second", "rigid_exact", "lean2_exact", "lean5_exact"),
 )
-"""Campaigns of the table, those that were not run left out."""
+"""Campaigns of the table, if they were run."""
 MAP = ("lean5", "lean5_stiff")
-"""Campaigns that are told over yaw and pitch."""
-SOON = 20.0  # s in which a target that is not charged is to be refused
+"""Campaigns shown over yaw and pitch."""
+SOON = 20.0  # s in which a target that is not charged must be refused
 MODEST = 3.0  # degrees of yaw and of pitch
 MOST = 5.0  # degrees of either in `MAP`
 PRESSED = 72.0  # N on the bars: magnets 3 mm beside their centre (54 N) and the push of the servos
 COMPLIANCES = (0.01, 0.02, 0.03)  # rad/(N·m), of the platform
 LIFTS = {3e4: ("5.7", "5.7"), 1e5: ("3.0", "3.8"), 3e5: ("1.3", "2.1"), 1e6: ("0.7", "1.5")}
-"""Degrees of pitch from which a whole bar lifts, by its spring (N/m): at 0.01 and at 0.03 rad/(N·m).
+"""Degrees of pitch from which a complete bar lifts, by its spring (N/m): at 0.01 and at 0.03 rad/(N·m).
 
-Of the light model at rest (`reports.simulation.lean.remains`); 5.7° is the largest lean that a world takes. Of 1e5 and
-1e6 N/m docs/simulation.md tells the same."""
+From the light model at rest (`reports.simulation.lean.remains`); 5.7° is the largest lean of a world.
+docs/simulation.md has the values of 1e5 and 1e6 N/m."""
 
 
 class LeanLimits(NamedTuple):
-    """What is wanted of a campaign; None = nothing.
+    """Targets of a campaign; None = no target.
 
     Attributes:
         charged: % of all.
-        aligned: % of the charged that are called aligned.
+        aligned: % of the charged that docking calls aligned.
         near: % of the charged that rest within 2.5 mm along x.
         seconds: s to charging, median.
     """
@@ -72,7 +72,7 @@ def lean(rows: Columns) -> tuple[Array, Array]:
 
 
 def figures(rows: Columns) -> Figures:
-    """Return the figures of one campaign: rates, s, refusals, what must never be, and how true the told offset is."""
+    """Return the figures of one campaign: rates, s, refusals, forbidden events, error of the reported offset."""
     charged = rows["charged"].astype(bool)
     aligned = charged & rows["aligned"].astype(bool)
     x, seconds = np.abs(rows["final_horizontal"].astype(float)), rows["time"].astype(float)
@@ -102,7 +102,7 @@ def figures(rows: Columns) -> Figures:
 
 
 def told(rows: Columns) -> Figures:
-    """Return how the offset along the bars that a charged docking told compares with the true one at its outcome."""
+    """Return the errors of the offset along the bars that charged dockings reported at their outcome."""
     error = (rows["felt_horizontal"] - rows["final_horizontal"]).astype(float)
     stddev = rows["felt_horizontal_stddev"].astype(float)
     known = rows["charged"].astype(bool) & np.isfinite(error) & (stddev > 0.0)
@@ -115,7 +115,7 @@ def told(rows: Columns) -> Figures:
 
 
 def by_lean(rows: Columns) -> list[list[Figures]]:
-    """Return charged share and refusals by whole degrees: for each |yaw| a list with an entry for each |pitch|."""
+    """Return charged share and refusals by integer degrees: for each |yaw| a list with an entry for each |pitch|."""
     yaw, pitch = lean(rows)
     cells = []
     for low in range(int(MOST)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of how dockings end over yaw and pitch of the target's faces."""
+"""Picture of the results of dockings over yaw and pitch of the target's faces."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _KINDS = (
     ("LEANING", "X", "#e69f00"),
     ("another code", "D", "#222222"),
 )
-"""By the palette of Okabe and Ito, which colour-blind eyes tell apart."""
+"""Colours of Okabe and Ito, which colour-blind people can distinguish."""
 _LARGEST = 5000  # marks of a panel
 
 
 def outcomes(results: dict[str, Any], path: Path) -> None:
-    """Draw each docking of `MAP` at its yaw and pitch by how it ended."""
+    """Draw each docking of `MAP` at its yaw and pitch, marked by its result."""
     rows = {name: results["rows"][name] for name in MAP if name in results["rows"]}
     about = "each mark one simulated docking; right: springs of the electrodes of 3e5 N/m instead of 3e4 and 1e5"
-    with picture(path, 11.0, 5.9, "Faces that lean: who is charged, who is refused", about) as figure:
+    with picture(path, 11.0, 5.9, "Leaning faces: charged and refused dockings", about) as figure:
         panels = figure.subplots(1, len(MAP), sharex=True, sharey=True)
         for axes, name in zip(panels, MAP, strict=True):
             if name in rows:

@@ -36,7 +36,7 @@ def _angle(results: dict[str, Any], path: Path) -> None:
     about = (
         "simulated dockings of `random` by the target's roll; left with 95 % intervals, right guarded with our estimate"
     )
-    with picture(path, 11.0, 4.8, "Who is charged, who is refused", about) as figure:
+    with picture(path, 11.0, 4.8, "Charged and refused dockings", about) as figure:
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.15, 1.0)})
         names = [name for name in FORMS if name in rows]
         for index, name in enumerate(names):
@@ -57,7 +57,7 @@ def _angle(results: dict[str, Any], path: Path) -> None:
 
 
 def _stack(axes: Axes, rows: summary.Columns) -> None:
-    """Draw the shares of outcomes over whole degrees of |roll|."""
+    """Draw the shares of outcomes over integer degrees of |roll|."""
     edges = np.arange(0.0, 21.0)
     middle = 0.5 * (edges[1:] + edges[:-1])
     names = np.where(rows["charged"], "charged", rows["code_name"])
@@ -70,7 +70,7 @@ def _stack(axes: Axes, rows: summary.Columns) -> None:
         if count.any():
             axes.bar(middle, share, 0.92, base, color=colour, label=f"{name}, {int(count.sum())}", zorder=2)
         base += share
-    axes.set(title="how they end, %", xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
+    axes.set(title="results, %", xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
     axes.legend(**_LEGEND, loc="lower right")
 
 
@@ -80,9 +80,9 @@ def _clearance(results: dict[str, Any], path: Path) -> None:
     with picture(path, 11.0, 5.2, "Near zero clearance", about) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         spoiled = [name for name in ("tails", "understated", "biased") if name in rows]
-        _cloud(left, summary.joined(rows, "zero", "edge"), "estimates as they are")
-        _cloud(right, summary.joined(rows, *spoiled), "estimates spoiled: " + (", ".join(spoiled) or "not run"))
-        left.set_ylabel("believed clearance less 3 σ, mm")
+        _cloud(left, summary.joined(rows, "zero", "edge"), "unchanged estimates")
+        _cloud(right, summary.joined(rows, *spoiled), "with added errors: " + (", ".join(spoiled) or "not run"))
+        left.set_ylabel("estimated clearance − 3 σ, mm")
         left.legend(**_LEGEND, loc="upper left")
 
 
@@ -115,7 +115,7 @@ def _load(results: dict[str, Any], path: Path) -> None:
         ("servo_current_hottest", "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
         ("servo_push", "largest push of the servos, N", np.full(len(charged), True), (summary.PUSH_MOST,)),
     )
-    about = "simulated dockings of `random`, gravity from anywhere; red: the targets"
+    about = "simulated dockings of `random`, gravity from any direction; red: the targets"
     with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
         for axes, (name, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
             values = rows[name][chosen].astype(float)
@@ -159,10 +159,8 @@ def _share_below(axes: Axes, values: summary.Array, colour: str) -> None:
 
 def _errors(results: dict[str, Any], path: Path) -> None:
     rows = results["rows"]["random"]
-    about = (
-        "(estimate − truth) / σ of simulated dockings of `random`; outside of ±5 at the ends; black: what σ promises"
-    )
-    with picture(path, 11.0, 3.9, "Are the estimates as good as they say?", about) as figure:
+    about = "(estimate − truth) / σ of simulated dockings of `random`; outside ±5 at the ends; black: expected from σ"
+    with picture(path, 11.0, 3.9, "Errors of the estimates in units of their σ", about) as figure:
         edges = np.linspace(-5.0, 5.0, 51)
         middle = 0.5 * (edges[1:] + edges[:-1])
         normal = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi)
@@ -190,6 +188,6 @@ _NEEDS = {"docking-clearance.png": "edge", lean_picture.NAME: "lean5"}
 
 
 def without(rows: dict[str, summary.Columns]) -> dict[str, str]:
-    """Return the pictures whose campaign is not there, with the reason."""
+    """Return the pictures whose campaign is missing, with the reason."""
     needs = {name: _NEEDS.get(name, "random") for name in PICTURES}
     return {name: f"the campaign {needed} was not run" for name, needed in needs.items() if needed not in rows}

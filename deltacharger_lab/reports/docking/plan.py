@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaigns of the docking report: which scenes, how many dockings of each, by which form of the algorithm."""
+"""The campaigns of the docking report: scenes, counts, and forms of the algorithm."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 SEED = 20  # no rule and no threshold was chosen on it
-QUICK = 0.01  # of the dockings, for a first look
+QUICK = 0.01  # of the dockings, in the short report
 _FEWEST = 20
 
 
@@ -20,7 +20,7 @@ class CampaignPart:
         name: of its folder and of its rows.
         scene: packaged scene.
         count: dockings; of a listed scene at most as many as it lists.
-        about: what it is, for the page.
+        about: description for the page.
         approach: of docking's parameters.
         exact: whether every tick and frame is computed.
     """
@@ -38,10 +38,10 @@ class DockingPlan:
     """One report.
 
     Attributes:
-        parts: all campaigns of it.
-        chosen: names of those that are run now; the others are read where they are there.
-        seed: of all of them, so that they are pairs, docking by docking.
-        quick: whether it is for a first look.
+        parts: all campaigns.
+        chosen: names of those to run now; others are read if present.
+        seed: of all, so that their dockings are pairs.
+        quick: whether it is the short plan.
     """
 
     parts: tuple[CampaignPart, ...]
@@ -65,30 +65,28 @@ PARTS = (
     CampaignPart(
         "gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the measure of `tails`"
     ),
-    CampaignPart("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
+    CampaignPart("understated", "edge_understated", 2_000, "`edge`, reported σ 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
     CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
     CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
     CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
     CampaignPart(
-        "told_stiffness", "told_stiffness", 2_000, "`default`, servos of 2–40 N·m/rad, told ¼ to 4 times as much"
+        "told_stiffness", "told_stiffness", 2_000, "`default`, servos of 2–40 N·m/rad, assumed ¼ to 4 times as stiff"
     ),
     CampaignPart(
-        "told_torque_constant", "told_torque_constant", 2_000, "`default`, torque constant told wrongly by 20 %"
+        "told_torque_constant", "told_torque_constant", 2_000, "`default`, assumed torque constant wrong by 20 %"
     ),
     CampaignPart("calibrated", "calibrated", 2_000, "the same arms after `deltacharger calibrate servos`"),
-    CampaignPart(
-        "told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10° of which docking is not told"
-    ),
+    CampaignPart("told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10°, unknown to docking"),
     CampaignPart("told_geometry", "told_geometry", 1_000, "`default`, arms built inaccurately and not calibrated"),
     CampaignPart("high_row", "high_row", 2_000, "`default`, a row of taxels reads 1–2 N too much after the tare"),
     CampaignPart("parked", "parked", 1_000, "`default`, robots that stand askew by up to 5°"),
     CampaignPart("nudged", "nudged", 1_000, "`default`, targets that are moved while they charge"),
     CampaignPart("second", "second", 2_000, "`default`, pads and bars of the second contact physics"),
     CampaignPart(
-        "second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that tell nothing below 1 N"
+        "second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that read nothing below 1 N"
     ),
-    CampaignPart("second_sensitive", "second_sensitive", 1_000, "the same, sheets that tell forces from 0.25 N on"),
+    CampaignPart("second_sensitive", "second_sensitive", 1_000, "the same, sheets that read forces from 0.25 N on"),
     CampaignPart("random_second", "random_second", 2_000, "`random`, pads and bars of the second contact physics"),
     CampaignPart("lean2", "lean2", 2_000, "`default`, faces yawed by up to 2°, a platform that yields"),
     CampaignPart("lean5", "lean5", 20_000, "the same, yawed and pitched by up to 5° each, springs of 3e4 and 1e5 N/m"),
@@ -110,7 +108,7 @@ PARTS = (
 def make_plan(
     quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int | None = None
 ) -> DockingPlan:
-    """Return the report that is committed, or a part of it.
+    """Return the plan of the committed report, or of a part.
 
     Args:
         quick: a hundredth of the dockings.
@@ -119,12 +117,12 @@ def make_plan(
         seed: of all campaigns; None = `SEED`.
 
     Raises:
-        ValueError: a name is not known; the message lists those that are.
+        ValueError: a name is unknown; the message lists the known ones.
     """
     names = [part.name for part in PARTS]
     for name in only:
         if name not in names:
-            raise ValueError(f"there is no campaign '{name}' in this report; there are {', '.join(names)}")
+            raise ValueError(f"there is no campaign '{name}' in this report; give one of {', '.join(names)}")
     chosen = tuple(name for name in names if not only or name in only)
     parts = []
     for part in PARTS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the campaigns of the docking report, or goes on with them, and writes page, figures and pictures."""
+"""Runs or continues the campaigns of the docking report, and writes page, figures and pictures."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ _PAIRS = (
     ("strike", "default"),
     *((f"{name}_exact", name) for name in ("told_stiffness", "rigid", "lean2", "lean5")),
 )
-_UNCHARGED_MOST = 60  # rows told one by one
+_UNCHARGED_MOST = 60  # rows listed one by one
 
-Told = Callable[[Sequence[dict[str, Any]]], None]
+Record = Callable[[Sequence[dict[str, Any]]], None]
 
 
 def run(
     plan: DockingPlan,
     directory: Path,
     workers: int,
-    progress: Callable[[CampaignPart, int, int], Told],
+    progress: Callable[[CampaignPart, int, int], Record],
     stop: Callable[[], bool],
     tell: Progress,
 ) -> bool:
-    """Run what is missing of the chosen campaigns, and return whether they are complete but for what cannot be run.
+    """Run the missing dockings of the chosen campaigns, and return whether it was not stopped.
 
     Args:
-        plan: which, and how many dockings of each.
+        plan: campaigns and their dockings.
         directory: of the report; each campaign has a folder in `CAMPAIGNS`.
         workers: processes on this computer.
-        progress: given a campaign, its dockings and how many there are, returns what is told of each batch of rows.
-        stop: whether to end; what runs is finished and written.
-        tell: told what happened to workers.
+        progress: takes a campaign, its dockings and the number done; returns what to call with each batch of rows.
+        stop: whether to end; running batches are finished and written.
+        tell: called with messages about workers.
 
     Raises:
-        CampaignError: a folder holds a campaign of other code, seed or scene, or workers died again and again.
+        CampaignError: a folder has a campaign of other code, seed or scene, or workers died repeatedly.
     """
     (directory / CAMPAIGNS).mkdir(parents=True, exist_ok=True)
     for part in plan.parts:
@@ -63,15 +63,15 @@ def run(
         with Store(folder, _settings(part, plan.seed, folder)) as store:
             missing = store.missing()
             if missing:
-                told = progress(part, store.settings.n, len(store.done))
-                run_missing(store, workers, "", 0, told, stop, tell)
+                record = progress(part, store.settings.n, len(store.done))
+                run_missing(store, workers, "", 0, record, stop, tell)
         if stop():
             return False
     return True
 
 
 def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
-    """Return the settings of a campaign, with as many dockings as are wanted or were wanted before."""
+    """Return the settings of a campaign, with the larger of the present and the previous number of dockings."""
     scene = load_campaign_scene(part.scene)
     count = part.count
     if (folder / "_campaign.json").exists():
@@ -82,7 +82,7 @@ def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
 
 
 def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
-    """Write page, figures and pictures of all campaigns that are there, complete or not, and return the figures.
+    """Write page, figures and pictures of all present campaigns, complete or not, and return the figures.
 
     Raises:
         CampaignError: a campaign cannot be read.
@@ -130,7 +130,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
 
 
 def _read(folder: Path) -> summary.Columns | None:
-    """Return the rows of a campaign; None where it has none."""
+    """Return the rows of a campaign; None for none."""
     if not any(folder.glob("part-*.parquet")):
         return None
     known = docking_columns(scene_of(read_settings(folder).to_json())[1])
@@ -138,7 +138,7 @@ def _read(folder: Path) -> summary.Columns | None:
 
 
 def _uncharged(upright: summary.Columns) -> list[dict[str, Any]]:
-    """Return the dockings that did not charge, each with what it takes to run it again."""
+    """Return the dockings that did not charge, each with the data to run it again."""
     keys = ("campaign", "number", "degrees", "code_name", "message")
     refused = np.flatnonzero(~upright["charged"].astype(bool))[:_UNCHARGED_MOST]
     columns = [upright[key][refused].tolist() for key in keys]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dockings of a report say: rates with intervals, refusals by cause, safety with its bound, targets."""
+"""Summary of a report's dockings: rates with intervals, refusals by cause, safety with its bound, targets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Columns = dict[str, Array]
 Figures = dict[str, Any]
 
 BINS = (0.0, 2.0, 5.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 15.0, 20.0)  # degrees of |roll|
-UPRIGHT = 7.0  # degrees up to which all are to be charged
+UPRIGHT = 7.0  # degrees up to which all must be charged
 NEAR = 0.0025  # m in each axis; docking's landing_limit
 OVERLAP_LOSS = 0.004  # m along the bars; docking's overlap_loss_max
 BAND = (0.4, 0.5)  # A
@@ -40,9 +40,9 @@ SECONDS_MOST = {
 MOVES_MOST = {"median": 1, "p99": 3, "max": 14}
 QUANTILES = {"median": "median", "p90": "90 %", "p99": "99 %", "max": "largest"}
 AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (math.degrees(1.0), "°")}
-"""Of an estimate: scale and unit that its error is told in."""
+"""Scale and unit of an estimate's error, by axis."""
 GUARDED = ("default", "soft_servos", "random", "upright", "edge", "soft")
-"""Campaigns by whose dockings together most targets are judged."""
+"""Campaigns whose pooled dockings decide most targets."""
 CALIBRATED = (
     "random",
     "edge",
@@ -56,22 +56,22 @@ CALIBRATED = (
     "high_row",
     "parked",
 )
-"""Campaigns of the table on the errors of estimates."""
+"""Campaigns in the table of the estimates' errors."""
 
 
 def columns(results: dict[str, list[Any]]) -> Columns:
-    """Return the results of a campaign as arrays, and |roll| in degrees besides as `degrees`."""
+    """Return the results of a campaign as arrays, with |roll| in degrees as `degrees`."""
     found = {name: np.asarray(values) for name, values in results.items()}
     found["degrees"] = np.degrees(np.abs(found["place_roll"].astype(float)))
     return found
 
 
 def joined(rows: dict[str, Columns], *names: str) -> Columns | None:
-    """Return the rows of campaigns behind one another in the columns that all have, and the name as `campaign`.
+    """Return the rows of campaigns, concatenated in their common columns, with the name as `campaign`.
 
     Args:
         rows: by the campaign's name.
-        names: of campaigns; those that were not run are left out, and there is nothing where none was.
+        names: of campaigns; those that were not run are left out; None if none was run.
     """
     parts = {name: rows[name] for name in names if name in rows}
     if not parts:
@@ -87,7 +87,7 @@ def part(rows: Columns, chosen: Array) -> Columns:
 
 
 def summarise(rows: Columns) -> dict[str, Any]:
-    """Return the figures of one campaign; NaN where there is nothing to count."""
+    """Return the figures of one campaign; NaN if there is nothing to count."""
     charged = rows["charged"].astype(bool)
     count = len(charged)
     x, y = np.abs(rows["final_horizontal"][charged]), np.abs(rows["final_vertical"][charged])
@@ -133,18 +133,18 @@ def _share(found: Array) -> dict[str, Any]:
 
 
 def quantiles(values: Array) -> dict[str, float]:
-    """Return median, 90 %, 99 % and the largest of what is finite."""
+    """Return median, 90 %, 99 % and the largest of the finite values."""
     return dict(zip(QUANTILES, finite_quantiles(values.astype(float), 0.5, 0.9, 0.99, 1.0), strict=True))
 
 
 def refused(rows: Columns) -> dict[str, int]:
-    """Return how often each code ended a docking that did not charge, the most frequent first."""
+    """Return the count of each code of uncharged dockings, the most frequent first."""
     codes = Counter(str(name) for name in rows["code_name"] if name not in ("NONE", CRASHED))
     return dict(codes.most_common())
 
 
 def binned(rows: Columns, values: Array, edges: Iterable[float]) -> Iterator[tuple[float, float, Columns]]:
-    """Yield the ends of each bin and its rows; the last bin holds its upper end."""
+    """Yield the ends of each bin and its rows; the last bin includes its upper end."""
     ends = list(itertools.pairwise(edges))
     for low, high in ends:
         inside = (values >= low) & ((values < high) | ((low, high) == ends[-1]) & (values <= high))
@@ -152,7 +152,7 @@ def binned(rows: Columns, values: Array, edges: Iterable[float]) -> Iterator[tup
 
 
 def by_angle(rows: Columns) -> list[Figures]:
-    """Return charged share and refusals of each bin of |roll| that has dockings."""
+    """Return charged share and refusals of each non-empty bin of |roll|."""
     found = []
     for low, high, inside in binned(rows, rows["degrees"], BINS):
         if len(inside["charged"]):
@@ -163,7 +163,7 @@ def by_angle(rows: Columns) -> list[Figures]:
 
 
 def by_drawn(rows: Columns) -> list[Figures]:
-    """Return how dockings went in the lower, middle and upper third of each range that was drawn from."""
+    """Return results of dockings in the parts of each drawn range."""
     offset = 1000.0 * np.maximum(np.abs(rows["place_x"] - rows["goal_x"]), np.abs(rows["place_y"] - rows["goal_y"]))
     drawn = (
         ("servo stiffness, N·m/rad", rows["world.servo.stiffness"].astype(float), (2.0, 6.0, 12.0, 20.0, 40.0)),
@@ -179,7 +179,7 @@ def by_drawn(rows: Columns) -> list[Figures]:
 
 
 def by_tilt(rows: Columns) -> list[Figures]:
-    """Return how dockings went by the tilt (degrees) of the faces about y."""
+    """Return results of dockings by the tilt (degrees) of the faces about y."""
     tilt = np.degrees(np.abs(rows["world.target.tilt_y"].astype(float)))
     found = []
     for low, high, inside in binned(rows, tilt, (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)):
@@ -189,7 +189,7 @@ def by_tilt(rows: Columns) -> list[Figures]:
 
 
 def nudges(rows: Columns) -> Figures:
-    """Return of charges whose target was moved: how many opened, after how long (s), and how many were unsafe (s)."""
+    """Return for charges with a moved target: number opened, delay (s), and number and time (s) unsafe."""
     live = part(rows, rows["charged"].astype(bool))
     opened, unsafe = np.isfinite(live["nudge_opened"].astype(float)), live["energised_unsafe"].astype(float)
     return {
@@ -203,7 +203,7 @@ def nudges(rows: Columns) -> Figures:
 
 
 def near_zero(rows: Columns) -> Figures:
-    """Return how dockings ended whose true clearance at the decisive estimate was small, by bins of it (mm)."""
+    """Return results of dockings by bins of the true clearance (mm) at the last estimate, finest near 0."""
     clear = 1000.0 * rows["last_clearance"].astype(float)
     edges = (-math.inf, -1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, math.inf)
     bins = [
@@ -224,7 +224,7 @@ def _briefly(rows: Columns) -> Figures:
 
 
 def calibration(rows: Columns) -> dict[str, dict[str, float]]:
-    """Return how errors of the first and the last estimate compare with their σ: rms, largest and share beyond 3."""
+    """Return error / σ of the first and the last estimate: rms, largest and share beyond 3."""
     found = {}
     for which in ("first", "last"):
         for axis in AXES:
@@ -242,7 +242,7 @@ def calibration(rows: Columns) -> dict[str, dict[str, float]]:
 
 
 def felt_clearance(rows: Columns, sigmas: float) -> Array:
-    """Return the clearance (m) that docking believed in at its last estimate, less so many standard deviations."""
+    """Return docking's estimated clearance (m) at its last estimate, minus this many standard deviations."""
     from deltacharger_docking.parameters import DockingParameters
 
     known = DockingParameters()
@@ -256,7 +256,7 @@ def felt_clearance(rows: Columns, sigmas: float) -> Array:
 
 
 def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """Return name, what is wanted, what was measured, its unit and whether it is met, of every target.
+    """Return every target with its measured value and verdict.
 
     Args:
         found: summaries by the campaign's name; those that were not run are missing.
@@ -316,7 +316,7 @@ def _pooled(parts: list[dict[str, Any]], key: str) -> float | None:
 def by_angle_and_campaign(
     parts: dict[str, Figures], names: Iterable[str]
 ) -> list[tuple[tuple[float, float], dict[str, Figures]]]:
-    """Return for each bin of |roll| (degrees) what campaigns say of it."""
+    """Return for each bin of |roll| (degrees) the campaigns' figures."""
     found: dict[tuple[float, float], dict[str, Figures]] = {}
     for name in names:
         for each in parts[name]["bins"]:
@@ -325,7 +325,7 @@ def by_angle_and_campaign(
 
 
 def compared(pair: Figures) -> Iterator[tuple[str, Figures, str, float]]:
-    """Yield name, figures, unit and scale of what is compared docking by docking."""
+    """Yield name, figures, unit and scale of each paired comparison."""
     for name, each in pair["rates"].items():
         yield name, each, "%", 100.0
     for name, each in pair["numbers"].items():

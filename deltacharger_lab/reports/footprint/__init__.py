@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report on what a scene takes of a computer."""
+"""The report on the computing resources of a scene."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a charger looks like to whoever uses it: when it takes goals, how often its topics come, how it docks."""
+"""A charger as its client sees it: when it accepts goals, the rates of its topics, its dockings."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from deltacharger_scenes.scene import Scene
 
 TOPICS = ("tactile_frame", "servo_state")
 _POLL = 0.02  # s
-_GONE_WITHIN = 30.0  # s until the charger before has left the graph
+_GONE_WITHIN = 30.0  # s until the previous charger has left the graph
 
 
 class Watcher:
-    """A client that is there before the charger, and counts what it publishes.
+    """A client that runs before the charger starts, and counts its messages.
 
     Args:
-        client: whose node listens, until it is closed.
+        client: its node listens until it is closed.
     """
 
     def __init__(self, client: ChargerClient) -> None:
@@ -38,24 +38,24 @@ class Watcher:
             client.node.create_subscription(kind, name, partial(_keep, stamps), qos)
 
     def is_ready(self, scene: Scene) -> bool:
-        """Return whether goals would be taken now; of a scene without goals, whether all its nodes are there."""
+        """Return whether goals would be accepted now; for a scene without goals, whether all its nodes are there."""
         if "docking_node" in scene.nodes:
             return self._client.is_ready()
         there = {name for name, _ in self._client.node.get_node_names_and_namespaces()}
         return all({name, NODES[name].stands_in_for} & there for name in scene.nodes)
 
     def count(self) -> Callable[[], dict[str, float]]:
-        """Begin to count messages; the call tells how many came per second of their own stamps, NaN of too few."""
+        """Start to count messages; the returned call gives their number per second of their stamps, NaN for too few."""
         begin = {name: len(each) for name, each in self._stamps.items()}
         return lambda: {name: _rate(self._stamps[name][begin[name] :]) for name in TOPICS}
 
     def is_gone(self) -> bool:
-        """Return whether nobody serves or publishes what a charger would."""
+        """Return whether no node serves or publishes a charger's names."""
         node = self._client.node
         return not self._client.answers() and not any(node.count_publishers(name) for name in TOPICS)
 
     def wait_until_gone(self) -> bool:
-        """Wait until the charger has left the graph; False where it does not."""
+        """Wait until the charger has left the graph; False if it does not."""
         deadline = time.monotonic() + _GONE_WITHIN
         while not self.is_gone():
             if time.monotonic() > deadline:
@@ -64,7 +64,7 @@ class Watcher:
         return True
 
     def dock(self, electrodes: Pose | None, deadline: float) -> str:
-        """Dock and return why that failed; '' where the robot charges."""
+        """Dock and return why it failed; '' if the robot charges."""
         try:
             outcome = self._client.dock(DockRequest(electrodes), deadline=deadline)
         except ClientError as error:

@@ -26,27 +26,27 @@ _MEGA = 1e6  # bytes
 
 
 def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folder: Path) -> dict[str, Any]:
-    """Return what a scene uses.
+    """Return the resources that a scene uses.
 
     Args:
         scene: to start.
         way: of starting.
-        plan: how long.
+        plan: durations.
         context: a running rclpy context.
         folder: empty, for ports and logs.
 
     Raises:
-        CannotRun: it does not start, or a process of it ends.
+        CannotRun: it does not start, or one of its processes ends.
     """
     with contextlib.ExitStack() as stack:
         ports = stack.enter_context(hardware(scene, folder / "hardware")) if scene.touches_hardware else {}
         watcher = Watcher(stack.enter_context(ChargerClient(context=context)))
         if not watcher.wait_until_gone():
-            raise CannotRun("a charger answers already in this ROS domain; stop it, or set another ROS_DOMAIN_ID")
+            raise CannotRun("a charger already answers in this ROS domain; stop it, or set another ROS_DOMAIN_ID")
         with charger(scene, way, ports, folder / "charger") as started:
             found: dict[str, Any] = _wait_until_ready(watcher, scene, started, way)
             time.sleep(plan.settle_s)
-            _, at_rest, rest = _meanwhile("rest", watcher, started, partial(time.sleep, plan.rest_s))
+            _, at_rest, rest = _measured_during("rest", watcher, started, partial(time.sleep, plan.rest_s))
             del rest["rest_s"]  # the plan's
             found |= {"processes": at_rest.processes, "threads": at_rest.threads, **rest}
             found |= _docking(watcher, scene, started, plan)
@@ -59,7 +59,7 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
 
 
 def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str) -> dict[str, float]:
-    """Return how long (s) the start took: until it said so itself, if it says it, and for a client in this process."""
+    """Return the duration (s) of the start: until its own message, if any, and for a client in this process."""
     seen: dict[str, float] = {} if way == ONE else {"says_ready_s": math.nan}
     while len(seen) < 2:
         started.check()
@@ -70,15 +70,15 @@ def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str
             seen.setdefault("says_ready_s", elapsed)
         if elapsed > _READY_WITHIN:
             name = list(started.processes)[-1]
-            raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} said: {started.last_words(name)}")
+            raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} printed: {started.last_words(name)}")
         time.sleep(_POLL)
     return seen
 
 
-def _meanwhile(
+def _measured_during(
     when: str, watcher: Watcher, started: Started, act: Callable[[], Any]
 ) -> tuple[Any, process.Usage, dict[str, float]]:
-    """Return what a call returns, what is used after it, and the time, CPU and rates of messages while it runs."""
+    """Return a call's result, the usage after it, and the time, CPU and message rates while it runs."""
     before, begin, counting = _use(started), time.monotonic(), watcher.count()
     result = act()
     after, elapsed = _use(started), time.monotonic() - begin
@@ -87,13 +87,13 @@ def _meanwhile(
 
 
 def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPlan) -> dict[str, Any]:
-    """Return what a docking costs, NaN where none succeeds, and its problem."""
+    """Return the cost of a docking, NaN if none succeeds, and its problem."""
     keys = ("docking_percent", "docking_s", *(f"docking_{name}_hz" for name in TOPICS))
     found, problem = dict.fromkeys(keys, math.nan), ""
     if "docking_node" in scene.nodes:
         dock = partial(watcher.dock, electrodes(scene), plan.docking_limit_s)
-        problem, _, meanwhile = _meanwhile("docking", watcher, started, dock)
-        found = found if problem else meanwhile
+        problem, _, measured = _measured_during("docking", watcher, started, dock)
+        found = found if problem else measured
     return {**found, "docking_problem": problem}
 
 

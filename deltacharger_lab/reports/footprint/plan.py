@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the report of the footprint measures: which scenes, how long, how often."""
+"""Plan of the footprint report: scenes, durations, repeats."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from deltacharger_scenes.scene import Scene, SceneError, SceneGoal, load_scene, 
 
 _NEEDS = {
     "camera_node": ("replay", "an OAK-D camera"),
-    "recording_player_node": ("file", "a recording, which every docking of one's own leaves"),
+    "recording_player_node": ("file", "a recording, which every docking writes"),
 }
-"""Of nodes that need more than a port: the parameter that stands in for it, and what it is."""
+"""For nodes that need more than a port: the parameter that replaces it, and its description."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class FootprintPlan:
 
     Attributes:
         scenes: to measure, by name.
-        left_out: why each of the others is not measured.
+        left_out: reason for each scene that is not measured.
         ways: of starting.
         repeats: of each scene and way.
         settle_s: after the start, before anything is measured.
-        rest_s: that a charger at rest is measured for.
+        rest_s: duration of the measurement at rest.
         docking_limit_s: after which a docking counts as failed.
-        quick: whether it is for a first look.
+        quick: whether it is the short plan.
     """
 
     scenes: dict[str, Scene]
@@ -43,15 +43,15 @@ class FootprintPlan:
 
 
 def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | None = None) -> FootprintPlan:
-    """Return what to measure.
+    """Return the plan.
 
     Args:
         names: of packaged scenes, or YAML files; none takes all packaged ones.
-        quick: once and shorter, for a first look.
+        quick: once and shorter.
         repeats: of each scene and way; None = as planned.
 
     Raises:
-        SceneError: a scene that was asked for does not exist or is refused.
+        SceneError: a requested scene does not exist or is refused.
     """
     scenes, left_out = {}, {}
     for name in names or packaged_scenes():
@@ -73,7 +73,7 @@ def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | Non
 
 
 def missing(scene: Scene) -> str:
-    """Return what a scene needs that no emulator stands in for; '' where nothing is missing."""
+    """Return what a scene needs beyond emulators; '' for nothing."""
     for node, (parameter, what) in _NEEDS.items():
         if node in scene.nodes and not scene.parameters.get(node, {}).get(parameter):
             return f"{node} needs {what}"
@@ -81,9 +81,9 @@ def missing(scene: Scene) -> str:
 
 
 def electrodes(scene: Scene) -> Pose | None:
-    """Return where a scene's goal says that the electrodes are; None where its camera is asked.
+    """Return the pose of the electrodes in a scene's goal; None if its camera finds them.
 
-    A scene on hardware gets the emulated target of the scene `simulated`, where its goal says.
+    A scene on hardware gets the emulated target of the scene `simulated`, at the pose of its goal.
     """
     goal: SceneGoal | None = load_scene("simulated").goal if scene.touches_hardware else scene.goal
     return None if goal is None else Pose(goal.x, goal.y, goal.z, goal.roll)

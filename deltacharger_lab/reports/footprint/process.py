@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What processes use, read from outside: processor time, memory, threads, libraries."""
+"""Resources of processes, read from outside: processor time, memory, threads, libraries."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ LIBRARIES = (
     *("torch", "sklearn", "xgboost", "cv2", "depthai", "mujoco", "matplotlib", "scipy", "pandas", "pyarrow", "casadi"),
     *("mcap", "zstandard", "rerun", "PIL"),
 )
-"""Heavy libraries by the module's name, with which the name of a folder or file of theirs begins."""
+"""Heavy libraries by module name, which is a prefix of their folder or file names."""
 
 
 @dataclass(frozen=True)
 class Usage:
-    """What some processes use together.
+    """Total resources of some processes.
 
     Attributes:
-        processes: how many.
+        processes: their number.
         threads: of all.
         cpu: s of processor time so far, ended children included.
-        pss: bytes; memory that several processes share counts once, in parts.
-        rss: bytes; memory that several processes share counts in each.
+        pss: bytes; shared memory divided among its processes.
+        rss: bytes; shared memory counted in each process.
     """
 
     processes: int
@@ -40,12 +40,12 @@ class Usage:
 
 
 def unsupported() -> str:
-    """Return why nothing can be measured on this computer; '' where it can."""
-    return "" if sys.platform == "linux" else "only Linux tells what a process uses"
+    """Return why nothing can be measured on this computer; '' if it can."""
+    return "" if sys.platform == "linux" else "only Linux reports what a process uses; measure there"
 
 
 def family(roots: Iterable[int]) -> list[psutil.Process]:
-    """Return the processes `roots` and all that they have started and that still run.
+    """Return the processes `roots` and all running processes that they started.
 
     Raises:
         psutil.NoSuchProcess: one of `roots` has ended.
@@ -59,7 +59,7 @@ def family(roots: Iterable[int]) -> list[psutil.Process]:
 
 
 def usage(roots: Iterable[int]) -> Usage:
-    """Return what the processes `roots` and those that they have started use.
+    """Return the resources of the processes `roots` and of those that they started.
 
     Raises:
         psutil.NoSuchProcess: one of `roots` has ended.
@@ -77,13 +77,13 @@ def usage(roots: Iterable[int]) -> Usage:
                 each.append((process.num_threads(), cpu, memory.pss, memory.rss))
         except psutil.NoSuchProcess:
             if process.pid in roots:
-                raise  # of another, the parent has its processor time
+                raise  # for another process, its parent has the processor time
     threads, cpu, pss, rss = (sum(values) for values in zip(*each, strict=True))
     return Usage(len(each), threads, cpu, pss, rss)
 
 
 def mapped(roots: Iterable[int]) -> set[str]:
-    """Return those of `LIBRARIES` of which a process of these has a file in its memory: nothing that is there hides."""
+    """Return those of `LIBRARIES` with a file in the memory of one of these processes."""
     import psutil
 
     text = ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures what a charger costs a computer, scene by scene, and writes the report: figures as JSON and a page."""
+"""Measures the computing resources of a charger, scene by scene, and writes the report: figures as JSON and a page."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def build(plan: FootprintPlan, context: Context, directory: Path, command: str, 
 def _measure(
     plan: FootprintPlan, context: Context, left_out: dict[str, str], progress: Progress
 ) -> list[dict[str, Any]]:
-    """Return one row for each scene and way; what does not run is added to `left_out`."""
+    """Return one row for each scene and way; those that do not run are added to `left_out`."""
     runs: dict[tuple[str, str], list[dict[str, Any]]] = {(name, way): [] for name in plan.scenes for way in plan.ways}
     broken: dict[tuple[str, str], str] = {}
-    for turn in range(plan.repeats):  # in turns, so that whatever else the computer does meets them all alike
+    for turn in range(plan.repeats):  # in turns, so that other work of the computer affects all equally
         for name, way in runs:
             if (name, way) in broken:
                 continue
@@ -69,7 +69,7 @@ def _measure(
 
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return [median, lowest, highest] of each figure of several runs, and what else they tell."""
+    """Return [median, lowest, highest] of each figure of several runs, with libraries and problems."""
     found: dict[str, Any] = {
         "runs": len(runs),
         "libraries": sorted({each for run in runs for each in run["libraries"]}),
@@ -85,7 +85,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return name, what is wanted, what was measured, its unit and whether it is met, of every target."""
+    """Return every target with its measured value and verdict."""
     row = next((row for row in rows if (row["scene"], row["way"]) == (BENCH, ONE)), None)
 
     def median(key: str) -> float:

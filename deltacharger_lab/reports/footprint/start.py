@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts a scene as people start it, in processes that nothing else shares, and ends it again."""
+"""Starts a scene as users do, in its own processes, and ends it."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from deltacharger_scenes.scene import Scene
 ONE, SEPARATE = "one process", "separate processes"
 WAYS = (ONE, SEPARATE)
 _PORTS_WITHIN = 30.0  # s until emulated hardware has its ports
-_END_WITHIN = 15.0  # s that a process may take to make itself safe
+_END_WITHIN = 15.0  # s that a process may take to reach a safe state
 _HARDWARE = "simulated hardware"
 COMMAND = "deltacharger up"
 
-# A process tells at its end every module that it has imported, whoever did it and from wherever.
-_TELL = "import atexit, sys; atexit.register(lambda: open({file!r}, 'w').write('\\n'.join(sys.modules)))\n"
+# A process writes at its end the names of all imported modules.
+_LIST_MODULES = "import atexit, sys; atexit.register(lambda: open({file!r}, 'w').write('\\n'.join(sys.modules)))\n"
 _CLI = "from deltacharger_bringup.cli.main import main; sys.exit(main())"
 _NODE = "from {module} import main; sys.exit(main())"
 
 
 class CannotRun(Exception):
-    """A scene does not run here; the message says why."""
+    """A scene does not run here; the message states why."""
 
 
 @dataclass
@@ -38,10 +38,10 @@ class Started:
     """A scene's processes.
 
     Attributes:
-        began: when the first was started, s, monotonic.
+        began: start of the first, s, monotonic.
         processes: by name, in the order of starting.
-        modules: names of all that they had imported; known once they have ended.
-        folder: with what each of them said.
+        modules: names of all imported modules; known after their end.
+        folder: with their output.
     """
 
     folder: Path
@@ -51,32 +51,32 @@ class Started:
 
     @property
     def pids(self) -> list[int]:
-        """The processes' numbers."""
+        """The process ids."""
         return [process.pid for process in self.processes.values()]
 
     def start(self, name: str, code: str, *words: str) -> None:
         """Start a process that runs `code` with a command line."""
-        code = _TELL.format(file=str(self._told(name))) + code
+        code = _LIST_MODULES.format(file=str(self._modules_file(name))) + code
         with (self.folder / f"{name}.log").open("wb") as log:
             command = [sys.executable, "-c", code, *words]
             self.processes[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
     def check(self) -> None:
-        """Raise CannotRun where a process has ended."""
+        """Raise CannotRun if a process has ended."""
         for name, process in self.processes.items():
             if process.poll() is not None:
                 raise CannotRun(f"{name} ended with {process.returncode}: {self.last_words(name)}")
 
     def last_words(self, name: str) -> str:
         """Return the last line that a process wrote."""
-        return next((line for line in reversed(self._lines(name)) if line), "it said nothing")
+        return next((line for line in reversed(self._lines(name)) if line), "it printed nothing")
 
     def is_ready(self, name: str) -> bool:
-        """Return whether a process has said that it is ready."""
+        """Return whether a process has printed that it is ready."""
         return "ready" in self._lines(name)
 
     def end(self) -> None:
-        """End all, those first that command, and take what they tell."""
+        """End all, commanding processes first, and read their modules."""
         for name, process in reversed(self.processes.items()):
             if process.poll() is None:
                 process.terminate()
@@ -85,8 +85,8 @@ class Started:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
-            with contextlib.suppress(OSError):  # a process that was killed tells nothing
-                self.modules |= set(self._told(name).read_text("utf-8").split("\n"))
+            with contextlib.suppress(OSError):  # a killed process writes nothing
+                self.modules |= set(self._modules_file(name).read_text("utf-8").split("\n"))
 
     @property
     def libraries(self) -> set[str]:
@@ -97,13 +97,13 @@ class Started:
         text = (self.folder / f"{name}.log").read_text("utf-8", "replace")
         return [line.strip() for line in text.split("\n")]
 
-    def _told(self, name: str) -> Path:
+    def _modules_file(self, name: str) -> Path:
         return self.folder / f"{name}.modules"
 
 
 @contextlib.contextmanager
 def hardware(scene: Scene, folder: Path) -> Iterator[dict[str, str]]:
-    """Serve emulated hardware for a scene on ports of its own, and return them; they cost the scene nothing.
+    """Serve emulated hardware for a scene on separate ports, and return them; the scene's figures exclude it.
 
     Raises:
         CannotRun: it does not start.
@@ -114,7 +114,7 @@ def hardware(scene: Scene, folder: Path) -> Iterator[dict[str, str]]:
 
 @contextlib.contextmanager
 def _processes(folder: Path) -> Iterator[Started]:
-    """Give processes that log into a folder, made here, and that are ended at the end."""
+    """Yield processes that log into a folder, created here; they end with the context."""
     folder.mkdir()
     started = Started(folder, began=time.monotonic())
     try:
@@ -140,10 +140,10 @@ def charger(scene: Scene, way: str, ports: dict[str, str], folder: Path) -> Iter
     """Start a scene.
 
     Args:
-        scene: what to start.
+        scene: to start.
         way: `ONE`, by `deltacharger up`, or `SEPARATE`, each node and the simulated hardware, as launch does.
         ports: emulated ones of a scene on hardware; empty for another.
-        folder: for logs, made here.
+        folder: for logs, created here.
 
     Raises:
         CannotRun: it does not start.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stiff and extreme inputs one by one: what comes back, by a single call and in an array, against 60 digits."""
+"""Stiff and extreme inputs one by one: answers of a single call and of an array, against 60 digits."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import near_type_2
 
-_ANGLE_BOUND = 1e-15  # rad; what a good answer may miss the exact one by, relative beyond 1 rad
+_ANGLE_BOUND = 1e-15  # rad; largest error of a good answer, relative beyond 1 rad
 _LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
 _NAN = math.nan
-_WRONG = "not what must come back"
-# Lengths that are sums of few powers of two, so that the edge of reach falls on doubles.
+_WRONG = "wrong answer"
+# Lengths are sums of few powers of two, so that the edge of reach falls on doubles.
 _STRETCHED = DeltaGeometry(base_radius=0.1875, platform_radius=0.03125, arm=0.15625, rod=0.25, z_offset=0.0)
 _FOLDED = DeltaGeometry(base_radius=0.1875, platform_radius=0.03125, arm=0.09375, rod=0.5, z_offset=0.0)
 _EQUAL = DeltaGeometry(base_radius=0.05, platform_radius=0.05, arm=0.1, rod=0.1, z_offset=0.0)
@@ -33,17 +33,17 @@ _FAR_APART = DeltaGeometry(base_radius=0.4)
 
 @dataclass(frozen=True)
 class Case:
-    """One input and what must come back.
+    """One input and its required answer.
 
     Attributes:
         name: of the row.
-        given: the point (m), or the arm angles (rad) where `forward` is set.
-        wanted: bits that the status must have; any one of them where `either` is set.
-        answered: whether numbers must come back, for all limbs.
+        given: the point (m), or the arm angles (rad) if `forward`.
+        wanted: required bits of the status; any one of them if `either`.
+        answered: whether all limbs must have numbers.
         geometry: of the robot.
-        margin: that must come back exactly; None = not checked.
+        margin: required exactly; None = not checked.
         either: one of the `wanted` bits is enough.
-        forward: whether forward kinematics is asked.
+        forward: whether to use forward kinematics.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Case:
 
 
 def inverse_cases(plan: KinematicsPlan) -> list[Case]:
-    """Return the points that have broken inverse kinematics of others, or could."""
+    """Return the points that have broken other inverse kinematics, or could."""
     above = math.nextafter
     near_singular = near_type_2(DeltaGeometry(), plan.generator(9), 16).points
     singular = near_singular[np.abs(Delta().jacobian(near_singular).determinant).argmin()]
@@ -92,7 +92,7 @@ def inverse_cases(plan: KinematicsPlan) -> list[Case]:
 
 
 def forward_cases() -> list[Case]:
-    """Return arm angles that have broken forward kinematics of others, or could."""
+    """Return arm angles that have broken other forward kinematics, or could."""
     line = math.acos(-0.15), math.acos(0.15), math.acos(0.15)
     apart, degenerate = Status.NOT_ASSEMBLABLE, Status.DEGENERATE
     return [
@@ -108,7 +108,7 @@ def forward_cases() -> list[Case]:
 
 
 def run_cases(plan: KinematicsPlan) -> list[dict[str, Any]]:
-    """Return for each case what came back, its error, and whether it is what must come back."""
+    """Return for each case the answer, its error, and whether it is as required."""
     cases = inverse_cases(plan) + [replace(case, forward=True) for case in forward_cases()]
     return [_guarded(case) for case in cases] + _laws()
 
@@ -116,7 +116,7 @@ def run_cases(plan: KinematicsPlan) -> list[dict[str, Any]]:
 def _guarded(case: Case) -> dict[str, Any]:
     try:
         return _case_row(case)
-    except Exception as error:  # no input may raise; one that does belongs into the table
+    except Exception as error:  # no input may raise; one that does belongs in the table
         return _law(case.name, f"{type(error).__name__}: {error}", False)
 
 
@@ -150,14 +150,14 @@ def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
 
 
 def _row(name: str, answer: str, remark: str, status: str = "", unit: str = "", **figures: float) -> dict[str, Any]:
-    """Return a row of the table; what is as wanted has no remark."""
+    """Return a row of the table; a correct one has no remark."""
     unknown = {"margin": _NAN, "error": _NAN, "unit": unit, "round_trip": _NAN}
     told = {"ok": not remark, "remark": remark}
     return {"name": name, "status": status, "answer": answer, **unknown, **figures, **told}
 
 
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
-    """Return what a call returns and whether it warned."""
+    """Return a call's result and whether it warned."""
     with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn"):
         warnings.simplefilter("always")
         result = call()
@@ -165,7 +165,7 @@ def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
 
 
 def _laws() -> list[dict[str, Any]]:
-    """Return what holds of calls as a whole."""
+    """Return the checks of calls in general."""
     good, strict = [[0.0, 0.0, 0.05], [0.01, 0.02, 0.06]], [[0.0, 0.0, 0.05], [_NAN, 0.0, 0.0], [0.0, 0.0, 1.0]]
     bad = [[_NAN, 0.0, 0.0], [1e308, 0.0, 0.0], [0.0, 0.0, 1.0]]
     mixed, warned = _quietly(lambda: Delta().inverse([good[0], *bad, good[1]]))
@@ -188,7 +188,7 @@ def _laws() -> list[dict[str, Any]]:
 def _error_of(call: Callable[[], object]) -> Exception | None:
     try:
         call()
-    except Exception as error:  # which one it is belongs into the table
+    except Exception as error:  # its kind belongs in the table
         return error
     return None
 

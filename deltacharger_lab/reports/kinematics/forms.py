@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed forms of inverse and forward kinematics as books, forums and printer firmware have them.
+"""Closed forms of inverse and forward kinematics from books, forums and printer firmware.
 
-Each is written once, over a set of functions: numpy's for arrays, `math`'s for one point, where a division by zero or
-the root of a negative number is no answer. All pick the knee-out angle θ from radially outward toward +z; they are
-given the platform centre along the limb (r), sideways (v) and from the motor plane (w).
+Each is written once, over a set of functions: numpy's for arrays, `math`'s for one point. There a division by zero or
+the root of a negative number means no answer. All pick the knee-out angle θ from radially outward toward +z; their
+input is the platform centre along the limb (r), sideways (v) and from the motor plane (w).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
 
 Vector = tuple[float, float, float]
 _NAN3: Vector = (math.nan, math.nan, math.nan)
-# A float or an array of floats; both have the operators used here, and no common type says so.
+# A float or an array of floats; both have the operators used here, but no common type.
 Number = Any
 
 
@@ -46,7 +46,7 @@ def tutorial(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functi
 
 
 def firmware(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functions) -> Number:
-    """Solve the elbow's scaled x after dividing by the height w (as Klipper's rotary delta does)."""
+    """Solve the elbow's scaled x after dividing by the height w (as in Klipper's rotary delta)."""
     x = r - geometry.radius_difference
     inverse = 1.0 / w
     arm2, rod2 = geometry.arm * geometry.arm, geometry.rod * geometry.rod - v * v
@@ -102,7 +102,7 @@ INVERSE_FORMS: dict[str, LimbForm] = {
 
 
 def inverse_array(form: LimbForm, geometry: DeltaGeometry, points: Array) -> Array:
-    """Return the arm angles (n, 3) of points (n, 3) by one form; NaN where it has none."""
+    """Return the arm angles (n, 3) of points (n, 3) by one form; NaN for no answer."""
     x, y, z = points.T
     w = z + geometry.z_offset
     angles = np.empty_like(points)
@@ -113,7 +113,7 @@ def inverse_array(form: LimbForm, geometry: DeltaGeometry, points: Array) -> Arr
 
 
 def inverse_one(form: LimbForm, geometry: DeltaGeometry, x: float, y: float, z: float) -> Vector:
-    """Return the arm angles of one point by one form; NaN where it has none."""
+    """Return the arm angles of one point by one form; NaN for no answer."""
     w = z + geometry.z_offset
     try:
         return (
@@ -131,7 +131,7 @@ SphereForm = Callable[[Centres, float, Functions], tuple[Number, Number, Number]
 
 
 def trilateration(centres: Centres, rod: float, m: Functions) -> tuple[Number, Number, Number]:
-    """Meet three spheres in the frame of their centres (as Klipper and encyclopaedias do)."""
+    """Meet three spheres in the frame of their centres (as in Klipper and encyclopaedias)."""
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = centres
     ax, ay, az, bx, by, bz = x1 - x0, y1 - y0, z1 - z0, x2 - x0, y2 - y0, z2 - z0
     d = m.sqrt(ax * ax + ay * ay + az * az)
@@ -181,13 +181,13 @@ def _forward(form: SphereForm, geometry: DeltaGeometry, angles: Any, m: Function
 
 
 def forward_array(form: SphereForm, geometry: DeltaGeometry, angles: Array) -> Array:
-    """Return the positions (n, 3) of arm angles (n, 3) by one form; NaN where it has none."""
+    """Return the positions (n, 3) of arm angles (n, 3) by one form; NaN for no answer."""
     with np.errstate(all="ignore"):
         return np.stack(_forward(form, geometry, angles.T, ARRAYS), axis=-1)
 
 
 def forward_one(form: SphereForm, geometry: DeltaGeometry, *angles: float) -> Vector:
-    """Return the position of three arm angles by one form; NaN where it has none."""
+    """Return the position of three arm angles by one form; NaN for no answer."""
     try:
         return _forward(form, geometry, angles, math)
     except (ValueError, ZeroDivisionError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots far from the default one: thin shells of reach, tiny and huge, calibrated, with every knee and assembly."""
+"""Robots unlike the default one: thin shells of reach, tiny and huge, calibrated, with every knee and assembly."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _signs(mode: tuple[int, ...]) -> str:
 
 
 def measure_robots(plan: KinematicsPlan) -> list[dict[str, Any]]:
-    """Return errors, decisions and round trips of each robot, where random arm angles lead and at the edge of reach."""
+    """Return errors, decisions and round trips of each robot, at random arm angles and at the edge of reach."""
     count = max(_FEWEST, min(plan.points // 20, 300))
     return [_measure(robot, plan, stream, count) for stream, robot in enumerate(robots(), 100)]
 
@@ -79,7 +79,7 @@ def _measure(robot: Robot, plan: KinematicsPlan, stream: int, count: int) -> dic
     exact = ExactDelta(robot.geometry, robot.working_mode, robot.assembly)
     rng = plan.generator(stream)
     points = assembled(robot.geometry, rng, count, delta).points
-    # Distances that are tiny beside the coordinates cannot be hit, and fewer points come back.
+    # Distances that are tiny relative to the coordinates cannot be met; fewer points result.
     inside, beyond = boundary(exact, rng, count // 2).points, outside(exact, rng, count // 2, -17.0, -3.0).points
     here, edge = _solve(delta, exact, points), _solve(delta, exact, np.concatenate([inside, beyond]))
     solved = delta.inverse(points)
@@ -99,7 +99,7 @@ def _measure(robot: Robot, plan: KinematicsPlan, stream: int, count: int) -> dic
 
 
 def _solve(delta: Delta, exact: ExactDelta, points: Array) -> dict[str, Any]:
-    """Return the largest error (rad) of each way to solve, and how often angle or margin is wrong about reach."""
+    """Return the largest error (rad) of each solver, and the number of wrong decisions on reach by angle or margin."""
     truth = exact.inverse(points).angles
     reached = np.isfinite(truth.high)
     singles = [delta.inverse(tuple(point)) for point in points.tolist()]

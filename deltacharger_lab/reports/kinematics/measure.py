@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors and decisions of every solver on every set, as plain dicts that become JSON and tables."""
+"""Errors and decisions of every solver on every set, as plain dicts for JSON and tables."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from deltacharger_lab.reports.kinematics.sets import PointSet
 from deltacharger_lab.reports.kinematics.solvers import Solver, calls_reachable
 from deltacharger_lab.reports.kinematics.speed import Stopwatch
 
-_MERGED = 1e-13  # rad; knees closer than this are one
+_MERGED = 1e-13  # rad; closer knees count as one
 DECADES = range(-17, -3)
 
 
 @dataclass(frozen=True)
 class KinematicsPlan:
-    """How much is measured.
+    """Extent of the measurement.
 
     Attributes:
         points: per set.
@@ -45,20 +45,20 @@ class KinematicsPlan:
     grid: int
 
     def generator(self, stream: int) -> np.random.Generator:
-        """Return the generator of one set, independent of what else is drawn."""
+        """Return the generator of one set, independent of the others."""
         return np.random.default_rng([self.seed, stream])
 
 
 @dataclass(frozen=True)
 class ErrorSample:
-    """Points, or arm angles, with the exact answer to each and that of the other knees or of the mirror image."""
+    """Points, or arm angles, with the exact answer to each and the answer of the other knees or the mirror image."""
 
     points: PointSet
     right: Exact
     other: Exact
 
     def of(self, solver: Solver, plan: KinematicsPlan) -> ErrorSample:
-        """Return what a solver is measured on: the first few for the slow general ones."""
+        """Return the sample for a solver: the first few for slow general ones."""
         if solver.family != "peer":
             return self
         count = plan.peer_points
@@ -66,7 +66,7 @@ class ErrorSample:
 
 
 Verdict = tuple[Array, Mask, Mask]
-"""Of each answer (n,): its error, NaN where there is none; whether there is none; whether it is the other one."""
+"""Per answer (n,): its error, NaN for no answer; whether it is missing; whether it is the other one."""
 
 
 def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample]:
@@ -108,7 +108,7 @@ def inverse_errors(sample: ErrorSample, angles: Array) -> Verdict:
 def forward_errors(sample: ErrorSample, positions: Array) -> Verdict:
     """Judge positions (n, 3), m."""
     error = sample.right.distance(positions)
-    # Angles rounded to doubles may have no position at all; nobody can miss that one.
+    # Angles rounded to doubles may have no position at all; then no answer is right.
     missing = ~np.isfinite(positions).all(-1) & np.isfinite(sample.right.high).all(-1)
     mirrored = ~missing & (sample.other.distance(positions) < 0.1 * error)
     return np.where(missing | mirrored, np.nan, error), np.asarray(missing), np.asarray(mirrored)
@@ -124,11 +124,11 @@ def accuracy(
     """Return for each solver and set: median and maximum error, shares without an answer and with the other one.
 
     Args:
-        solvers: what is measured.
-        samples: on what.
-        plan: how much of it.
-        judge: what answers are worth.
-        other: what answers that are the other one are called.
+        solvers: to measure.
+        samples: sets with exact answers.
+        plan: extent of the measurement.
+        judge: returns the errors of answers.
+        other: name for answers that are the other one.
     """
     found = []
     for solver in solvers:
@@ -143,7 +143,7 @@ def accuracy(
 
 
 def edge_curve(solvers: Sequence[Solver], sample: ErrorSample, plan: KinematicsPlan) -> dict[str, list[float | None]]:
-    """Return the largest error per decade of distance to the edge of reach, from 1e-17 m up; None = no answer there."""
+    """Return the largest error per decade of distance to the edge of reach, from 1e-17 m up; None = no answer."""
     curves: dict[str, list[float | None]] = {}
     for solver in solvers:
         used = sample.of(solver, plan)
@@ -157,7 +157,7 @@ def edge_curve(solvers: Sequence[Solver], sample: ErrorSample, plan: KinematicsP
 def reach_decisions(
     solvers: Sequence[Solver], exact: ExactDelta, inside: ErrorSample, plan: KinematicsPlan
 ) -> tuple[list[PointSet], dict[str, dict[str, int]]]:
-    """Return the sets, outside and inside reach, and for each solver how many points it puts on the other side."""
+    """Return the sets, outside and inside reach, and each solver's number of points on the wrong side."""
     drawn = [
         sets.outside(exact, plan.generator(6), plan.points, -15.0, -3.0),
         sets.outside(exact, plan.generator(7), plan.points, -17.0, -15.0),
@@ -176,7 +176,7 @@ def reach_decisions(
 
 
 def forward_samples(exact: ExactDelta, samples: Sequence[ErrorSample]) -> list[ErrorSample]:
-    """Return the arm angles of sets as those on which forward kinematics is measured."""
+    """Return the sets of arm angles for forward kinematics."""
     mirror = ExactDelta(exact.geometry, exact.working_mode, -exact.assembly)
     drawn = [dataclasses.replace(each.points, points=each.right.high, edge=None) for each in samples]
     return [ErrorSample(each, exact.forward(each.points), mirror.forward(each.points)) for each in drawn]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""General solvers that a user would otherwise put to the delta, each set up as its own manual suggests.
+"""General solvers that a user could apply to the delta instead, each set up as in its manual.
 
-All solve every pose by itself from the same start, arms level, with tolerances as tight as they go. A solver that is
-not installed is reported as absent, with the reason.
+All solve every pose separately from the same start, arms level, with the tightest possible tolerances. A solver that
+is not installed is reported as absent, with the reason.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from deltacharger_core.arrays import Array
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
 
-_TIGHT = 1e-16  # residual asked for; below what doubles can hold, so that a solver stops when it gains nothing more
+_TIGHT = 1e-16  # requested residual; below the precision of doubles, so that a solver stops at its best
 _STEPS = 50
 _START_POSITION = (0.0, 0.0, 0.055)  # of forward solvers: the middle of the workspace box
 
@@ -28,11 +28,11 @@ class Peer:
     """One general solver.
 
     Attributes:
-        name: as the tables call it.
-        setup: what it solves and with which settings.
-        inverse: arm angles (3,) of one point (3,); None = it has no inverse here.
-        inverse_array: arm angles (n, 3) of points (n, 3) in one call; None = it has no such call.
-        forward: position (3,) of arm angles (3,); None = it has no forward here.
+        name: in the tables.
+        setup: its equations and settings.
+        inverse: arm angles (3,) of one point (3,); None = no inverse here.
+        inverse_array: arm angles (n, 3) of points (n, 3) in one call; None = no such call.
+        forward: position (3,) of arm angles (3,); None = no forward here.
     """
 
     name: str
@@ -43,13 +43,13 @@ class Peer:
 
 
 def load(geometry: DeltaGeometry) -> tuple[list[Peer], dict[str, str]]:
-    """Return the peers that can be imported, and for the others name and reason."""
+    """Return the peers that can be imported, and for others name and reason."""
     found: list[Peer] = []
     absent: dict[str, str] = {}
     for name, build in (("casadi", _casadi), ("pinocchio", _pinocchio), ("scipy", _scipy)):
         try:
             found += build(geometry)
-        except (ImportError, OSError) as error:  # OSError: the module is there and one of its libraries is not
+        except (ImportError, OSError) as error:  # OSError: one of the module's libraries is missing
             hint = "" if name == "scipy" else "; install deltacharger[peers]"
             absent[name] = f"{error}{hint}"
     return found, absent
@@ -77,7 +77,7 @@ def _casadi(geometry: DeltaGeometry) -> list[Peer]:
         forward = casadi.rootfinder("forward", plugin, {"x": position, "p": angles, "g": closure}, options)
         one, back = _casadi_one(inverse, 0.0), _casadi_one(forward, _START_POSITION)
         peers.append(Peer(f"casadi {plugin}", setup, one, _casadi_array(inverse), back))
-    buffered = "the same through Function.buffer, which spares the conversion of arguments and results"
+    buffered = "the same through Function.buffer, which avoids the conversion of arguments and results"
     peers.append(Peer("casadi fast_newton, buffers", buffered, _casadi_buffered(inverse, np.zeros(3))))
     return peers
 
@@ -96,7 +96,7 @@ def _casadi_buffered(solver: Any, start: Array) -> Callable[[Array], Any]:
         buffer.set_arg(index, memoryview(values.data))
     buffer.set_res(0, memoryview(answer.data))
 
-    def solve(given: Array, keep: Any = (buffer, start)) -> Array:  # casadi holds no reference to the memory itself
+    def solve(given: Array, keep: Any = (buffer, start)) -> Array:  # casadi keeps no reference to the memory
         parameter[:] = given
         trigger()
         return answer.copy()
@@ -105,7 +105,7 @@ def _casadi_buffered(solver: Any, start: Array) -> Callable[[Array], Any]:
 
 
 def _casadi_array(solver: Any) -> Callable[[Array], Array]:
-    mapped: dict[int, Any] = {}  # one function per size, as casadi needs it; built outside the timed calls
+    mapped: dict[int, Any] = {}  # casadi needs one function per size; built outside the timed calls
 
     def solve(points: Array) -> Array:
         size = len(points)
@@ -158,7 +158,7 @@ def _pinocchio(geometry: DeltaGeometry) -> list[Peer]:
     inward = max(-1.0, -(geometry.radius_difference + geometry.arm) / geometry.rod)
     start = np.tile([0.0, math.acos(inward), 0.0], 3)  # arms level, rods meeting on the axis: a pose of the delta
     world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    damping = 1e-12 * np.eye(9)  # as in the manual's example of inverse kinematics
+    damping = 1e-12 * np.eye(9)  # from the manual's example of inverse kinematics
 
     def inverse(point: Array) -> Array:
         joints, best, least = start, start, math.inf

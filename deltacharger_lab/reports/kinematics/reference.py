@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinematics of the delta in 60-digit arithmetic: what every form of the report is held against.
+"""Kinematics of the delta in 60-digit arithmetic: the reference for every form of the report.
 
 The doubles of a position, of the angles and of the geometry count as exact, cos and sin of 120° as −1/2 and ±√3/2. Edge
 of reach: the elbow turns on a circle, and the limb reaches a platform joint whose distance to that circle's nearest
-point is at most the rod and to its farthest point at least the rod. Both differences are distances in m, so how far a
-point lies inside or outside reach is exact too.
+point is at most the rod and to its farthest point at least the rod. Both differences are distances in m, so a
+point's distance inside or outside reach is exact, too.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ class Exact:
         return Exact(self.high[:count], self.low[:count])
 
     def angle_error(self, angles: Array) -> Array:
-        """Return |angles − exact| (..., 3) rad over the shorter way round; NaN where either has no answer."""
+        """Return |angles − exact| (..., 3) rad in the shorter direction; NaN if either has no answer."""
         with np.errstate(invalid="ignore"):
             rest = (angles - self.high) - self.low
             turns = np.round(rest / _TWO_PI[0])
             return np.asarray(np.abs((rest - turns * _TWO_PI[0]) - turns * _TWO_PI[1]), dtype=np.float64)
 
     def distance(self, positions: Array) -> Array:
-        """Return the distance (...) m of positions (..., 3) m to the exact ones; NaN where either has no answer."""
+        """Return the distance (...) m of positions (..., 3) m to the exact ones; NaN if either has no answer."""
         rest = (positions - self.high) - self.low
         return np.asarray(np.sqrt((rest * rest).sum(-1)), dtype=np.float64)
 
 
 class ExactInverse(NamedTuple):
-    """Arm angles (n, 3) rad of the working mode asked for and of each limb's other knee; NaN out of reach."""
+    """Arm angles (n, 3) rad of the requested working mode and of each limb's other knee; NaN out of reach."""
 
     angles: Exact
     other: Exact
@@ -70,7 +70,7 @@ class ExactDelta:
     ) -> None:
         import mpmath
 
-        self._mp = mpmath.MPContext()  # a context of its own: the global one belongs to others
+        self._mp = mpmath.MPContext()  # a separate context: others use the global one
         self._mp.dps = DIGITS
         self.geometry = geometry or DeltaGeometry()
         self.working_mode = tuple(working_mode)
@@ -91,11 +91,11 @@ class ExactDelta:
         return ExactInverse(Exact(found[0], found[1]), Exact(found[2], found[3]))
 
     def edge(self, points: Array) -> Array:
-        """Return how far inside reach points (n, 3) m lie for each limb (n, 3), in m; negative outside."""
+        """Return the distance (n, 3) m inside reach of points (n, 3) m for each limb; negative outside."""
         return np.array([[float(self._edge(index, point)) for index in range(3)] for point in points.tolist()])
 
     def forward(self, angles: Array) -> Exact:
-        """Return the positions (n, 3) m of arm angles (n, 3) rad; NaN where the rods do not meet."""
+        """Return the positions (n, 3) m of arm angles (n, 3) rad; NaN if the rods do not meet."""
         found = np.full((2, len(angles), 3), np.nan)
         for row, arms in enumerate(angles.tolist()):
             position = self._assemble(arms)
@@ -144,7 +144,7 @@ class ExactDelta:
         return min(limb["rod"] - nearest, farthest - limb["rod"])
 
     def _assemble(self, arms: Sequence[float]) -> Any:
-        """Return where (3,) the spheres about the elbows meet, by elimination: p = c0 + o + h·n; None for nowhere."""
+        """Return the common point (3,) of the elbows' spheres, by elimination: p = c0 + o + h·n; None if none."""
         elbows = [self._elbow(index, angle) for index, angle in enumerate(arms)]
         first, *others = [limb["rod"] ** 2 for limb in self._limbs]
         a, b = elbows[1] - elbows[0], elbows[2] - elbows[0]

@@ -46,7 +46,7 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progres
         OSError: a file cannot be written.
     """
     geometry = DeltaGeometry()
-    exact = ExactDelta(geometry)  # first, so that a missing mpmath is told before anything takes time
+    exact = ExactDelta(geometry)  # first, so that a missing mpmath is reported at once
     peers, absent = load(geometry)
     solvers = inverse_solvers(geometry, peers), forward_solvers(geometry, peers)
     report = Report("kinematics", command, _LIBRARIES)

@@ -2,7 +2,7 @@
 """Seeded sets of points on which the forms of the report are measured.
 
 Points near the edge of reach are placed by geometry and then moved by a few units in the last place until their exact
-distance to the edge, in 60 digits, is the one wanted: 1e-17 m can only be hit that way.
+distance to the edge, in 60 digits, is as wanted: 1e-17 m can only be met that way.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
 _STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried
-_CLEAR = 0.02  # of the shorter link; how far inside reach the limbs lie that a set does not aim at
+_CLEAR = 0.02  # of the shorter link; distance inside reach of the limbs that a set does not aim at
 _DEFAULT_SPAN = 0.28  # m; arm + rod of the default robot, for which distances to the edge are stated
 _ROUND = 512  # points moved at a time, to bound memory
 _ATTEMPTS = 400
@@ -34,10 +34,10 @@ class PointSet:
     """Points (n, 3) m in charger_base.
 
     Attributes:
-        name: as the tables call it.
-        about: how it was drawn.
+        name: in the tables.
+        about: method of drawing.
         points: the doubles that count as exact.
-        edge: exact distance (n,) m to the edge of reach of the nearest limb, negative outside; None = not asked for.
+        edge: exact distance (n,) m to the edge of reach of the nearest limb, negative outside; None = not needed.
     """
 
     name: str
@@ -52,7 +52,7 @@ class PointSet:
 
 
 def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
-    """Return how far inside reach points (n, 3) lie for each limb (n, 3), m, in plain doubles."""
+    """Return the distance (n, 3) m inside reach of points (n, 3) for each limb, in plain doubles."""
     limbs = LimbArrays(geometry, KNEE_OUT)
     x, y, z = points.T
     across = np.hypot(x * limbs.cosine + y * limbs.sine - limbs.difference, z + limbs.motor_height)
@@ -68,7 +68,7 @@ def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> P
 
 
 def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
-    """Return points of the whole volume that all three limbs reach, behind the motors too."""
+    """Return points of the complete volume that all three limbs reach, also behind the motors."""
     span = abs(geometry.radius_difference) + geometry.arm + geometry.rod
     low, high = np.array([-span, -span, -geometry.z_offset - span]), np.array([span, span, span - geometry.z_offset])
 
@@ -81,7 +81,7 @@ def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> Point
 
 
 def assembled(geometry: DeltaGeometry, rng: np.random.Generator, count: int, delta: Delta | None = None) -> PointSet:
-    """Return points that random arm angles lead to; works for geometries whose reach is a thin shell."""
+    """Return points at random arm angles; works for geometries whose reach is a thin shell."""
     solver = delta or Delta(geometry)
 
     def draw(size: int) -> Array:
@@ -152,7 +152,7 @@ def _anywhere(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> 
     size = len(edge)
     around = rng.uniform(-math.pi, math.pi, size)
     folded = rng.random(size) < 0.5
-    beyond = folded & (rod * np.cos(around) > arm)  # the rod reaches back over the motor axis
+    beyond = folded & (rod * np.cos(around) > arm)  # the rod extends back over the motor axis
     radius = np.where(beyond, rod + edge, rod - edge)
     across = np.where(beyond, -arm, arm) + radius * np.cos(around)
     across = np.where(folded == (beyond | (np.cos(around) < 0.0)), across, -1.0)
@@ -222,7 +222,7 @@ def _near_edge(
 
 
 def _in_base(arrays: LimbArrays, limbs: NDArray[np.int64], placement: Placement) -> Array:
-    """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN where there is none."""
+    """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN for none."""
     across, angle, side = placement
     across = np.where(across >= 0.0, across, np.nan)
     names = ("difference", "tangential", "motor_height", "cosine", "sine")
@@ -233,7 +233,7 @@ def _in_base(arrays: LimbArrays, limbs: NDArray[np.int64], placement: Placement)
 
 
 def _settle(exact: ExactDelta, points: Array, limbs: NDArray[np.int64], wanted: Array) -> Array:
-    """Move points by units in the last place until their exact distance to the edge is `wanted` as nearly as can be."""
+    """Move points by units in the last place until their exact distance to the edge is closest to `wanted`."""
     geometry = exact.geometry
     rows = np.arange(len(points))
     distance = exact.edge(points)[rows, limbs]
@@ -251,7 +251,7 @@ def _settle(exact: ExactDelta, points: Array, limbs: NDArray[np.int64], wanted: 
 
 
 def _collect(draw: Callable[[int], Array], count: int) -> Array:
-    """Call `draw` until `count` points are there, or as many as a bounded number of calls finds."""
+    """Call `draw` until there are `count` points, or a bounded number of calls is done."""
     found = [np.empty((0, 3))]
     for _ in range(_ATTEMPTS):
         missing = count - sum(map(len, found))

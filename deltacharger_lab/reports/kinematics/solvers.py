@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every solver of the report under one face: ours, the closed forms and the peers."""
+"""Every solver of the report behind one interface: ours, the closed forms and the peers."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from deltacharger_lab.reports.kinematics.peers import Peer
 Family = Literal["ours", "form", "peer"]
 ARRAY, PRECISE, POINT, SCALAR = "Delta.inverse, array", "Delta.inverse, precise", "Delta.inverse, point", "ScalarDelta"
 OURS = (ARRAY, PRECISE, POINT, SCALAR)
-_CLOSED = 1e-9  # m; a peer's answer whose rods miss their length by more is no answer
-_BELIEVED = 1e-12  # m; rods closer to their length than this are what a user would take for "reachable"
+_CLOSED = 1e-9  # m; a peer's answer with a larger error of a rod's length does not count
+_BELIEVED = 1e-12  # m; with smaller errors of the rods a user would assume "reachable"
 
 
 @dataclass(frozen=True)
 class Solver:
-    """A way from triples (points or angles) to triples.
+    """A function from triples (points or angles) to triples.
 
     Attributes:
-        name: as the tables call it.
+        name: in the tables.
         family: ours, a closed form or a peer.
-        array: (n, 3) to (n, 3) in one call; None = it has no such call.
+        array: (n, 3) to (n, 3) in one call; None = no such call.
         one: a single triple; None = arrays only.
-        takes: what `one` is called with: three floats, one tuple, or one array.
-        rods: of this robot must close, or an answer is none; None = every answer counts.
+        takes: argument of `one`: three floats, one tuple, or one array.
+        rods: of this robot must close for a valid answer; None = every answer is valid.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Solver:
     rods: DeltaGeometry | None = None
 
     def each(self, triples: Array) -> Callable[[], list[Any]] | None:
-        """Return a call that solves triples (n, 3) one by one; None where `one` is missing."""
+        """Return a call that solves triples (n, 3) one by one; None without `one`."""
         one = self.one
         if one is None:
             return None
@@ -55,7 +55,7 @@ class Solver:
         return lambda: [one(*each) for each in arguments]
 
     def solve(self, triples: Array) -> Array:
-        """Return the answers (n, 3) that it stands by, from the array call where there is one; NaN for the others."""
+        """Return the valid answers (n, 3), from the array call if there is one; NaN for others."""
         if self.array is not None:
             answers = self.array(triples)
         else:
@@ -68,7 +68,7 @@ class Solver:
 
 
 def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
-    """Return everything that solves points to angles."""
+    """Return all solvers from points to angles."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
 
     def precise(points: Any) -> Any:
@@ -89,7 +89,7 @@ def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solv
 
 
 def forward_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
-    """Return everything that solves angles to points."""
+    """Return all solvers from angles to points."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
     return [
         Solver("Delta.forward, array", "ours", lambda angles: delta.forward(angles).position),
@@ -110,7 +110,7 @@ def _closed(
 
 
 def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
-    """Return by how much each rod (n, 3) misses its length, m, in plain doubles."""
+    """Return the error of each rod's length (n, 3), m, in plain doubles."""
     with np.errstate(invalid="ignore"):
         x, y, z = LimbArrays(geometry, KNEE_OUT).elbows(np.cos(angles.T), np.sin(angles.T))
         elbows = np.stack([x, y, z - geometry.z_offset], axis=-1)
@@ -118,7 +118,7 @@ def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
 
 
 def calls_reachable(solver: Solver, points: Array) -> Mask:
-    """Return for which points (n,) a solver has an answer that a user would believe."""
+    """Return for which points (n,) a solver has an answer that a user would accept."""
     angles = solver.solve(points)
     if solver.rods is None:
         return np.asarray(np.isfinite(angles).all(-1))

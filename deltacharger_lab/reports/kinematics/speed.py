@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What solvers cost in process time, whatever else the machine does: one by one, in arrays, by the array's size."""
+"""Process time of solvers, independent of other work: single calls, arrays, by the array's size."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from deltacharger_lab.reports.kinematics.solvers import ARRAY, SCALAR, Solver
 
 Call = Callable[[], object]
 BATCH = 10_000
-_SINGLES = 200  # points that one timing of single calls goes through
-_SLOW_LIMIT = 100_000  # larger arrays are timed only where a point costs little
+_SINGLES = 200  # points in one timing of single calls
+_SLOW_LIMIT = 100_000  # larger arrays are timed only for cheap calls
 NEAR_EDGE = "Delta.inverse, all points near the edge"
-_LARGEST_COUNT = 1 << 20  # calls that one timing repeats
+_LARGEST_COUNT = 1 << 20  # repeated calls in one timing
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Cost:
     """Seconds per call over repeats.
 
     Attributes:
-        median: of the repeats; what the tables show.
+        median: of the repeats; shown in the tables.
         best: the least disturbed repeat.
     """
 
@@ -41,11 +41,11 @@ class Cost:
 
 @dataclass(frozen=True)
 class Stopwatch:
-    """How long and how often calls are timed.
+    """Durations and repeats of timings.
 
     Attributes:
         repeats: number of timings of which median and best are kept.
-        least: s, shortest timing; quicker calls are repeated within one.
+        least: s, shortest timing; faster calls are repeated within one.
     """
 
     repeats: int = 7
@@ -64,7 +64,7 @@ class Stopwatch:
         return Cost(statistics.median(each), min(each))
 
     def ratio(self, slow: Callable[[], object], quick: Callable[[], object]) -> float:
-        """Return how many times as long `slow` takes as `quick`: the median over turns of the two."""
+        """Return the run time of `slow` relative to `quick`: the median over turns of the two."""
         counts = []
         for call in (slow, quick):
             cost = Stopwatch(1, self.least).time(call)
@@ -96,9 +96,9 @@ def solver_costs(solvers: Sequence[Solver], triples: Array, stopwatch: Stopwatch
 
 
 def ratios(solvers: Sequence[Solver], triples: Array, stopwatch: Stopwatch) -> dict[str, dict[str, float | None]]:
-    """Return how many times as long as ours each peer takes, one call at a time and in arrays; None = no such call.
+    """Return each peer's run time relative to ours, in single calls and in arrays; None = no such call.
 
-    Both are timed in turns, so that a slower or faster spell of the machine meets them alike.
+    Both are timed in turns, so that variations of the machine's speed affect both equally.
     """
     by_name = {solver.name: solver for solver in solvers}
     batch, singles = _tiled(triples, BATCH), triples[: _SINGLES // 4]
@@ -166,7 +166,7 @@ def function_costs(geometry: DeltaGeometry, interior: Array, stopwatch: Stopwatc
 
 
 def _tiled(points: Array, size: int) -> Array:
-    """Return `size` points, contiguous, repeating the given ones where they are fewer."""
+    """Return `size` points, contiguous, repeating the given ones if they are fewer."""
     return np.ascontiguousarray(np.resize(points, (size, 3)))
 
 

@@ -25,13 +25,13 @@ class Slice:
     """One plane of points (rows, columns).
 
     Attributes:
-        fixed: the axis that it is across, 0–2.
+        fixed: axis normal to the plane, 0–2.
         value: of that axis, m.
         horizontal: coordinates of the columns, m.
         vertical: coordinates of the rows, m.
         edge: distance to the edge of reach, m, negative outside.
-        condition: number of the Jacobian; NaN where the platform cannot be on this assembly.
-        force: newtons along z per ampere of the most loaded servo; NaN likewise.
+        condition: number of the Jacobian; NaN if the platform cannot be on this assembly.
+        force: newtons along z per ampere of the most loaded servo; NaN as above.
         allowed: 1 within joint and swing limits, else 0.
         box: of the workspace in this plane: left, lower, width, height, m.
     """
@@ -164,7 +164,7 @@ def _legend(figure: Any) -> None:
             Line2D([], [], color=INK, linewidth=1.4, label="edge of reach"),
             Line2D([], [], color=INK, linewidth=1.2, linestyle="dashed", label="joint and swing limits"),
             Patch(facecolor="white", edgecolor=INK, linewidth=0.8, label="workspace box"),
-            Patch(facecolor=_BEYOND, label="out of reach, or rods turned over"),
+            Patch(facecolor=_BEYOND, label="out of reach, or the other assembly"),
         ],
         loc="outside lower center",
         ncols=4,

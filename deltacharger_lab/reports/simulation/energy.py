@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Energy: a charger that nobody drives never gains any, and what takes it away is told part by part."""
+"""Energy: a charger that is not driven never gains any; its losses are listed part by part."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NONE = MagnetParameters(force=0.0)
 
 
 def scenes() -> dict[str, tuple[WorldParameters, Vector, tuple[Vector, ...]]]:
-    """Return by name: parameters, where the arm is put, and what is then commanded for 1.5 s (nothing = limp)."""
+    """Return by name: parameters, start position of the arm, and commands for 1.5 s after it (none = limp)."""
     limp = ServoParameters(unpowered_friction=0.0, friction=0.0)
     falling = WorldParameters(servo=limp, magnets=_NONE, gravity_y=-4.0, gravity_z=6.0)
     rubbing = ServoParameters(unpowered_friction=0.02)
@@ -34,10 +34,10 @@ def scenes() -> dict[str, tuple[WorldParameters, Vector, tuple[Vector, ...]]]:
 
 
 def scene(name: str, step: float) -> dict[str, Any]:
-    """Return what became of the energy (J) of a scene at a step (s).
+    """Return the energy balance (J) of a scene at a step (s).
 
     Returns:
-        released (what there was to lose), gain (largest rise above the lowest energy so far), lost by part, and the
+        released (energy that can be lost), gain (largest rise above the lowest energy so far), lost by part, and the
         course of the energy above its end.
     """
     parameters, start, commands = scenes()[name]
@@ -61,12 +61,12 @@ def scene(name: str, step: float) -> dict[str, Any]:
 
 
 def _light(arm: World) -> Mechanics:
-    assert isinstance(arm.mechanics, Mechanics)  # the only one that tells its friction
+    assert isinstance(arm.mechanics, Mechanics)  # the only one that reports its friction
     return arm.mechanics
 
 
 def _dissipated(arm: World, before: Any, step: float, lost: dict[str, float]) -> None:
-    """Add what each part took away in a step: its work, less what its bristle still holds."""
+    """Add the loss of each part in a step: its work minus the energy in its bristle."""
     mechanics, servo, contact = _light(arm), arm.parameters.servo, arm.parameters.contact
     position, angles, gears, rub = before
     for index in range(3):
@@ -84,9 +84,9 @@ def _dissipated(arm: World, before: Any, step: float, lost: dict[str, float]) ->
 
 
 def energy(arm: World, goals: Vector | None) -> float:
-    """Return kinetic, elastic, magnetic energy and weight (J); `goals` (rad) of servos that hold, None = limp.
+    """Return kinetic, elastic, magnetic energy and weight (J); `goals` (rad) of holding servos, None = limp.
 
-    The springs of the servos count as long as no current bound is reached.
+    The servos' springs count while no current bound is reached.
     """
     mechanics, parameters, geometry = _light(arm), arm.parameters, arm.geometry
     mass = geometry.platform_mass + 1.5 * geometry.rod_mass

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A competitor of the light model: its own implicit step, extrapolated from one step and two halves to second order.
 
-Local extrapolation of backward Euler, 2 y(h/2) − y(h), has order 2 and damps what is infinitely stiff (Hairer and
-Wanner, Solving Ordinary Differential Equations II, IV.9). It costs three steps and a linearisation. Forces are those of
+Local extrapolation of backward Euler, 2 y(h/2) − y(h), has order 2 and damps infinitely stiff parts (Hairer and
+Wanner, Solving Ordinary Differential Equations II, IV.9). It costs three steps and a linearisation. Forces are from
 the second half.
 """
 
@@ -20,7 +20,7 @@ class ExtrapolatedMechanics(Mechanics):
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s; arguments as those of `Motion.step`."""
+        """Advance by `dt` s; arguments as in `Motion.step`."""
         whole = copy.copy(self)
         whole.__class__ = Mechanics  # type: ignore[assignment]  # its halves are plain steps
         whole._impact = copy.copy(self._impact)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes at the edge of what can be asked of the world, each with the law that it must keep."""
+"""Scenes at the limits of the world's inputs, each with the law that it must keep."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class ExtremeScene:
     """One extreme.
 
     Attributes:
-        name: of it.
+        name: of the scene.
         law: that it must keep.
         parameters: of its world.
-        play: what is done to the arm; returns whether the law holds, and the figure that shows it.
+        play: moves the arm; returns whether the law holds, and the figure that shows it.
     """
 
     name: str
@@ -60,7 +60,7 @@ def judge(index: int, name: str, step: float) -> dict[str, Any]:
 
 
 def _carries(point: Vector, lead: bool = True) -> Callable[[Arm], Verdict]:
-    """At rest the servos carry the weight, exactly, and the led arm is where it was sent."""
+    """At rest the servos carry exactly the weight, and the led arm is at its goal."""
 
     def play(arm: Arm) -> Verdict:
         arm.go(point, 3.0, lead=lead)
@@ -95,7 +95,7 @@ def _impact(arm: Arm) -> Verdict:
 
 
 def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
-    """Pushed sideways by 20 mm of command, the platform follows by a share of it between two bounds."""
+    """Pushed sideways by 20 mm of command, the platform follows by a share between two bounds."""
 
     def play(arm: Arm) -> Verdict:
         arm.go((0.0, 0.0, 0.07), 1.0)
@@ -111,7 +111,7 @@ def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
 
 
 def _no_side(arm: Arm) -> Verdict:
-    """Pushed sideways without friction, the arm rests where its servos press along z alone."""
+    """Pushed sideways without friction, the arm rests with its servos pressing only along z."""
     arm.go((0.0, 0.0, 0.07), 1.0)
     arm.go((0.0, 0.0, 0.0865), 1.0)
     arm.go((0.02, 0.0, 0.0865), 2.5)
@@ -128,7 +128,7 @@ def _corner(arm: Arm) -> Verdict:
     mechanics = arm.world.mechanics
     force = DELTA.force(*mechanics.position, mechanics.torques)[2]
     off = abs(force - mechanics.contact_force)
-    return off < 1e-2 and mechanics.contact_force > 5.0, f"{mechanics.contact_force:.2f} N; servos say {off:.1e} N else"
+    return off < 1e-2 and mechanics.contact_force > 5.0, f"{mechanics.contact_force:.2f} N; servos {off:.1e} N off"
 
 
 def _edges(arm: Arm) -> Verdict:
@@ -142,7 +142,7 @@ def _edges(arm: Arm) -> Verdict:
             solved = DELTA.solve_forward(*arm.world.mechanics.angles)
             nearest = min(nearest, abs(solved[2]) if solved else nearest)
     beyond = max(max(angle - high, low - angle) for angle in arm.world.mechanics.angles)
-    about = f"{max(beyond, 0.0):.1e} rad beyond a stop; rods' determinant down to {nearest:.2g} on the way"
+    about = f"{max(beyond, 0.0):.1e} rad beyond a stop; smallest determinant of the rods {nearest:.2g}"
     return beyond < 0.01, about
 
 

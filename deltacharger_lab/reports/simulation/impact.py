@@ -34,23 +34,23 @@ from deltacharger_sim.world import World
 STIFFEST = 1e6  # N/m per electrode up to which the target holds
 DOCKING_STEPS = (0.005, 0.01, 0.02)  # s of the world while docking: node and exact campaigns, quick campaigns
 COMMANDS = 0.02  # s between commands of a strike; every step of the grid divides it
-_STANDS, _BEFORE = 0.2, 0.014  # s at rest, and m before the target, where a strike begins
+_STANDS, _BEFORE = 0.2, 0.014  # s at rest, and m before the target, of a strike's start
 _AFTER = 0.12  # s after the last command
 _SOFT = 1e4  # N/m per electrode up to which strikes can reach the stop
-_GRAZING = 5e-5  # m of the stop's depth that should not decide
-_TOLERANCES, _TIGHTEST = (1e-5, 1e-6, TOLERANCE), 1e-11  # of the reference, that are compared with the tightest
-_SNAP_GAP = 0.0025  # m before the target where a snap's line ends: within every servo's unstable range
+_GRAZING = 5e-5  # m of the stop's depth that must not matter
+_TOLERANCES, _TIGHTEST = (1e-5, 1e-6, TOLERANCE), 1e-11  # of the reference, compared with the tightest
+_SNAP_GAP = 0.0025  # m before the target, end of a snap's line: within every servo's unstable range
 
 
 @dataclass(frozen=True)
 class Strike:
-    """How the target is struck.
+    """One kind of strike.
 
     Attributes:
-        name: told on the page.
+        name: on the page.
         speed: of the commanded line, m/s.
         magnets: N.
-        beyond: where the line ends, m beyond the target; soft electrodes are pushed 2 mm deeper.
+        beyond: end of the line, m beyond the target; soft electrodes are pushed 2 mm deeper.
     """
 
     name: str
@@ -69,7 +69,7 @@ STRIKES = (
     Strike("snap by the magnets", 0.02, beyond=-_SNAP_GAP),
 )
 PRESSING = STRIKES[1]
-"""The strike at the speed of docking, by which tolerances and models are compared."""
+"""The strike at the speed of docking, for the comparison of tolerances and models."""
 ON_AXIS = "on the axis"
 
 
@@ -79,7 +79,7 @@ def axis_world(contact: float, servo: float = SERVO_STIFFNESS, magnets: float = 
 
 
 def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[Order], float]:
-    """Return where the charger begins (m), commands along the line, led by the lag, and how long it takes (s)."""
+    """Return the start (m), commands along the line, led by the lag, and the duration (s)."""
     servo, target = parameters.servo, parameters.target.z
     start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness <= _SOFT and strike.beyond > 0.0)
     way = _BEFORE + strike.beyond + deeper
@@ -93,7 +93,7 @@ def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, l
 
 
 def obey(moved: World, orders: Sequence[Order], duration: float, step: float) -> float:
-    """Let a world obey commands in steps of `step` s and return the largest force at an end of a step (N)."""
+    """Run a world with commands in steps of `step` s and return the largest force at an end of a step (N)."""
     told, ends = 0, 0.0
     for index in range(round(duration / step)):
         while told < len(orders) and orders[told][0] <= index * step + 1e-9:
@@ -106,7 +106,7 @@ def obey(moved: World, orders: Sequence[Order], duration: float, step: float) ->
 
 
 def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return the light model's peak (N) of every strike and step, with its error and that of steps' ends (%)."""
+    """Return the light model's peak (N) of every strike and step, with the errors (%) of peak and steps' ends."""
     rows = []
     for strike in STRIKES:
         parameters = axis_world(contact, servo, strike.magnets)
@@ -125,7 +125,7 @@ def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict
 def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
     """Return whether the reference's own peak would change by more than the limit were the stop 0.05 mm nearer.
 
-    Soft electrodes may only just reach their stop; whether they strike it, less than a step's path error decides.
+    Soft electrodes may only just reach their stop; less than a step's path error decides whether they strike it.
     """
     contact = parameters.contact
     if contact.stiffness > _SOFT:
@@ -151,7 +151,7 @@ def axis_docking(contact: float, servo: float) -> dict[str, Any]:
 def integrators(steps: tuple[float, ...]) -> list[dict[str, Any]]:
     """Return path error (mm rms) and peak error (%) of the axis docking, on 1e5 and 1e6 N/m, and run time (µs per ms).
 
-    Models are the light one and its extrapolated competitor; times are those of the fastest of three runs in turn.
+    Models are the light one and its extrapolated competitor; times are the fastest of three runs in turn.
     """
     rows = []
     for contact in (1e5, 1e6):
@@ -174,7 +174,7 @@ def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str
         parameters = axis_world(contact)
         start, orders, duration = strike_orders(parameters, PRESSING)
         moved = model_world(name, parameters, step)
-        # It begins at home: a second takes it to the start of the strike.
+        # It starts at home and reaches the start of the strike in one second.
         led = [orders[0], *((when + 1.0, goal, bound) for when, goal, bound in orders)]
         obey(moved, led, duration + 1.0, step)
         row = {"model": name, "contact": contact, "step": step, "peak": moved.record.peak_force}
@@ -183,7 +183,7 @@ def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str
 
 
 def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return how the reference's peak (N) changes with its tolerance, in % of the tightest."""
+    """Return the change of the reference's peak (N) with its tolerance, in % of the tightest."""
     rows = []
     for contact in contacts:
         parameters = axis_world(contact)
@@ -197,9 +197,9 @@ def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
 
 
 def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return how the whole light model's force at the ends of tiny steps converges: on the axis and off it, sliding.
+    """Return the convergence of the light model's force at the ends of tiny steps: on the axis, and off it, sliding.
 
-    `steps` are halved from one to the next; the order is that of the last three, and the limit Richardson's of it.
+    `steps` are halved from one to the next; the order is from the last three, the limit is Richardson's.
     """
     rows = []
     for name in (ON_AXIS, "off the axis, sliding"):
@@ -218,7 +218,7 @@ def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]
 
 
 def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
-    """Return the largest force at an end of a step and the peak told (N) of a strike at 25 mm/s."""
+    """Return the largest force at an end of a step and the reported peak (N) of a strike at 25 mm/s."""
     if name == ON_AXIS:
         parameters = axis_world(contact)
         start, orders, duration = strike_orders(parameters, PRESSING)
@@ -229,7 +229,7 @@ def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
     moved, ends, count, every = World(parameters, start=begin), 0.0, 30, round(COMMANDS / step)
     for index in range(count + 10):
         share, ahead = (min(each / count, 1.0) for each in (index + 1, index + 1 + lag / COMMANDS))
-        # It slides along x by 10 mm while it comes 15 mm nearer; the lag is led by the point ahead.
+        # It slides along x by 10 mm while it approaches by 15 mm; the point ahead compensates the lag.
         there, on = ((0.02 + 0.01 * part, 0.02, begin[2] + 0.015 * part) for part in (share, ahead))
         for servo, goal in enumerate(DELTA.inverse(*(on if index < count else there))):
             moved.command(servo, True, goal, STALL_CURRENT)
@@ -240,7 +240,7 @@ def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
 
 
 def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -> float:
-    """Return the error farthest from 0 of the rows that have the wanted values; NaN of none, or where one is NaN."""
+    """Return the error farthest from 0 of the rows with the given values; NaN for none, or if one is NaN."""
     found = [row[key] for row in rows if all(row[name] == value for name, value in wanted.items())]
     return max(found, key=abs, default=math.nan) if all(map(is_known, found)) else math.nan
 

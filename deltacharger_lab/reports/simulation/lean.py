@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leaning contacts: error against run time beside MuJoCo, what lean remains at rest, and rough treatment."""
+"""Leaning contacts: error against run time compared with MuJoCo, remaining lean at rest, and rough treatment."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ COMPLIANCES = (0.0, 0.01, 0.02, 0.03)  # rad/(N·m)
 CONTACTS = (1e5, 1e6)  # N/m
 TOLD_YAWS = (1.0, 2.0, 5.0)  # °
 MODEST = 3.5  # ° of lean, up to which the position is judged
-_REFERENCE_STEP = {False: 2e-4, True: 5e-4}  # s; by whether it is a first look
-_FINEST = 1e-3  # s of the steps that every point of the rough treatment takes; the shorter one only some
+_REFERENCE_STEP = {False: 2e-4, True: 5e-4}  # s; by whether the plan is quick
+_FINEST = 1e-3  # s, smallest step of every point of the rough treatment; only some take the shorter one
 _ROUGH_TILTS = ((0.1, -0.1), (-0.03, 0.1))  # rad
 
 
 @dataclass(frozen=True)
 class LeanCase:
-    """A target that leans by `yaw` about y and `pitch` about x (°), `aside` (m), and what yields."""
+    """A target that leans by `yaw` about y and `pitch` about x (°), at an offset `aside` (m), and the compliances."""
 
     yaw: float
     pitch: float
@@ -41,14 +41,14 @@ class LeanCase:
 
     @property
     def name(self) -> str:
-        """What it is called on the page."""
+        """Name on the page."""
         lean = ", ".join(
             f"{what} {angle:g}°" for what, angle in (("yaw", self.yaw), ("pitch", self.pitch)) if angle != 0.0
         )
         return lean + (f", aside by {1e3 * self.aside[0]:g}, {1e3 * self.aside[1]:g} mm" if any(self.aside) else "")
 
     def parameters(self, **changes: Any) -> WorldParameters:
-        """Return its world; `changes` as those of `scenes.world`."""
+        """Return its world; `changes` as in `scenes.world`."""
         x, y = self.aside
         target = TargetParameters(x=x, y=y, tilt_x=math.radians(self.pitch), tilt_y=math.radians(self.yaw))
         return world(self.contact, platform=PlatformParameters(compliance=self.compliance), target=target, **changes)
@@ -71,14 +71,14 @@ CASES = (
 
 
 def cases(plan: SimulationPlan) -> tuple[LeanCase, ...]:
-    """Return those that are measured."""
+    """Return the measured cases."""
     return CASES[::4] if plan.quick else CASES
 
 
 def times(plan: SimulationPlan) -> list[dict[str, Any]]:
-    """Return how many times faster than real time the light model is in motion, at every step; the fastest counts.
+    """Return the light model's speed in motion relative to real time, at every step; the fastest run counts.
 
-    The level world takes turns with the leaning ones, so that a busy machine hits all alike.
+    The level and the leaning worlds take turns, so that a busy machine affects all equally.
     """
     worlds = {"level": world(), **{_key(case): case.parameters() for case in cases(plan)}}
     fastest: dict[tuple[str, float], float] = {}
@@ -90,7 +90,7 @@ def times(plan: SimulationPlan) -> list[dict[str, Any]]:
 def errors(case: LeanCase, name: str, finest: float) -> list[dict[str, Any]]:
     """Return the light model's errors at every step against a model in steps of `finest` s.
 
-    Path with friction and weight; force, tilt and share at rest without, where they are one number.
+    Path with friction and weight; force, tilt and share at rest without, because they are unique then.
     """
     rubbing, free = case.parameters(), case.parameters(friction=0.0, gravity_y=0.0)
     exact, rest = docking(name, rubbing, finest), docking(name, free, finest)
@@ -117,7 +117,7 @@ def errors(case: LeanCase, name: str, finest: float) -> list[dict[str, Any]]:
 
 
 def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
-    """Return what yaw remains at rest for each yaw of the target (°), and the pitch that lifts a whole bar (°)."""
+    """Return the remaining yaw at rest for each yaw of the target (°), and the pitch that lifts a complete bar (°)."""
     angles = TOLD_YAWS if quick else (*tuple(0.25 * index for index in range(23)), 5.7)
     yaws = []
     for yaw in dict.fromkeys((*angles, *TOLD_YAWS)):
@@ -140,7 +140,7 @@ def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
 
 
 def order(plan: SimulationPlan) -> dict[str, Any]:
-    """Return how the path's error against a tenth of the first step falls with the step, without friction."""
+    """Return the path's error against a tenth of the first step for each step, without friction."""
     parameters = LeanCase(3.0, 0.0, 0.02, 1e5).parameters(friction=0.0, gravity_y=0.0)
     exact = docking(LIGHT, parameters, plan.order_steps[0] / 10.0)["trace"]
     sizes = [1000.0 * rms(docking(LIGHT, parameters, step)["trace"], exact) for step in plan.order_steps]
@@ -164,7 +164,7 @@ def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[d
 
 
 def tasks(plan: SimulationPlan, names: tuple[str, ...]) -> Iterator[ReportTask]:
-    """Yield all of its work that need not be alone."""
+    """Yield all work that needs no idle computer."""
     finest = _REFERENCE_STEP[plan.quick]
     for case in cases(plan):
         yield ReportTask("lean", errors, (case, MUJOCO if MUJOCO in names else LIGHT, finest), 0.0004 / finest)

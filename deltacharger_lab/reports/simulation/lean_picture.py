@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of what lean remains at rest."""
+"""Picture of the remaining lean at rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def remaining_yaw(results: dict[str, Any], path: Path) -> None:
     about = "docked, without friction of the gears; lines: light model at 10 ms, by compliance in rad/(N·m)"
     model = MUJOCO if MUJOCO in results["models"] else LIGHT
     marks = f"{model}, {1000.0 * results['lean'][0]['finest']:g} ms"
-    with picture(path, 10.0, 6.6, "What is left of a target's yaw", about) as figure:
+    with picture(path, 10.0, 6.6, "Remaining yaw at rest", about) as figure:
         for column, contact in enumerate(CONTACTS):
             top, bottom = figure.add_subplot(2, 2, column + 1), figure.add_subplot(2, 2, column + 3)
             for line in (row for row in results["lean_remains"] if row["contact"] == contact):

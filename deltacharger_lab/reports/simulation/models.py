@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error against run time of every model, integrator and step, the order of convergence, and how whole dockings end."""
+"""Error against run time of every model, integrator and step, order of convergence, and complete dockings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TARGETS = {
     3: TargetParameters(z=0.077, roll=0.19),
     4: TargetParameters(x=0.001, y=0.001, roll=0.0),
 }
-"""Where whole dockings find their target: the third is turned by 11°, beyond what may be charged."""
+"""Targets of complete dockings: the third is turned by 11°, beyond the limit of charging."""
 
 
 def both(name: str, step: float) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def both(name: str, step: float) -> dict[str, Any]:
 
 
 def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
-    """Return the errors of a model at a step (s): path in mm rms, forces in %, current in A; NaN where it diverged.
+    """Return the errors of a model at a step (s): path in mm rms, forces in %, current in A; NaN if it diverged.
 
     The peak is that of the docking without friction and weight, against the converged one of `exact["axis"]`.
     """
@@ -63,7 +63,7 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
 
 
 def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Return how many times faster than real time each model is, in motion and in all; the fastest of the repeats."""
+    """Return each model's speed relative to real time, in motion and in total; the fastest of the repeats."""
     rows = []
     for name, step in itertools.product(names, plan.steps):
         runs: list[dict[str, Any]] = []
@@ -78,7 +78,7 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 def convergence(plan: SimulationPlan) -> dict[str, Any]:
-    """Return how the light model's error falls with its step: a swing in free air, and the docking without friction.
+    """Return the light model's error for each step: a swing in free air, and the docking without friction.
 
     The slope of log(error) over log(step) by least squares is the order; the implicit Euler rule has 1.
     """
@@ -123,7 +123,7 @@ def trace(name: str, step: float) -> dict[str, Any]:
 
 
 def whole_docking(name: str, step: float, number: int, parameters: WorldParameters | None = None) -> dict[str, Any]:
-    """Dock once with the real state machine: how it ended, after how long, with which current and misalignment.
+    """Dock once with the real state machine; return code, duration, current and misalignment.
 
     Args:
         name: of the model.
@@ -140,7 +140,7 @@ def whole_docking(name: str, step: float, number: int, parameters: WorldParamete
     parameters = dataclasses.replace(parameters or WorldParameters(), target=TARGETS[number], step=step)
     tactile = ContactSource(None, 900, number)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnprovenWarning)  # what long steps do is what is asked here
+        warnings.simplefilter("ignore", UnprovenWarning)  # the effect of long steps is measured here
         charger = VirtualCharger(parameters, seed=number, tactile=tactile)
     if name != LIGHT:
         from deltacharger_sim.mujoco_world import mujoco_world
@@ -167,7 +167,7 @@ def whole_docking(name: str, step: float, number: int, parameters: WorldParamete
 
 
 def docking_cases(plan: SimulationPlan, names: tuple[str, ...]) -> list[tuple[str, float, int]]:
-    """Return (model, step, docking) of every whole docking: the light model at all steps, MuJoCo in steps of 1 ms."""
+    """Return (model, step, docking) of all complete dockings: light model at all steps, MuJoCo in steps of 1 ms."""
     cases = [(LIGHT, step, number) for step in plan.docking_steps for number in plan.dockings]
     if MUJOCO in names:
         cases += [(MUJOCO, 5e-3, number) for number in plan.dockings]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene leaves out: the same docking with and without each part, what it costs and what it changes."""
+"""Parts that a scene may omit: the same docking with and without each, its cost and its effect."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ PADS = "with the pads' model, 120 Hz"
 def costs(plan: SimulationPlan) -> list[dict[str, Any]]:
     """Return for each part the µs of a world's step while it moves into contact, and the memory (kB) of a world.
 
-    The fastest of the repeats counts, which take turns, so that a busy machine hits all parts alike.
+    The fastest of the repeats counts. Parts take turns, so that a busy machine affects all equally.
     """
     makers: dict[str, Callable[[], World]] = {name: partial(World, each) for name, each in PARTS.items()}
     makers[PADS] = _with_pads
@@ -80,8 +80,8 @@ def _microseconds(make: Callable[[], World], pads: bool = False) -> float:
 
 
 def _memory(make: Callable[[], World]) -> float:
-    """Return what a world holds after 200 steps (kB), as Python counts it."""
-    make()  # what is loaded once does not count
+    """Return the memory of a world after 200 steps (kB), by Python's count."""
+    make()  # loading is not counted
     tracemalloc.start()
     arm = Arm(make(), STEP)
     arm.go((0.0, 0.0, 0.0865), 2.0)
@@ -91,13 +91,12 @@ def _memory(make: Callable[[], World]) -> float:
 
 
 def answer(name: str, numbers: tuple[int, ...]) -> list[dict[str, Any]]:
-    """Return how whole dockings end with a part: code, time, contact current, misalignment at rest, the arm at the
-    end."""
+    """Return results of complete dockings with a part: code, time, contact current, misalignment at rest, final arm."""
     return [{"part": name, **whole_docking(LIGHT, STEP, number, PARTS[name])} for number in numbers]
 
 
 def imports() -> list[dict[str, Any]]:
-    """Return what importing each model costs a fresh process: s and MB of resident memory; nothing without /proc."""
+    """Return the cost of importing each model in a new process: s and MB of resident memory; empty without /proc."""
     if not Path("/proc/self/statm").exists():
         return []
     text = (

@@ -19,7 +19,7 @@ from deltacharger_lab.reports.simulation.stability import DIVERGED, FORCE_LIMIT,
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
-_FLOOR = 1e-7  # % of force error, drawn for what is smaller
+_FLOOR = 1e-7  # % of force error, drawn for smaller ones
 _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
 
 
@@ -90,8 +90,8 @@ def _map(results: dict[str, Any], path: Path) -> None:
 def _energy(results: dict[str, Any], path: Path) -> None:
     step = 0.005
     rows = [row for row in results["energy"] if row["step"] == step]
-    about = f"steps of {1000.0 * step:g} ms; left: above what is left at the end; right: what took it away"
-    with picture(path, 11.0, 4.6, "Energy of a charger that nobody drives", about) as figure:
+    about = f"steps of {1000.0 * step:g} ms; left: energy above its final value; right: losses by part"
+    with picture(path, 11.0, 4.6, "Energy of a charger that is not driven", about) as figure:
         left, right = figure.subplots(1, 2)
         for row, colour in zip(rows, (BLUE, ORANGE, GREEN, PURPLE), strict=True):
             times, values = zip(*row["course"], strict=True)
@@ -111,7 +111,7 @@ def _energy(results: dict[str, Any], path: Path) -> None:
 
 
 def _impact(results: dict[str, Any], path: Path) -> None:
-    about = "worst error in % of all servos and strikes, but those that graze the stop, against the converged reference"
+    about = "worst error in % of all servos and strikes, without those that graze the stop, against the reference"
     with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
         from matplotlib.colors import LogNorm
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much the simulation's report measures."""
+"""Plan of the simulation report."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ MUJOCO_USUAL = "MuJoCo usual implicitfast"
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """One report; the defaults are those of the one that is committed.
+    """One report; the defaults are those of the committed one.
 
     Attributes:
         reference_step: of the tiny-step reference, s.
-        steps: of the models that are compared, s.
-        order_steps: from which the order of convergence is fitted, s.
+        steps: of the compared models, s.
+        order_steps: for the fit of the order of convergence, s.
         map_steps: of the stability map, s.
         map_contacts: its contact stiffnesses, N/m.
         map_servos: its servo stiffnesses, N·m/rad.
         strike_contacts: contact stiffnesses of the impacts, N/m.
         strike_servos: their servo stiffnesses, N·m/rad.
         strike_steps: of the world, s.
-        tiny_steps: at which the whole light model converges to an impact, s; each half of the one before.
-        repeats: of every timing, at least; the fastest counts.
-        timing_s: of processor time that a timing is repeated for.
-        dockings: whole dockings for each model and part, by their seeds.
+        tiny_steps: at which the complete light model converges to an impact, s; each half of the one before.
+        repeats: minimum of every timing; the fastest counts.
+        timing_s: processor time for which a timing is repeated.
+        dockings: seeds of complete dockings for each model and part.
         docking_steps: of their worlds, s.
-        parts: how many of the parts that a scene may leave out dock, the first of them.
-        quick: whether it is for a first look.
+        parts: number of optional parts that dock, the first ones.
+        quick: whether it is the short plan.
     """
 
     reference_step: float = 5e-5
@@ -72,18 +72,18 @@ QUICK = SimulationPlan(
     parts=2,
     quick=True,
 )
-"""For a first look."""
+"""The short plan."""
 
 
 def absent() -> dict[str, str]:
-    """Return what is not installed and which rows and pictures go without it."""
+    """Return missing libraries, each with what is left out."""
     if importlib.util.find_spec("mujoco") is None:
         return {"mujoco": "install deltacharger[sim]; the light model with tiny steps is then its own reference"}
     return {}
 
 
 def models_here() -> tuple[str, ...]:
-    """Return the names of the models that can be measured here, the light one first."""
+    """Return the names of the models available here, the light one first."""
     if absent():
         return (LIGHT,)
     from deltacharger_sim.mujoco_model import integrators

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger on its axis as one degree of freedom, integrated to convergence: what impacts and the map are judged by.
+"""The charger on its axis as one degree of freedom, integrated to convergence: the reference of impacts and the map.
 
-At x = y = 0 and without weight all limbs do the same, so that the platform's z is all that moves: M(z) z̈ + ½ M′ ż² =
+At x = y = 0 and without weight all limbs move equally, so the platform's z is the only coordinate: M(z) z̈ + ½ M′ ż² =
 3 θ′ (τ + f) + magnets − electrodes, with M = m + 3 I θ′² (m platform and rods, I rotor), the servos' torque τ = clip(k
 (goal − θ) − d θ′ ż, ±limit), and the gear's friction f, a bristle, as a state. θ(z) is a polynomial through the answers
-of `ScalarDelta`, good to 1e-12 rad, whose derivatives are exact. Nothing here comes from the light model's equations or
+of `ScalarDelta`, good to 1e-12 rad, whose derivatives are exact. Nothing here uses the light model's equations or
 step.
 
 Everything is smooth between touch, stop, saturation, slip and commands; each of these ends a piece of the integration
 (scipy's DOP853, order 8, with root finding), so that no step ever crosses a kink and the error control resolves the
-contact's period. The report tells what a tolerance a thousand times tighter changes.
+contact's period. The report has the change by a tolerance a thousand times tighter.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from deltacharger_sim.parameters import WorldParameters
 
 TOLERANCE = 1e-8  # relative, of a step
 _LOW, _MIDDLE, _HIGH = -0.005, 0.02, 0.105  # m of z; two polynomials cover it
-_DEGREE, _GOOD = 20, 1e-12  # their degree; rad that they may be off
+_DEGREE, _GOOD = 20, 1e-12  # their degree; rad, their largest error
 _ABSOLUTE = (1e-4, 1e-2, 1.0)  # of z (m), speed (m/s) and bristle torque (N·m), each times the tolerance
 _STRIDE, _PHASE = 0.02, 5.0  # s, and rad of the contact's oscillation, of a step at most: longer ones only fail
 _MOST_PIECES = 100_000
-# A piece begins beyond the kink that ended the last one by so much (m, N·m): its events then find the next crossing.
+# A piece starts this far (m, N·m) beyond the kink that ended the last one, so that its events find the next crossing.
 _BEYOND, _BEYOND_TORQUE = 1e-13, 1e-10
 
 Order = tuple[float, float, float]
-"""From this time on (s): the servos' common goal (rad) and current bound (A)."""
+"""Start time (s), the servos' common goal (rad) and current bound (A)."""
 Event = Callable[[float, Any], float]
 
 
 @dataclass
 class AxisCourse:
-    """What the charger did on its axis.
+    """Motion of the charger on its axis.
 
     Attributes:
         trace: z at the sampled times, m.
@@ -68,13 +68,13 @@ def on_axis(
     sample: float = math.inf,
     tolerance: float = TOLERANCE,
 ) -> AxisCourse:
-    """Return the course of a charger that stands at z = `start` (m) and obeys `orders` for `duration` s.
+    """Return the motion of a charger that rests at z = `start` (m) and follows `orders` for `duration` s.
 
-    Weight, tilt, play, latency and sag of the supply are not in it.
+    It excludes weight, tilt, play, latency and sag of the supply.
 
     Raises:
-        ValueError: it left the range of z that is covered.
-        ArithmeticError: the integration failed, or came to no end.
+        ValueError: it left the covered range of z.
+        ArithmeticError: the integration failed, or did not end.
     """
     return _Axis(parameters, tolerance).run(start, orders, duration, sample)
 
@@ -99,7 +99,7 @@ def angle(z: float) -> tuple[float, float, float]:
     """Return θ (rad), θ′ (rad/m) and θ″ (rad/m²) of every limb at z (m) on the axis."""
     low, high = (_MIDDLE, _HIGH) if z > _MIDDLE else (_LOW, _MIDDLE)
     scale = 2.0 / (high - low)
-    # Trial points of a step may lie far out, where a polynomial means nothing.
+    # Trial points of a step may lie far outside the range of the polynomial.
     u, values = min(max((z - low) * scale - 1.0, -1.0), 1.0), []
     for row in _fit(low, high):
         value = 0.0
@@ -110,7 +110,7 @@ def angle(z: float) -> tuple[float, float, float]:
 
 
 class _Axis:
-    """One charger; `_contact`, `_clipped` and `_slip` name the smooth piece in which it is (−1, 0, 1; 0, 1, 2)."""
+    """One charger; `_contact`, `_clipped` and `_slip` name its present smooth piece (−1, 0, 1; 0, 1, 2)."""
 
     def __init__(self, parameters: WorldParameters, tolerance: float) -> None:
         geometry = DeltaGeometry()
@@ -144,7 +144,7 @@ class _Axis:
         return self.course
 
     def _piece(self, now: float, state: Any, end: float, times: list[float]) -> tuple[float, Any]:
-        """Integrate up to `end` or the next kink, and note what is sampled and the peak."""
+        """Integrate up to `end` or the next kink, and record samples and the peak."""
         from scipy.integrate import solve_ivp
 
         events, turn = self._events()
@@ -166,7 +166,7 @@ class _Axis:
         return after, state
 
     def _events(self) -> tuple[list[Event], Event]:
-        """Return what ends the smooth piece, in the order of `_go_on`, and the turning of the motion."""
+        """Return the events that end the smooth piece, in the order of `_go_on`, and the reversal of the motion."""
         wall, stop = self._wall, self._wall + self._electrodes.hard_stop
         high = self._most - _BEYOND_TORQUE * (self._clipped == 1)
         low = -self._most + _BEYOND_TORQUE * (self._clipped == -1)
@@ -182,7 +182,7 @@ class _Axis:
         ], turn
 
     def _go_on(self, state: Any, ended: list[int]) -> None:
-        """Name the next smooth piece; `ended` tells which events ended the last one."""
+        """Name the next smooth piece; `ended` flags the events that ended the last one."""
         for which in ended:
             if which == 0:
                 if not self._contact and math.isnan(self.course.speed):
@@ -199,7 +199,7 @@ class _Axis:
             elif which == 4 and self._slip:
                 self._slip, state[2] = 0, state[2] * (1.0 - _BEYOND_TORQUE)
             else:
-                # A bristle at its upper limit slips while the arm turns back, until it turns forth.
+                # A bristle at its upper limit slips while the arm turns back, until it reverses again.
                 self._slip, state[2] = (1, self._friction) if which == 4 else (-1, -self._friction)
 
     def _contact_at(self, z: float) -> int:
@@ -212,7 +212,7 @@ class _Axis:
         return min(_STRIDE, _PHASE * math.sqrt(mass / stiff)) if stiff else _STRIDE
 
     def _raw(self, z: float, speed: float) -> float:
-        """Return what spring and damper of a servo ask for (N·m), before any bound."""
+        """Return the torque of a servo's spring and damper (N·m), before any bound."""
         theta, first, _ = angle(z)
         return self._servo.stiffness * (self._goal - theta) - self._servo.damping * first * speed
 
@@ -244,7 +244,7 @@ class _Axis:
 
 
 def _event(value: Event, direction: int, terminal: bool = True) -> Event:
-    """Return an event for scipy that ends the integration where it crosses 0 in a direction; 2 = never."""
+    """Return an event for scipy that ends the integration if it crosses 0 in a direction; 2 = never."""
     call: Any = value if direction != 2 else lambda _, __: 1.0
     call.direction, call.terminal = (direction if direction != 2 else 0), terminal
     return call  # type: ignore[no-any-return]

@@ -58,7 +58,7 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
 def _measure(
     results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Progress
 ) -> list[dict[str, Any]]:
-    """Put what is measured into `results`, and return the courses that are only drawn."""
+    """Put the measurements into `results`, and return the traces that are only drawn."""
     known = MUJOCO if MUJOCO in names else LIGHT
     first = [
         ReportTask("reference", models.both, (name, plan.reference_step)) for name in names if name in (LIGHT, MUJOCO)
@@ -90,7 +90,7 @@ def tasks(
     exact: dict[str, Any],
     axis: dict[tuple[float, float], dict[str, Any]],
 ) -> list[ReportTask]:
-    """Return all work that need not be alone; `axis` has the converged dockings by contact and servo stiffness."""
+    """Return all work that needs no idle computer; `axis` has the converged dockings by contact and servo stiffness."""
     found = [ReportTask("convergence", models.convergence, (plan,), 4.0)]
     found += [ReportTask(*each) for each in impact.tasks(plan, names)]
     for name in names:
@@ -120,7 +120,7 @@ def tasks(
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return name, what is wanted, what was measured, its unit and whether it is met, of every target."""
+    """Return every target with its measured value and verdict."""
     light = [point for point in results["map"] if point["model"] == LIGHT]
     at = [
         point
@@ -157,7 +157,7 @@ def is_calm(row: dict[str, Any]) -> bool:
 
 
 def settled(errors: Iterable[dict[str, Any]]) -> list[float]:
-    """Return the forces (N) at which runs with friction rest, at steps up to 10 ms that are right without it."""
+    """Return the forces (N) at rest of runs with friction, at steps up to 10 ms that are right without friction."""
     calm = [
         row
         for row in errors

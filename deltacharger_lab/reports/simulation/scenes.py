@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all parts of the simulation's report share: the models, an arm that is led by platform positions, and a
-docking."""
+"""Common parts of the simulation report: the models, an arm commanded by platform positions, and a docking."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ DELTA = ScalarDelta()
 LIGHT = "light"
 EXTRAPOLATED = "light, extrapolated"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
-SAMPLE = 0.01  # s between places that are compared, where the step allows
+SAMPLE = 0.01  # s between compared positions, if the step allows
 TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
 _FAR = 0.3  # m from the origin that no arm reaches
 PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
@@ -40,14 +39,14 @@ def model_world(name: str, parameters: WorldParameters, step: float) -> World:
         return World(parameters, mechanics=ExtrapolatedMechanics)
     from deltacharger_sim.mujoco_world import mujoco_world
 
-    # That it diverges somewhere is what the report finds out.
+    # The report measures where it diverges.
     logging.getLogger("deltacharger_sim.mujoco_world").setLevel(logging.ERROR)
     found = mujoco_world(parameters, step=step, integrator=name.split()[-1])
     return as_users_set_it(found) if "usual" in name else found
 
 
 class Arm:
-    """A world whose servos are commanded by platform positions, with the weight of the arm led in."""
+    """A world whose servos are commanded by platform positions, with a lead for the arm's weight."""
 
     def __init__(self, world: World, step: float) -> None:
         self.world = world
@@ -75,7 +74,7 @@ class Arm:
             self.world.command(index, False, 0.0, 0.0)
 
     def run(self, seconds: float, sample: float = math.inf) -> None:
-        """Let time pass, keep the place every `sample` s, and add the processor time to `used` (s)."""
+        """Advance, keep the position every `sample` s, and add the processor time to `used` (s)."""
         every = max(1, round(sample / self.step)) if sample < math.inf else 0
         started = time.process_time()
         for index in range(1, max(1, round(seconds / self.step)) + 1):
@@ -117,12 +116,12 @@ def commanded(tick: int) -> float:
 
 
 def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, Any]:
-    """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
+    """Approach, snap, push and hold: positions every SAMPLE, settled force and current, and run time.
 
     Returns:
         trace (list of m), force (N), peak (N), current (A), tilt (rad about x and y), share (of the left pad), speed
-        (m/s left at the end; NaN where MuJoCo began anew), and how many times faster than real time one core was in
-        motion (`moving`) and in all (`all`).
+        (final, m/s; NaN if MuJoCo was reset), and the speed of one core relative to real time in
+        motion (`moving`) and in total (`all`).
     """
     arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
@@ -148,7 +147,7 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
 
 
 def left_share(world: World) -> float:
-    """Return the share of the force on the left pad, 0 to 1, by the contact model of straight ridges; NaN apart."""
+    """Return the share of the force on the left pad, 0 to 1, by the contact model of straight ridges; NaN if apart."""
     mechanics, pose = world.mechanics, world.misalignment
     if pose is None or not all(map(math.isfinite, pose)):
         return math.nan
@@ -163,7 +162,7 @@ def _contact_model() -> ContactModel:
 
 
 def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
-    """Return the rms distance (m) of places from those of a finer or equal sampling of the same time."""
+    """Return the rms distance (m) of positions from those of a finer or equal sampling of the same time."""
     every = len(exact) // len(trace)
     squares = [math.dist(place, exact[(index + 1) * every - 1]) ** 2 for index, place in enumerate(trace)]
     return math.sqrt(sum(squares) / len(squares))
@@ -182,7 +181,7 @@ def world(
 def settled_exactly(parameters: WorldParameters, command: float) -> float:
     """Return the contact force (N) at rest on the axis, weightless, by bisection of springs and magnets.
 
-    No integrator has a part in it; `command` is the commanded z (m), at which the target is touched.
+    It uses no integrator; `command` is the commanded z (m), at which the target is touched.
     """
     goal, wall = DELTA.inverse(0.0, 0.0, command)[0], parameters.target.z
     low, high = wall, wall + 0.025

@@ -11,8 +11,8 @@ from deltacharger_lab.reports.simulation.scenes import PUSH, Arm, docking, model
 from deltacharger_lab.reports.simulation.usual import was_reset
 
 DIVERGED, FORCE_OFF, PATH_OFF, PEAK_OFF, PROVEN = "d", "f", "p", "s", "+"
-FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and % that a proven point may be off
-REST = 1e-4  # m/s that may be left where a world has come to rest
+FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and %: largest errors of a proven point
+REST = 1e-4  # m/s, largest speed of a world at rest
 MODULE = "stability_map.py"
 
 
@@ -46,10 +46,10 @@ def _cell(point: dict[str, Any]) -> str:
 
 
 def roughly(name: str, servo: float, contact: float, step: float, **changes: Any) -> dict[str, Any]:
-    """Treat the arm roughly: full speed against the target, sideways, limp, torn off; `changes` as those of `world`.
+    """Treat the arm roughly: full speed against the target, sideways, limp, torn off; `changes` as in `world`.
 
     Returns:
-        bounded (whether every number stayed finite and near), imbalance (N at worst).
+        bounded (whether every number stayed finite and bounded), imbalance (worst, N).
     """
     arm = Arm(model_world(name, world(contact, servo, **changes), step), step)
     bounded, imbalance = True, 0.0

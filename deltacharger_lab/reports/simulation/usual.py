@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo as its users set it, beside the world's own setting: what the report calls "usual".
+"""MuJoCo with its users' settings, called "usual" in the report, compared with the world's own.
 
 The world's MuJoCo gives contacts a stiffness at rest (`solref` negative) and switches off the guard that keeps time
-constants at two steps or more (`refsafe`), so that stiffness is what was asked for at any step. A usual model keeps the
+constants at two steps or more (`refsafe`), so the stiffness is as requested at any step. A usual model keeps the
 guard and MuJoCo's automatic reset, and gives positive time constants, here those of the same springs, critically
-damped; where two steps are longer, the guard softens the contact instead of letting it diverge.
+damped; if two steps are longer, the guard softens the contact instead of letting it diverge.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deltacharger_sim.world import World
 
 
 def as_users_set_it(world: World) -> World:
-    """Return the world with its MuJoCo set as usual."""
+    """Return the world with MuJoCo's usual settings."""
     mechanics = world.mechanics
     assert isinstance(mechanics, MujocoMechanics)
     import mujoco
@@ -33,6 +33,6 @@ def as_users_set_it(world: World) -> World:
 
 
 def was_reset(world: World) -> bool:
-    """Return whether MuJoCo has met numbers that it could not go on with, and began anew."""
+    """Return whether MuJoCo met numbers that it could not continue with, and was reset."""
     data: Any = getattr(world.mechanics, "data", None)
     return data is not None and any(int(warning.number) for warning in data.warning)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one docking can tell at best, and what passes that: more dockings, a hole in the electrode.
+"""Best possible accuracy of one docking, and ways beyond it: more dockings, a hole in the electrode.
 
 Each row of the section is a function of (rig, seed, plan) that returns accuracies by target; `ROWS` lists them.
 """
@@ -30,7 +30,7 @@ CEILING = "ceiling of one docking"
 
 
 def ceiling(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
-    """Judge what much data of the same rig teaches, best of the models that learn from it in time."""
+    """Judge the best of the models that can learn from much data of the same rig in time."""
     many = [paper_set(rig, 1000 + 100 * seed + index) for index in range(plan.ceiling_sets)]
     fresh = paper_set(rig, 900 + seed)
     row: Row = {"name": CEILING, "about": f"the same rig, {plan.ceiling_sets} times the paper's data, best model"}
@@ -73,7 +73,7 @@ def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
 
 
 ROWS: tuple[Callable[[int, int, TactilePlan], list[Row]], ...] = (ceiling, several_dockings, hole)
-"""What the section is made of."""
+"""Rows of the section."""
 
 
 def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int) -> Row:

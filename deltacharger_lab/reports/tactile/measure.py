@@ -25,28 +25,28 @@ from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.generator import generate_paper
 
 BINS = 10
-"""Of the predicted probability in the reliability diagrams."""
+"""Bins of the predicted probability in the reliability diagrams."""
 WINDOWS = (WINDOW, 2 * WINDOW)
-"""Dockings that the drift check judges together."""
+"""Dockings in one window of the drift check."""
 PAPER = tuple(name for name in NAMES if kind(name) != "physical")
 CUDA = ("nn", "cnn")
-"""Of the paper's models those that train on a CUDA device where there is one."""
-_WARM_UP = 20  # predictions that do not count
-_PASSES = 300  # forward passes of which the median counts
+"""The paper's models that train on a CUDA device, if there is one."""
+_WARM_UP = 20  # predictions that are not counted
+_PASSES = 300  # forward passes; their median counts
 
 
 def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
-    """Return the paper's protocol on one rig; every model drops what is below its own threshold."""
+    """Return the paper's protocol on one rig; every model drops readings below its own threshold."""
     return generate_paper(rigs=(rig,), seed=seed, threshold=0.0, rows=rows)
 
 
 def fitted(name: str, target: str, rows: Examples, seed: int, cut: float | None = None) -> Classifier:
-    """Return a model that has learnt from examples, with its usual threshold or another (N)."""
+    """Return a model trained on examples, with its usual threshold or another (N)."""
     return Classifier(name, target, threshold(name) if cut is None else cut).fit(rows.frames, rows.labels, seed)
 
 
 def accuracy(model: Classifier, rows: Examples) -> float:
-    """Return the share of examples that a model names right."""
+    """Return the share of examples that a model classifies correctly."""
     return float(np.mean(model.predict(rows.frames) == rows.labels))
 
 
@@ -58,7 +58,7 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
         seed: of the dockings.
         part: of `SETS`.
         plan: what is measured.
-        keep: folder for the models; '' = keep none.
+        keep: folder for the models; '' = none.
     """
     with contextlib.suppress(ImportError):
         import torch
@@ -102,7 +102,7 @@ def _judge_shifts(
     subset = known.subset == (SUBSET_ANGLE if part == "angle" else SUBSET_POSITION)
     for shift in SHIFTS:
         fresh = dock_again(known, shift, *device, subset)
-        windows: dict[float, list[float]] = {}  # they depend on no more than what counts as nothing
+        windows: dict[float, list[float]] = {}  # they depend only on the threshold of readings
         for (name, target), model in models.items():
             rows = labels.examples(fresh, target)
             if model.threshold not in windows:
@@ -158,16 +158,16 @@ def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
 
 
 def generation() -> float:
-    """Return the s that a paper-size data set of one rig takes."""
+    """Return the time (s) to generate a paper-size data set of one rig."""
     started = time.perf_counter()
     paper_set(0, 0)
     return time.perf_counter() - started
 
 
 def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
-    """Return every run time; the only work of this moment, in a process with one thread."""
-    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # before PyTorch is imported: these are of one core
-    generation()  # what is loaded and allocated for the first time does not count
+    """Return every run time; runs without other work, in a process with one thread."""
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # before PyTorch is imported: these times are of one core
+    generation()  # loading and first allocation are not counted
     return {
         "predictions": predictions(plan, kept),
         "generation_s": min(generation() for _ in range(3)),
@@ -176,7 +176,7 @@ def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
 
 
 def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what the paper measures, for the angle: training, s, and one forward pass in the trainer's library, ms."""
+    """Return the paper's times for the angle: training, s, and one forward pass in the trainer's library, ms."""
     rows = labels.examples(paper_set(plan.rigs[0], plan.seeds[0]), "angle")
     learns, judges = splits.by_docking(rows, plan.seeds[0])
     found = []
@@ -189,7 +189,7 @@ def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def cuda_timing(plan: TactilePlan) -> dict[str, Any]:
-    """Return the same of what can train on CUDA, with the device's name; '' where there is none, or no PyTorch."""
+    """Return the same for models that train on CUDA, with the device's name; '' without device or PyTorch."""
     try:
         import torch
     except ImportError:
@@ -200,7 +200,7 @@ def cuda_timing(plan: TactilePlan) -> dict[str, Any]:
 
 
 def _timed(predict: Callable[[Any], Any], frame: Any) -> float:
-    """Return the ms that one prediction takes."""
+    """Return the time (ms) of one prediction."""
     started = time.perf_counter()
     predict(frame)
     return 1e3 * (time.perf_counter() - started)

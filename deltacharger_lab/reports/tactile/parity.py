@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ours and the paper's models at one threshold and on the same data; then what lower thresholds and pretraining add."""
+"""Our and the paper's models at one threshold on the same data; gain of lower thresholds and pretraining."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ WAYS: tuple[tuple[str, str, float], ...] = (
     ("pose: features, and what is pretrained", "pose", THRESHOLD),
     ("the pretrained estimate alone", ESTIMATE, THRESHOLD),
 )
-"""What a row is called, which model learns (`ESTIMATE`: none), and the least reading that counts, N."""
+"""Name of a row, the model that learns (`ESTIMATE`: none), and the smallest reading that counts, N."""
 
 
 def compare(rig: int, seed: int) -> list[dict[str, Any]]:
-    """Return of every way that the table of all models lacks the share told right by target, and where it abstains."""
+    """Return correct and abstained shares by target of each row that the table of all models lacks."""
     known, rows = paper_set(rig, seed), []
     for _, model, cut in WAYS:
         if model and cut == threshold(model):
@@ -48,7 +48,7 @@ def compare(rig: int, seed: int) -> list[dict[str, Any]]:
 
 
 def table(measured: Sequence[dict[str, Any]], accuracy: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of all ways: means of what `compare` measured, and what all models reach on the same dockings."""
+    """Return all rows: means of `compare`, and the results of all models on the same dockings."""
     found = []
     for text, model, cut in WAYS:
         rows = [row for row in measured if (row["model"], row["threshold"]) == (model, cut)]
@@ -66,7 +66,7 @@ _NO_SHARES = ("model", "threshold")
 
 
 def _learnt(model: str, examples: Examples, target: str, cut: float, seed: int) -> NDArray[np.int64]:
-    """Return the class (N,) that a model tells which has learnt from the other two thirds."""
+    """Return the class (N,) from a model trained on the other two thirds."""
     told = np.empty(len(examples), dtype=np.int64)
     for learns, judges in splits.thirds(examples, seed):
         told[judges] = fitted(model, target, examples.part(learns), seed, cut).predict(examples.frames[judges])
@@ -74,7 +74,7 @@ def _learnt(model: str, examples: Examples, target: str, cut: float, seed: int) 
 
 
 def _estimated(examples: Examples, target: str, cut: float) -> NDArray[np.int64]:
-    """Return the class (N,) nearest to the packaged model's estimate; −1 where that is out of range by its own rule."""
+    """Return the class (N,) nearest to the packaged model's estimate; −1 if that is out of range by its own rule."""
     found = default_model(cut).predict(examples.frames[:, 0], examples.frames[:, 1])
     value = np.abs(found.angle) if target == "angle" else np.asarray(getattr(found, target))
     nearest = np.argmin(np.abs(np.nan_to_num(value)[:, None] - labels.centres(target)), axis=1)

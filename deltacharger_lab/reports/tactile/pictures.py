@@ -57,7 +57,7 @@ def _bars(axes: Axes, results: dict[str, Any], target: str) -> None:
 
 
 def _labelled_bars(axes: Axes, results: dict[str, Any], height: Any, below: Any, above: Any, form: str) -> None:
-    """Draw a bar of each model with its height written above, and how far the interval reaches from there."""
+    """Draw a bar of each model with its height written above, and its interval."""
     names = results["models"]
     colours = [COLOURS[kind(name)] for name in names]
     bars = axes.bar(range(len(names)), height, 0.66, color=colours, yerr=(below, above), ecolor=INK, capsize=3.0)
@@ -93,7 +93,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
 
 
 def _reach(values: list[float]) -> tuple[float, float]:
-    """Return limits of a logarithmic axis that leave room around values; none at all count as little."""
+    """Return limits of a logarithmic axis with room around values; zero is drawn as a small value."""
     least = min((value for value in values if value > 0.0), default=0.1)
     return 0.6 * least, 1.7 * max(*values, least)
 
@@ -128,8 +128,8 @@ def _shifts(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "coverage in % (nominal 95); green: holds, blue: drift check fires, orange: NEITHER"
     colours = {"coverage holds": "#cfe8d8", "drift check fires": "#cfe0f0", "NEITHER": "#f3c9a5"}
     width = max(9.0, 2.6 + 0.72 * 3 * len(names))
-    with picture(path, width, 6.2, "What is noticed when something changes", about) as figure:
-        figure.set_layout_engine("none")  # the places are given
+    with picture(path, width, 6.2, "Coverage and drift check under changes", about) as figure:
+        figure.set_layout_engine("none")  # positions are fixed
         axes = figure.add_axes((2.35 / width, 0.03, 1.0 - 2.5 / width, 0.76))
         for column, (target, name) in enumerate((target, name) for target in TARGETS for name in names):
             for line, shift in enumerate(shifts):
@@ -160,7 +160,7 @@ def _reliability(results: dict[str, Any], path: Path) -> None:
             for number, (target, colour) in enumerate(zip(TARGETS, (BLUE, ORANGE, GREEN), strict=True)):
                 found = results["diagrams"][name][target]
                 count, sure, right = (np.array(found[key], dtype=float) for key in ("count", "sure", "right"))
-                used = count >= 10  # fewer tell nothing
+                used = count >= 10  # fewer are not significant
                 above.plot(sure[used] / count[used], right[used] / count[used], "o-", color=colour, markersize=5,
                            linewidth=1.3, label=target)  # fmt: skip
                 places = (np.arange(BINS) + 0.25 * (number + 0.5) + 0.125) / BINS
@@ -174,7 +174,7 @@ def _reliability(results: dict[str, Any], path: Path) -> None:
 
 def _confusion(results: dict[str, Any], path: Path) -> None:
     names = results["judged"]
-    about = _ABOUT + "rows: true class, columns: class told, % of the row; unseen dockings of the same rigs"
+    about = _ABOUT + "rows: true class, columns: predicted class, % of the row; unseen dockings of the same rigs"
     ticks = {"angle": [str(each) for each in range(6)]}
     with picture(path, 9.5, 1.2 + 2.55 * len(names), "Confusion", about) as figure:
         panels = figure.subplots(len(names), 3, squeeze=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tactile report measures: models, rigs, seeds, shifts; and which libraries are absent."""
+"""Plan of the tactile report: models, rigs, seeds, shifts; and missing libraries."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from deltacharger_tactile.estimator import THRESHOLD
 
 TARGETS = ("angle", "vertical", "horizontal")
 SETS = {"angle": ("angle",), "position": ("vertical", "horizontal")}
-"""The paper's two data sets, and what is learnt from each."""
+"""The paper's two data sets, and the targets learnt from each."""
 KINDS = {"shallow": "shallow", "deep": "deep", "physical": "physical features"}
-"""Kinds of model, as pictures tell them apart."""
-_TITLES = {"logistic": "LR", "tree": "DT", "forest": "RF", "xgboost": "XGBoost", "pose": "pose"}  # no mere capitals
+"""Kinds of model in pictures."""
+_TITLES = {"logistic": "LR", "tree": "DT", "forest": "RF", "xgboost": "XGBoost", "pose": "pose"}  # not just upper case
 _LIBRARIES = {"xgboost": "xgboost", "nn": "torch", "cnn": "torch"}  # scikit-learn trains the others
 
 
 @dataclass(frozen=True)
 class TactilePlan:
-    """What is measured.
+    """Extent of the measurement.
 
     Attributes:
-        rigs: seeds of simulated devices that served no tuning.
+        rigs: seeds of simulated devices; none was used for tuning.
         seeds: of the dockings, on each rig.
         names: models.
-        judged: those of the table of shifts, of reliability and confusion.
+        judged: models in the tables of shifts, reliability and confusion.
         split_rigs: devices of the comparison of splits.
         ceiling_sets: paper-size sets of one rig that the ceiling is learnt from.
         ceiling_rigs: devices of the section on one and several dockings.
         windows: windows of dockings drawn from each data set.
         repeats: single predictions that are timed.
-        second_count: dockings of the second contact physics on each rig by which the pretrained estimates are judged.
+        second_count: dockings of the second contact physics on each rig, for the pretrained estimates.
         quick: whether this is the short plan.
     """
 
@@ -51,7 +51,7 @@ class TactilePlan:
 
 
 def full_plan(seed: int) -> TactilePlan:
-    """Return what the report measures by default: 10 rigs, each docked once through the protocol."""
+    """Return the default plan: 10 rigs, each docked once through the protocol."""
     names = _trainable(tuple(NAMES))
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = (3 * seed,)
@@ -60,19 +60,19 @@ def full_plan(seed: int) -> TactilePlan:
 
 
 def quick_plan(seed: int) -> TactilePlan:
-    """Return what a quick look and the tests measure: one rig, one seed, few models."""
+    """Return the short plan, also of the tests: one rig, one seed, few models."""
     names = _trainable(("forest", "nn", "lda", "pose"))
     judged = _trainable(("lda", "pose"))
     return TactilePlan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, 60, quick=True)
 
 
 def default(plan: TactilePlan) -> str:
-    """Return the default estimator, or the best of those that can be trained here; '' where there is none."""
+    """Return the default estimator, or the best of those that can be trained here; '' for none."""
     return next((name for name in (DEFAULT, "lda", *plan.names) if name in plan.names), "")
 
 
 def title(name: str) -> str:
-    """Return how pictures and tables call a model."""
+    """Return the name of a model in pictures and tables."""
     return _TITLES.get(name, name.upper())
 
 
@@ -84,12 +84,12 @@ def kind(name: str) -> str:
 
 
 def threshold(name: str) -> float:
-    """Return what a model counts as nothing, N: the paper's 1 N, or that of the packaged pose model."""
+    """Return the threshold of a model's readings, N: the paper's 1 N, or that of the packaged pose model."""
     return THRESHOLD if NAMES[name][1] == "pose" else CONTACT_FORCE
 
 
 def absent() -> dict[str, str]:
-    """Return for each library that is not installed what is left out."""
+    """Return for each missing library what is left out."""
     found = {}
     for module, what in (("sklearn", "scikit-learn's models"), ("xgboost", "XGBoost"), ("torch", "NN and CNN")):
         if find_spec(module) is None:

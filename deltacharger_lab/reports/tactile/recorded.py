@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's protocol by docking's own movements on the simulated charger, beside the set that is generated."""
+"""The paper's protocol by docking's own movements on the simulated charger, compared with the generated set."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from deltacharger_tactile.dataset import SUBSET_ANGLE
 
 
 def judge(rig: int, seed: int, plan: TactilePlan) -> dict[str, Any]:
-    """Record both sets on one rig, and judge every model on them, each third by what learnt the others.
+    """Record both sets on one rig, and judge every model on them, each third by training on the others.
 
     Returns:
-        rig; `left` (2,) m, root mean square of what vision left of the starts along x and y; `models`, by name and
-        target the share told right.
+        rig; `left` (2,) m, root mean square of the offset that vision left along x and y; `models`, by name and
+        target the correct share.
     """
     recording = Protocol(rig, seed, threshold=0.0)
     data = dataset(recording, [(part, touch) for part in recording.parts() for touch in record_part(recording, part)])
@@ -39,7 +39,7 @@ def judge(rig: int, seed: int, plan: TactilePlan) -> dict[str, Any]:
 
 
 def table(measured: list[dict[str, Any]], generated: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return by model and target the share told right of the recorded and of the generated sets of the same rigs."""
+    """Return by model and target the correct share of the recorded and generated sets of the same rigs."""
     if not measured:
         return {}
     rigs = {row["rig"] for row in measured}

@@ -27,7 +27,7 @@ from deltacharger_tactile.second.parameters import SecondParameters
 
 HOLDS, FIRES, NEITHER = "coverage holds", "drift check fires", "NEITHER"
 POINTS = 0.015
-"""By which coverage may miss its nominal value."""
+"""Allowed error of coverage."""
 FALSE_ALARMS = 0.01
 PAPER_FIGURES = (
     ("cnn", "angle", 95.46),
@@ -35,7 +35,7 @@ PAPER_FIGURES = (
     ("cnn", "horizontal", 86.9),
     ("nn", "horizontal", 87.9),
 )
-"""What the paper tells of its networks, %."""
+"""The paper's accuracies of its networks, %."""
 _OFTEN = 0.5  # share of frames or windows from which the drift check counts as firing
 
 Row = dict[str, Any]
@@ -47,12 +47,12 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) 
     """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
 
     Raises:
-        ModuleNotFoundError: no library that trains is installed.
+        ModuleNotFoundError: no training library is installed.
         OSError: a file cannot be written.
         KeyboardInterrupt: interrupted; nothing was written.
     """
     if not plan.names:
-        raise ModuleNotFoundError("nothing that trains is installed", name="sklearn")
+        raise ModuleNotFoundError("no training library is installed", name="sklearn")
     report = Report("tactile", command, _LIBRARIES, html=True)
     results = report.results
     results |= {
@@ -118,7 +118,7 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
 
 
 def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
-    """Return all work but the run times, which must be alone."""
+    """Return all work except the run times, which need an idle computer."""
     found = []
     for rig in plan.rigs:
         for seed in plan.seeds:
@@ -193,7 +193,7 @@ def diagrams(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
 
 
 def mean_rows(rows: Iterable[Row]) -> list[Row]:
-    """Return rows of the same name as one, with the mean of each target."""
+    """Merge rows of the same name, with the mean of each target."""
     return [
         {**members[0], **{target: float(np.mean([row[target] for row in members])) for target in TARGETS}}
         for _, members in grouped(rows, "name")
@@ -201,24 +201,24 @@ def mean_rows(rows: Iterable[Row]) -> list[Row]:
 
 
 def best(figures: Row) -> str:
-    """Return the shallow model that tells the angle best; '' without any."""
+    """Return the shallow model with the best accuracy of the angle; '' for none."""
     shallow: list[str] = [name for name in figures["models"] if kind(name) == "shallow"]
     return max(shallow, key=lambda name: figures["accuracy"][name]["angle"]["mean"], default="")
 
 
 def slowest(figures: Row) -> str:
-    """Return the model of the paper that takes longest to tell the angle."""
+    """Return the paper's model with the longest prediction of the angle."""
     paper: list[str] = [name for name in figures["models"] if kind(name) != "physical"]
     return max(paper, key=lambda name: figures["times"][name]["angle"]["median_ms"])
 
 
 def _accuracy_targets(results: Row, name: str) -> list[Row]:
-    """Return the paper's figures to be met within 1.5 points, and ours at the paper's threshold and at our own."""
+    """Return the targets of the paper's figures (within 1.5 points), and ours at the paper's and our threshold."""
     found = []
-    for model, target, told in PAPER_FIGURES:
+    for model, target, published in PAPER_FIGURES:
         if model in results["accuracy"]:
-            off = abs(100.0 * results["accuracy"][model][target]["mean"] - told)
-            found.append(at_most(f"{title(model)}, {target}, off the paper's {told:g} %", off, 1.5, "points"))
+            off = abs(100.0 * results["accuracy"][model][target]["mean"] - published)
+            found.append(at_most(f"{title(model)}, {target}, off the paper's {published:g} %", off, 1.5, "points"))
     top: Row = next((row for row in results["ceiling"] if row["name"] == CEILING), {})
     one_newton: Row = next((row for row in results["parity"] if (row["model"], row["threshold"]) == (name, 1.0)), {})
     for target, least, at_one in zip(TARGETS, (98.0, 98.5, 94.0), (97.5, 98.5, 89.0), strict=True):
@@ -232,21 +232,21 @@ def _accuracy_targets(results: Row, name: str) -> list[Row]:
 
 
 def _second_targets(found: Row) -> list[Row]:
-    """Return what is asked of the models on the physics that none of them has seen."""
-    told = [row["second"] for row in found["models"]]
-    lost = [row for row in told if row["coverage"] < NOMINAL - POINTS]
+    """Return the targets of the models on the physics that none has seen."""
+    second_rows = [row["second"] for row in found["models"]]
+    lost = [row for row in second_rows if row["coverage"] < NOMINAL - POINTS]
     unseen = [row for row in lost if max(row["drift_rate"], row["windows"][-1]) <= _OFTEN]
-    missed = len(unseen) if told else math.nan
+    missed = len(unseen) if second_rows else math.nan
     z, unsafe = second.worst_z(found["estimates"]), second.unsafe(found["estimates"], found["variants"])
     return [
         none("pretrained estimates, second physics and its families, unsafe acts", unsafe, ""),
         at_most("pretrained estimate, second physics, rms of error over σ, worst axis", z, second.BELIEVED, ""),
-        at_most("judged models, second physics, neither covered nor noticed", missed, 0.0, f"of {len(told)}"),
+        at_most("judged models, second physics, neither covered nor noticed", missed, 0.0, f"of {len(second_rows)}"),
     ]
 
 
 def targets(results: Row, plan: TactilePlan) -> list[Row]:
-    """Return each target with what was measured and whether it is met."""
+    """Return each target with its measured value and verdict."""
     name = default(plan)
     who = title(name)
     calm = [row for row in results["shifts"] if row["model"] == name and row["shift"] == NONE.name]

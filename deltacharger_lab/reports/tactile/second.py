@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What models that know the first contact physics alone make of the second: classifiers and pretrained estimates."""
+"""Models of the first contact physics judged on the second: classifiers and pretrained estimates."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ FIRST, SECOND = "first", "second"
 FRAMES = (12, 1)
 """Frames averaged in an estimate: the robot's number, and one."""
 CUTS = (THRESHOLD, CONTACT_FORCE)
-"""Of the two pretrained estimates, N."""
+"""Thresholds of the two pretrained estimates, N."""
 AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizontal": (0, 1e3, "mm")}
-"""Where an axis stands in a pose, and the unit of its errors."""
+"""Index of an axis in a pose, and the scale and unit of its errors."""
 BELIEVED = 1.5
-"""rms of error over σ up to which a σ is believed."""
+"""Largest rms of error over σ for which σ counts as right."""
 _DOCKING = DockingParameters()
 _WHOLE = "as it is"
 _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
@@ -50,11 +50,11 @@ def judge_models(
     """Judge models of one rig by dockings of the second physics.
 
     Args:
-        models: by name and target, as `judge_rig` made them.
-        known: data set of the first physics, whose commanded poses are docked at anew.
-        rows: which of them.
+        models: from `judge_rig`, by name and target.
+        known: data set of the first physics; its commanded poses are docked again.
+        rows: of these poses.
         device: seeds of rig and dockings.
-        windows: shares of windows of dockings that look unlike training.
+        windows: shares of windows of dockings that differ from training.
     """
     columns = {item.name: getattr(known, item.name) for item in dataclasses.fields(Dataset) if item.name != "meta"}
     fresh = dock_anew(Dataset(meta=known.meta, **{name: each[rows] for name, each in columns.items()}), device[1])
@@ -69,7 +69,7 @@ def judge_models(
 
 
 def table(rows: Iterable[Row], usual: Iterable[Row]) -> list[Row]:
-    """Return means over rigs and seeds, by model and target, beside the first physics' of unshifted dockings."""
+    """Return means over rigs and seeds, by model and target, with those of the first physics without shift."""
     before = {(row["model"], row["target"]): row for row in usual}
     found = []
     for (name, target), members in grouped(rows, "model", "target"):
@@ -80,7 +80,7 @@ def table(rows: Iterable[Row], usual: Iterable[Row]) -> list[Row]:
 
 
 def judge_estimates(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
-    """Count what both pretrained estimates do on one rig of each physics, of one frame and of twelve."""
+    """Count the results of both pretrained estimates on one rig of each physics, of one frame and of twelve."""
     found = []
     for frames in FRAMES:
         known = generate_continuous(rigs=(rig,), count=plan.second_count, seed=seed, frames=frames, threshold=0.0)
@@ -93,7 +93,7 @@ def judge_estimates(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
 
 
 def judge_variants(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
-    """Count the same of the packaged estimate on families that lack single laws of the second physics."""
+    """Count the same for the packaged estimate on families without single laws of the second physics."""
     known = generate_continuous(rigs=(rig,), count=plan.second_count, seed=seed, frames=FRAMES[0], threshold=0.0)
     return [
         {"variant": name, **_counts(dock_anew(known, seed, FRAMES[0], 0.0, JUST_NOW, family), THRESHOLD)}
@@ -102,7 +102,7 @@ def judge_variants(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
 
 
 def variants() -> dict[str, SecondParameters]:
-    """Return families of the second physics that lack a law, by what they are called."""
+    """Return families of the second physics that lack a law, by name."""
     base = SecondParameters()
 
     def other(**groups: dict[str, Any]) -> SecondParameters:
@@ -131,7 +131,7 @@ def variants() -> dict[str, SecondParameters]:
 
 
 def _counts(data: Dataset, cut: float) -> Row:
-    """Return counts and sums of one estimate over a data set, so that those of several may be added up."""
+    """Return counts and sums of one estimate over a data set, which can be added over several."""
     model, truth = default_model(cut), data.contact_pose
     left, right = data.robot_frames()
     told = model.predict(left, right)
@@ -151,7 +151,7 @@ def _counts(data: Dataset, cut: float) -> Row:
 
 
 def _acts(told: Estimate) -> Any:
-    """Return (N,) whether an estimate is sure and leaves the clearance that docking keeps, at as many σ."""
+    """Return (N,) whether an estimate is sure and leaves docking's minimum clearance at docking's number of σ."""
     half = _DOCKING.electrode_half_length
     spread = np.hypot(half * np.asarray(told.angle_stddev), np.asarray(told.across_stddev))
     left = _clearances(told.angle, told.across) - _DOCKING.clearance_sigmas * spread
@@ -164,7 +164,7 @@ def _clearances(angles: Any, across: Any) -> Any:
 
 
 def summed(rows: Iterable[Row], *keys: str) -> list[Row]:
-    """Return for each value of the keys the shares and the root mean squares of all rigs' dockings together."""
+    """Return for each value of the keys the shares and root mean squares over all rigs' dockings."""
     found = []
     for values, members in grouped(rows, *keys):
         total = {key: sum(row[key] for row in members) for key in _COUNTED}
@@ -185,9 +185,9 @@ def worst_z(estimates: Iterable[Row]) -> float:
 
 
 def unsafe(estimates: Iterable[Row], variants: Iterable[Row]) -> float:
-    """Return how often an estimate would have energised without clearance on the second physics or a family of it.
+    """Return how often an estimate would have energised without clearance on the second physics or one of its families.
 
-    The whole family's dockings are among those of the estimates, and count once.
+    Dockings of the unchanged family are also in those of the estimates, and count once.
     """
     chosen = [row["unsafe"] for row in estimates if row["physics"] != FIRST]
     chosen += [row["unsafe"] for row in variants if row["variant"] != _WHOLE]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may change after training: how a simulated rig, its target or its sensor differs from the one it learnt on."""
+"""Changes after training: differences of a simulated rig, its target or its sensor from the training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
 
-_OTHER = 100  # added to a rig's seed for another one
+_OTHER = 100  # added to a rig's seed for another rig
 _TILT = math.radians(0.06)
 
 
@@ -26,11 +26,11 @@ class Shift:
     """One change.
 
     Attributes:
-        name: as tables call it.
+        name: in tables.
         parameters: of the changed rig.
         other: added to the rig's seed.
-        rig: what happens to the rig.
-        frames: what happens to frames (N, 2, 10, 10) N, NaN where dead.
+        rig: change of the rig.
+        frames: change of frames (N, 2, 10, 10) N, NaN where dead.
     """
 
     name: str
@@ -85,7 +85,7 @@ SHIFTS = (
     Shift("another sensor and rig", other=_OTHER),
     Shift("two rows of a pad read 0", frames=_rows_silent),
 )
-"""Of the table; rig-wide changes keep whatever else the seed of the rig decides."""
+"""Shifts of the table; changes of a rig keep everything else that its seed decides."""
 
 
 def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: Mask) -> Dataset:
@@ -93,10 +93,10 @@ def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: Mask) ->
 
     Args:
         known: of the rig, one row of each docking.
-        shift: what has changed.
+        shift: the change.
         rig: seed of the device.
         seed: of the dockings.
-        rows: which of the data set's dockings are repeated.
+        rows: the data set's dockings to repeat.
     """
     pose = np.column_stack([known.horizontal, known.vertical, known.angle])[rows]
     changed = shift.rig(Rig.draw(shift.parameters, rig + shift.other))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same models under four ways to split data of which each docking has several rows."""
+"""The same models under four splits of data with several rows per docking."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROWS = 3
 SPLITS = ("by docking", "random by frame", "leave one rig out", "leave one session out")
 BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT = SPLITS
 _SHARE = 0.67
-_DOCKINGS = 0.34  # of the dockings of a rig, so that all splits together end in time
+_DOCKINGS = 0.34  # of the dockings of a rig, to bound the total time
 
 
 def compare(name: str, target: str, rigs: tuple[int, ...], seed: int) -> list[dict[str, Any]]:
@@ -24,7 +24,7 @@ def compare(name: str, target: str, rigs: tuple[int, ...], seed: int) -> list[di
 
     Args:
         name: of the model.
-        target: what it tells.
+        target: of the prediction.
         rigs: seeds of the devices.
         seed: of dockings and splits.
     """

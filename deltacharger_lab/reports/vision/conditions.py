@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the vision report looks at: rows of images of one kind, and what the detector is told of the camera."""
+"""Conditions of the vision report: rows of images of one kind, and the camera that the detector assumes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deltacharger_vision.rendering.obstructions import KINDS
 RANGES = (0.15, 0.17, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 1.00)
 """m."""
 BAND = (0.15, 0.80)
-"""Ranges that the targets speak of, m."""
+"""Ranges of the targets, m."""
 SIZES = ((320, 200), (640, 400), (1280, 800))
 ANYWHERE = (0.2, 0.8)
 RAYS, MUJOCO = "ray-caster", "MuJoCo"
@@ -44,14 +44,14 @@ class Condition:
         name: of the row.
         group: the table.
         draw: draws a view.
-        weight: images, in parts of what a row usually has.
+        weight: number of images relative to a usual row.
         real: whether there are electrodes.
         takes: the camera that takes the image.
-        told: what the detector is told of it.
-        color_only: whether depth is unknown.
+        told: camera that the detector assumes.
+        color_only: whether there is no depth.
         renderer: RAYS or MUJOCO.
         stream: rows of one stream share their views.
-        away: m, where the row is of one range.
+        away: m, if the row has one range.
     """
 
     name: str
@@ -127,11 +127,11 @@ _FIXED = (
 
 
 _SHARES = ((RAYS, 0.7), (MUJOCO, 0.3))
-"""Which part of the images each renderer draws."""
+"""Share of the images for each renderer."""
 
 
 def _obstructed() -> list[Condition]:
-    """Return rows of each kind of obstruction, of nothing, and of what hides more than half: 1000, 1000, 200 images."""
+    """Return rows of each obstruction, of none, and of those that hide more than half: 1000, 1000, 200 images."""
     found = []
     for renderer, share in _SHARES:
         for kind in KINDS:

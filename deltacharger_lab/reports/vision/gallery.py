@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of the vision report with what was detected drawn into them."""
+"""Images of the vision report with the detections drawn in."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ _HARD = (
     "alarms: clutter, no electrodes",
 )
 _COLUMNS = 4
-_AROUND = 2.4  # what is shown, in lengths of the bars
+_AROUND = 2.4  # shown size, in lengths of the bars
 _ASPECT = 1.6
 
 
 def renderers(results: dict[str, Any], path: Path) -> None:
-    """Write one scene as each renderer that works here draws it, with the detection."""
+    """Write one scene by each renderer that works here, with the detection."""
     names = (f"{RENDERERS}: drawn room, decoys, {renderer}" for renderer in (RAYS, MUJOCO))
     shown = [CONDITIONS[name] for name in names if name in results["rows"]]
     width, height = 0.3 + 5.6 * len(shown), 1.2 + 3.5
-    about = "simulated images; the same scene and the same defects; green: what was detected"
+    about = "simulated images; the same scene and the same defects; green: detection"
     title = "Both renderers" if len(shown) > 1 else shown[0].renderer
     detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
     with closing as photographer, picture(path, width, height, title, about) as figure:
@@ -66,9 +66,7 @@ def hard(results: dict[str, Any], path: Path) -> None:
     names = [name for name in _HARD if name in images]
     lines = -(-len(names) // _COLUMNS)
     width, height = 12.4, 0.95 + 2.15 * lines
-    about = (
-        "simulated images: of each row one that was missed, or the one with the largest error; blue: what was detected"
-    )
+    about = "simulated images: of each row one that was missed, or the one with the largest error; blue: detection"
     detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
     with closing as photographer, picture(path, width, height, "Hard images", about) as figure:
         panels = figure.subplots(lines, _COLUMNS, squeeze=False)
@@ -83,7 +81,7 @@ def obstructed(results: dict[str, Any], path: Path) -> None:
     names = [name for name in (key(each) for each in members(OBSTRUCTED)) if name in results["rows"]]
     names = [name for name in names if CONDITIONS[name].renderer == RAYS]
     lines, first = len(names), results["first_seed"]
-    about = "simulated images, the first of each kind; blue: what was detected"
+    about = "simulated images, the first of each kind; blue: detection"
     title = "Something before the bars"
     detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
     with closing as photographer, picture(path, 12.4, 0.95 + 2.15 * lines, title, about) as figure:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the detector makes of images of one kind, image by image; and how long it takes."""
+"""Results of the detector on images of one kind, image by image, and its run time."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import RenderedScene
 
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
-"""A detection that is farther off, m or rad, is wrong."""
+"""A detection with a larger error, m or rad, is wrong."""
 _LEANS = ("yaw_deg", "pitch_deg", "yaw_sigma", "pitch_sigma")
 FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg", *_LEANS, "error_mm", "sure")
-"""Of one image. found and wrong are 0 or 1. Errors are NaN where nothing right was found, those of tilt and lean also
-where no normal is told. Yaw and pitch are those in charger_base by an exact mount; *_sigma are their errors in units of
-the told standard deviation. error_mm is that of the position in all; sure is 1 where the answer is wrong and sure."""
+"""Fields of one image. found and wrong are 0 or 1. Errors are NaN without a right detection, errors of tilt and lean
+also without a normal. Yaw and pitch are in charger_base by an exact mount; *_sigma are their errors in units of the
+reported standard deviation. error_mm is the total error of the position; sure is 1 if the answer is wrong and sure."""
 SURE_ERROR, SURE_SIGMAS, SURE_TILT = 0.003, 6.0, math.radians(15.0)
-"""An answer is wrong and sure that is farther off than SURE_ERROR (m) and than SURE_SIGMAS of its own covariance
-(Mahalanobis), or whose normal is off by more than SURE_TILT (rad)."""
+"""An answer is wrong and sure if its error exceeds SURE_ERROR (m) and SURE_SIGMAS of its own covariance (Mahalanobis),
+or if its normal errs by more than SURE_TILT (rad)."""
 _WARM_UP = 5
-_RUNS = 3  # of one detection; other work of the machine only ever adds to the least
+_RUNS = 3  # of one detection; the least counts, because other work of the machine only adds time
 
 LEVELS = {"exact": (0.0, 0.0), "0.5° / 2 mm": (math.radians(0.5), 0.002), "1° / 3 mm": (math.radians(1.0), 0.003)}
 """Standard deviation of the mount about and along each axis, rad and m, by name."""
 MOUNT_FIELDS = ("seed", "found", "camera_mm", "base_mm", "xy_mm", "z_mm", "roll_deg", "nees", *_LEANS)
-"""Of one image: error of the position in the camera's frame and in charger_base, there also across and along z."""
+"""Fields of one image: position error in the camera's frame and in charger_base, there also across and along z."""
 _EXACT = Mount(Mount.default().pose, np.zeros((6, 6)))
 _ASIDE, _AWAY = 0.010, (0.070, 0.090)  # m, of the target in charger_base
 _ROLL, _LEAN = math.radians(6.0), math.radians(2.0)
@@ -53,8 +53,8 @@ class Sample:
     """One image.
 
     Attributes:
-        view: what was before the camera.
-        image: the image, with what the detector is told of the camera.
+        view: scene before the camera.
+        image: with the camera that the detector assumes.
     """
 
     view: DrawnView
@@ -68,7 +68,7 @@ class Photographer:
         self._cameras: dict[tuple[Intrinsics, CameraParameters, str], SimulatedCamera | MujocoCamera] = {}
 
     def take(self, condition: Condition, seed: int) -> Sample:
-        """Return the image of a seed: views by stream, so that rows compare; noise of its own."""
+        """Return the image of a seed: views by stream, so that rows compare; independent noise."""
         view = condition.draw(np.random.default_rng([seed, condition.stream]))
         known = (condition.takes, view.camera, condition.renderer)
         if known not in self._cameras:
@@ -99,7 +99,7 @@ def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
 
 
 def errors(found: Detection | None, pose: Array, real: bool = True) -> list[float]:
-    """Return FIELDS but the seed, of a detection where the terminal is at (4, 4) `pose`, or is none."""
+    """Return FIELDS without the seed, of a detection of a terminal at (4, 4) `pose`, or without one."""
     nothing = [math.nan] * (len(FIELDS) - 4)
     if found is None:
         return [0.0, 0.0, *nothing, 0.0]
@@ -116,14 +116,14 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
 
 
 def _lean_errors(placed: Placed, target: Array) -> list[float]:
-    """Return _LEANS where the terminal is at (4, 4) `target` in charger_base."""
+    """Return _LEANS for a terminal at (4, 4) `target` in charger_base."""
     found, (x, y, z) = placed.lean(), target[:3, 2]
     yaw, pitch = found.yaw - math.atan2(x, z), found.pitch - math.atan2(-y, z)
     return [math.degrees(abs(yaw)), math.degrees(abs(pitch)), yaw / found.yaw_stddev, pitch / found.pitch_stddev]
 
 
 def _off(found: Detection | Placed, pose: Array) -> tuple[Array, float]:
-    """Return the error (3,) m and that of roll, rad, of a detection where the terminal is at (4, 4) `pose`."""
+    """Return the errors of position (3,) m and roll, rad, of a detection of a terminal at (4, 4) `pose`."""
     return found.position - pose[:3, 3], math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
 
 
@@ -134,7 +134,7 @@ def _nees(error: Array, found: Detection | Placed) -> float:
 def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
     """Return the level's name and a row of MOUNT_FIELDS for each seed.
 
-    The camera sits where the mount's error has put it; what it detects is told by the nominal mount.
+    The camera's pose includes the mount's error; detections are transformed by the nominal mount.
     """
     one_thread()
     nominal = Mount.default().pose
@@ -142,7 +142,7 @@ def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]
     mount = Mount(nominal, np.diag([translation**2] * 3 + [rotation**2] * 3))
     camera, detector, rows = SimulatedCamera(), ElectrodeDetector(), []
     for seed in seeds:
-        random = np.random.default_rng(seed)  # the levels compare: same targets, same directions of the error
+        random = np.random.default_rng(seed)  # equal targets and directions of the error for all levels
         scene, target = RenderedScene(light=draw_light(random)), draw_target(random)
         true = nominal.copy()
         true[:3, :3] = turn(rotation * random.standard_normal(3)) @ nominal[:3, :3]
@@ -163,7 +163,7 @@ def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]
 
 
 def draw_target(random: np.random.Generator) -> Array:
-    """Return (4, 4) charger_base_T_terminal of a robot that has come to be charged."""
+    """Return (4, 4) charger_base_T_terminal of a robot at the dock."""
     pose = np.eye(4)
     pose[:3, :3] = (
         about(0, random.normal(0.0, _LEAN))
@@ -177,8 +177,8 @@ def draw_target(random: np.random.Generator) -> Array:
 def times(names: Sequence[str], seeds: Sequence[int]) -> dict[str, dict[str, float]]:
     """Return processor time of one detection and of one image, ms, by condition: median, mean and 95 %.
 
-    Images are made first, so that each part runs alone; the first detections do not count. A detection's time is the
-    least of three runs.
+    Images are made first, so that each part runs without other work. The first detections are not counted. A
+    detection's time is the least of three runs.
     """
     one_thread()
     detector, found = ElectrodeDetector(), {}
@@ -209,7 +209,7 @@ def _timed(job: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
 
 
 def one_thread() -> None:
-    """Keep OpenCV to one core."""
+    """Limit OpenCV to one core."""
     import cv2
 
     cv2.setNumThreads(1)

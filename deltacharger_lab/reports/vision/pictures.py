@@ -43,7 +43,7 @@ def _found(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "0.2–0.8 m, hidden bars 0.2–0.6 m; share of images in which the electrodes were found"
     figures = [results["rows"][key(each)] for each in rows]
     found, wrong = (np.array([100.0 * each[name] / each["images"] for each in figures]) for name in ("found", "wrong"))
-    with picture(path, 9.0, 1.15 + 0.225 * len(rows), "What is found under each defect", about) as figure:
+    with picture(path, 9.0, 1.15 + 0.225 * len(rows), "Found share under each defect", about) as figure:
         axes, lines = figure.subplots(), range(len(rows))
         whole = axes.barh(lines, 100.0, 0.7, color="#e4e8ec")
         axes.barh(lines, found, 0.7, color=BLUE)
@@ -66,7 +66,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
                 axes.plot([time] * 2, [low, high], color=FAINT, linewidth=1.4, zorder=2)
                 axes.plot(time, low, "o", color=BLUE, markersize=7, zorder=3, label="median")
                 axes.plot(time, high, "o", color=ORANGE, markersize=7, zorder=3, label="95 %")
-                # Above the first and the last, below the one between: they are close together.
+                # Above the first and the last, below the middle one: they are close together.
                 place, shift = (low, -16) if number == 1 else (high, 8)
                 note(axes, each.name, (time, place), (0, shift))
             axes.axhline(target, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="targets")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the vision report measures: how many images of each row, which seeds, and what cannot be measured here."""
+"""Plan of the vision report: images of each row, seeds, and what cannot be measured here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deltacharger_lab.reports.vision.measure import LEVELS, judge, judge_mount, 
 FULL, QUICK = 150, 15
 """Images of a usual row."""
 FIRST_SEED = 20_000
-"""Tuning saw seeds below 1000."""
+"""Tuning used seeds below 1000."""
 _SEEDS_APART = 10_000
 _CHUNK = 25  # images of one task
 _TIMED = {False: 40, True: 8}
@@ -23,13 +23,13 @@ _SIZE_WEIGHT = {"320 × 200 px": 0.6, "1280 × 800 px": 3.0}
 
 @dataclass(frozen=True)
 class VisionPlan:
-    """What is measured.
+    """Extent of the measurement.
 
     Attributes:
         images: of a usual row.
         seed: shifts the seeds of all images.
         quick: whether this is the short plan.
-        absent: by what is not installed, the reason and what is left out.
+        absent: by missing library, the reason and what is left out.
     """
 
     images: int
@@ -57,7 +57,7 @@ class VisionPlan:
         return range(self.first_seed, self.first_seed + count)
 
     def tasks(self) -> list[ReportTask]:
-        """Return all work but the run times, which must be alone."""
+        """Return all work except the run times, which need an idle computer."""
         found = []
         for each in self.conditions():
             cost = 4.0 if each.renderer == conditions.MUJOCO else _SIZE_WEIGHT.get(each.name, 1.0)
@@ -80,12 +80,12 @@ class VisionPlan:
 
 
 def plan(images: int | None, seed: int, quick: bool) -> VisionPlan:
-    """Return what is measured on this machine."""
+    """Return the plan for this machine."""
     return VisionPlan(images or (QUICK if quick else FULL), seed, quick, absent())
 
 
 def absent() -> dict[str, str]:
-    """Return for each library that is missing or does not work what is left out, and what to install."""
+    """Return for each missing or broken library what is left out, and what to install."""
     from deltacharger_vision.errors import RendererError
     from deltacharger_vision.rendering.camera import OAK_D
     from deltacharger_vision.rendering.mujoco_camera import MujocoCamera

@@ -75,7 +75,7 @@ def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[l
 
 
 def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> dict[str, Any]:
-    """Return what images (N, fields) of one kind come to; found are the detections that are right."""
+    """Return the summary of images (N, fields) of one kind; `found` counts right detections."""
     table = np.array(images, dtype=float).reshape(-1, len(fields))
     column = dict(zip(fields, table.T, strict=True))
     right = column["found"] > 0.0
@@ -96,19 +96,19 @@ def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> di
 
 
 def _rms(values: Array) -> float:
-    """Return the root mean square of what is known, NaN where nothing is."""
+    """Return the root mean square of the known values, NaN for none."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
 
 
 def _held(sigmas: Array) -> float:
-    """Return the share of errors, in standard deviations, that the interval of 95 % holds."""
+    """Return the share of errors, in standard deviations, within the 95 % interval."""
     known = sigmas[np.isfinite(sigmas)]
     return float(np.mean(np.abs(known) <= _NORMAL_95)) if len(known) else math.nan
 
 
 def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
-    """Return the images at all ranges that the targets speak of."""
+    """Return the images at all ranges of the targets."""
     return [image for name in _near() for image in images[name]]
 
 
@@ -117,18 +117,18 @@ def _near() -> list[str]:
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what the detector should reach beside what it does."""
-    whole, rows = results["band"], results["rows"]
+    """Return each target with its measured value and verdict."""
+    band_row, rows = results["band"], results["rows"]
     half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
     hidden, clear = results[OBSTRUCTED], results[CLEAR]
     slowest = max(results["times"][name]["median_ms"] for name in _near())
     where = f"{BAND[0]:g}–{BAND[1]:g} m"
     return [
-        at_least(f"{where}, electrodes found", 100.0 * whole["found"] / whole["images"], 99.0, "%"),
-        at_most(f"{where}, wrong", 100.0 * whole["wrong"] / whole["images"], 0.2, "%"),
-        at_most(f"{where}, error across, 95 %", whole["xy_mm_p95"], 0.5, "mm"),
-        at_most(f"{where}, error of range, 95 %", whole["z_mm_p95"], 2.0, "mm"),
-        at_most(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
+        at_least(f"{where}, electrodes found", 100.0 * band_row["found"] / band_row["images"], 99.0, "%"),
+        at_most(f"{where}, wrong", 100.0 * band_row["wrong"] / band_row["images"], 0.2, "%"),
+        at_most(f"{where}, error across, 95 %", band_row["xy_mm_p95"], 0.5, "mm"),
+        at_most(f"{where}, error of range, 95 %", band_row["z_mm_p95"], 2.0, "mm"),
+        at_most(f"{where}, error of roll, 95 %", band_row["roll_deg_p95"], 1.0, "°"),
         at_least("half of one bar hidden, found", 100.0 * half["found"] / half["images"], 85.0, "%"),
         at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
         at_least("something before the bars, found", 100.0 * hidden["found"] / hidden["images"], 60.0, "%"),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawn views of a terminal, as far away as the docked and the approaching robot are, and of rooms without one.
+"""Drawn views of a terminal at the ranges of a docked and an approaching robot, and of rooms without one.
 
-The same generator state draws the same view, and what a view adds is drawn last, so that one seed compares.
+The same generator state draws the same view; additions are drawn last, so that views of one seed are comparable.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from deltacharger_vision.terminal import Terminal
 Random = np.random.Generator
 
 MOUNT_PITCH = math.atan2(0.12, 0.20)
-"""Of the default mount, which sees the docked terminal from above, rad."""
+"""Pitch of the default mount, which sees the docked terminal from above, rad."""
 DOCK, APPROACH, EVERYWHERE = (0.15, 0.35), (0.35, 0.8), (0.15, 1.0)
 """Ranges, m."""
 MOST_HIDDEN = 0.5
-"""Share of the bars' faces that an obstruction hides at most, unless more is asked for."""
+"""Largest share of the bars' faces that an obstruction hides by default."""
 _MARGIN = 6.0  # px between the terminal and the image's border
 _NEAREST = 0.05  # m
 _TRIES = 1000
@@ -40,7 +40,7 @@ _TRIES = 1000
 
 @dataclass(frozen=True)
 class DrawnView:
-    """What stands before a camera.
+    """Scene before a camera.
 
     Attributes:
         scene: the scene.
@@ -65,15 +65,15 @@ class DrawnView:
 
 
 def draw_pose(away: float, random: Random, intrinsics: Intrinsics = OAK_D) -> Array:
-    """Return (4, 4) of a terminal at `away` m, wholly in the picture, upright within 25°, seen from up to 35° above.
+    """Return (4, 4) of a terminal at `away` m, inside the picture, upright within 25°, seen from up to 35° above.
 
     Raises:
-        ValueError: no pose at that range shows the whole terminal.
+        ValueError: no pose at that range shows the complete terminal.
     """
     size = np.array([intrinsics.width, intrinsics.height]) - 1.0 - _MARGIN
     for _ in range(_TRIES):
         roll, yaw = math.radians(random.uniform(-25.0, 25.0)), math.radians(random.normal(0.0, 8.0))
-        # The camera sits above and looks down: less so from afar.
+        # The camera is above and looks down; the angle falls with the range.
         pitch = random.uniform(-0.1, 1.0) * min(MOUNT_PITCH, math.asin(min(1.0, 0.12 / away)))
         pose = np.eye(4)
         pose[:3, :3] = about(0, pitch) @ about(1, yaw) @ about(2, roll) @ np.diag([-1.0, -1.0, 1.0])
@@ -84,7 +84,7 @@ def draw_pose(away: float, random: Random, intrinsics: Intrinsics = OAK_D) -> Ar
             pixels = project(corners, intrinsics)
             if np.all(pixels > _MARGIN) and np.all(pixels < size):
                 return pose
-    raise ValueError(f"no pose at {away} m shows the whole terminal")
+    raise ValueError(f"no pose at {away} m shows the complete terminal")
 
 
 def about(axis: int, angle: float) -> Array:
@@ -111,7 +111,7 @@ def in_clutter(random: Random, nearest: float, farthest: float) -> DrawnView:
 
 
 def in_room(random: Random, nearest: float, farthest: float) -> DrawnView:
-    """Return a terminal in a drawn room: other materials, light and wall, boxes, and what resembles electrodes."""
+    """Return a terminal in a drawn room: other materials, light and wall, boxes, and decoys of electrodes."""
     view = plain(random, nearest, farthest)
     return dataclasses.replace(view, scene=draw_scene(random, clutter=8, decoys=3))
 
@@ -131,7 +131,7 @@ def covered(random: Random, share: float, both: bool = False) -> DrawnView:
 
 
 def without(random: Random) -> DrawnView:
-    """Return boxes of all kinds and, in every other view, parallel metal bars that are no terminal's."""
+    """Return boxes of all kinds and, in every other view, parallel metal bars that do not belong to a terminal."""
     view = plain(random, 0.2, 0.8)
     background = boxes(random, 14, (-0.05, 0.6), 0.3)
     background += rows_of_bars(random) if random.random() < 0.5 else ()
@@ -180,7 +180,7 @@ def boxes(random: Random, count: int, depth: tuple[float, float], spread: float)
 
 
 def rows_of_bars(random: Random) -> tuple[Box, ...]:
-    """Return two to five parallel metal bars of sizes and spacings that are not the terminal's."""
+    """Return two to five parallel metal bars of sizes and spacings that differ from the terminal's."""
     height, length = random.uniform(0.004, 0.03), random.uniform(0.03, 0.2)
     spacing = height * random.uniform(1.3, 3.0)
     turned = about(2, random.uniform(-0.5, 0.5))
@@ -203,7 +203,7 @@ def obstructed(random: Random, kind: str, most: float = MOST_HIDDEN, least: floa
         least: the same at least.
     """
     view = unobstructed(random)
-    # Never so near to the camera that it sees nothing else.
+    # Not so near to the camera that it hides everything else.
     terminal, room = view.scene.terminal, min(0.12, 0.4 * float(np.linalg.norm(view.pose[:3, 3])))
     for _ in range(_TRIES):
         boxes = draw_obstruction(random, kind, terminal, room)
