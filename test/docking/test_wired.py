@@ -189,7 +189,7 @@ def test_an_estimator_that_fails_at_the_first_touch_takes_the_arm_back() -> None
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        (DockGoal(GOAL, start_charging=False), "no contact without current"),
+        (DockGoal(GOAL, start_charging=False), "contact without current is impossible"),
         (DockGoal(GOAL, stop_energy=100.0), "does not measure energy"),
     ],
 )
@@ -216,7 +216,7 @@ def test_a_given_roll_beyond_the_limit_is_refused_before_it_moves() -> None:
 
 @pytest.mark.parametrize("approach", ["paper", "published"])
 def test_only_the_approach_that_looks_may_dock_without_a_contactor(approach: str) -> None:
-    with pytest.raises(ParameterError, match="only approach guarded"):
+    with pytest.raises(ParameterError, match="set approach guarded"):
         DockingParameters(power="none", approach=approach)
 
 
