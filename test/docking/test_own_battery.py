@@ -23,7 +23,7 @@ from .dockings import assert_safe_at_home, quick_charger
     ("volts", "code", "words"),
     [
         (22.6, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "22.6 V", "22.7 to 29.8 V", "charge it")),
-        (29.9, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "29.9 V", "22.7 to 29.8 V", "look at it")),
+        (29.9, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "29.9 V", "22.7 to 29.8 V", "check it")),
         (-24.0, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "-24.0 V")),
         (math.nan, Code.POWER_STALE, ("own battery", "not measured", "divider")),
         (math.inf, Code.POWER_STALE, ("own battery", "not measured", "divider")),

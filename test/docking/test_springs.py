@@ -148,7 +148,7 @@ def test_a_stiffness_that_does_not_fit_is_named_with_the_command_that_measures_i
     feel(springs, felt)
     assert ("calibrate servos" in springs.contradiction) is named
     if named:
-        assert f"{felt:.1f} N·m/rad where servo_stiffness says {given:g}" in springs.contradiction
+        assert f"{felt:.1f} N·m/rad, but servo_stiffness is {given:g}" in springs.contradiction
 
 
 @pytest.mark.parametrize(("true", "given"), [(2.0, 8.0), (3.0, 0.75), (15.0, 60.0), (40.0, 10.0)])
