@@ -195,7 +195,7 @@ def test_undocking_is_no_success_while_servo_state_tells_the_torque_on() -> None
     run.distort = lambda observation: replace(observation, torque_enabled=True)
     outcome = run.undock()
     assert outcome.code is Code.SERVO_FAULT
-    assert "still tells" in outcome.message
+    assert "still reports" in outcome.message
 
 
 def test_a_docking_node_that_was_restarted_lifts_off_before_it_tares() -> None:
