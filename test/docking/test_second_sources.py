@@ -173,7 +173,7 @@ def test_a_liar_about_the_angle_never_closes_the_contactor(quick_scene: Scene, c
             )
         else:
             assert outcome.error_name == "TACTILE_STALE"
-            assert "vouch" in outcome.error_message
+            assert "not confirmed" in outcome.error_message
     finally:
         spinner.close()
         hostile.close()
