@@ -447,7 +447,7 @@ def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is
     robot.docking.stop()
     result = errand.end()
     assert named(result) == (False, "TIMEOUT", False), result
-    assert "docking_node went away" in result.error_message
+    assert "docking_node disappeared" in result.error_message
     assert "undock_timeout" in result.error_message
 
 
