@@ -21,7 +21,7 @@ FLAT = 0.2  # m; a prior that tells nothing within the grid
 
 @pytest.mark.parametrize("angle", [0.0, 0.05, -0.2])
 @pytest.mark.parametrize(("x", "across"), [(0.0, 0.0), (0.003, -0.001), (-0.007, 0.002), (0.012, 0.004)])
-def test_derivatives_of_the_pull_are_those_of_finite_differences(x: float, across: float, angle: float) -> None:
+def test_derivatives_of_the_pull_match_finite_differences(x: float, across: float, angle: float) -> None:
     pull, slope, by_width = MagnetPull(PARAMETERS).at(np.array(x), across, angle)
     step = 1e-7
     more, less = (MagnetPull(PARAMETERS).at(np.array(x + side * step), across, angle)[0] for side in (1.0, -1.0))
@@ -39,7 +39,7 @@ def test_derivatives_of_the_pull_are_those_of_finite_differences(x: float, acros
     assert pull == pytest.approx(PARAMETERS.magnet_force * share)
 
 
-def test_far_off_the_floor_of_the_pull_remains_and_tells_no_place() -> None:
+def test_far_away_only_the_floor_of_the_pull_remains_and_gives_no_place() -> None:
     pull, slope, by_width = MagnetPull(PARAMETERS).at(np.array([-0.03, 0.03]), 0.0, 0.1)
     assert pull == pytest.approx(PARAMETERS.magnet_force * PARAMETERS.magnet_floor)
     assert np.all(slope == 0.0)
@@ -93,7 +93,7 @@ def simulated(count: int, asides: tuple[float, ...], bias_stddev: float = BIAS) 
     return found
 
 
-def test_where_faces_are_parallel_one_contact_lies_where_its_load_tells() -> None:
+def test_with_parallel_faces_one_contact_gives_the_place_by_its_load() -> None:
     tracker = AlongFilter(PARAMETERS, 0.0, FLAT)
     pull = float(MagnetPull(PARAMETERS).at(np.array(0.003), 0.0, 0.0)[0])
     tracker.update(LookAlong(0.001, 0.003, 1e-4, pull + PUSH, 1e3, PUSH, 0.0, 0.0))
@@ -102,7 +102,7 @@ def test_where_faces_are_parallel_one_contact_lies_where_its_load_tells() -> Non
     assert tracker.contact.stddev < 1.2 * math.hypot(PARAMETERS.horizontal_shared, 0.003 * PARAMETERS.gain_error)
 
 
-def test_with_an_unknown_lean_one_contact_leaves_the_place_to_what_was_foreseen() -> None:
+def test_with_an_unknown_lean_one_contact_does_not_change_the_expected_place() -> None:
     tracker = known(bias_stddev=0.1)
     tracker.update(LookAlong(0.0, 0.015, 1e-4, 60.0 + PUSH, 1e3, PUSH, 0.0, 0.0))
     assert abs(tracker.target) < 0.1 * MILLIMETRE
@@ -111,7 +111,7 @@ def test_with_an_unknown_lean_one_contact_leaves_the_place_to_what_was_foreseen(
     )
 
 
-def test_contacts_beside_the_target_find_it_within_the_error_they_tell() -> None:
+def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> None:
     one, three = (simulated(200, asides, bias_stddev=0.02) for asides in ((0.0,), (0.0, 0.006, -0.006)))
     scores = [(target.landed - each.contact.mean) / each.contact.stddev for target, each in three]
     assert 0.8 < math.sqrt(np.mean(np.square(scores))) < 1.2
@@ -124,7 +124,7 @@ def test_contacts_beside_the_target_find_it_within_the_error_they_tell() -> None
     assert 0.75 < math.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-def test_the_risk_comes_true_as_often_as_it_says() -> None:
+def test_the_risk_matches_the_observed_frequency() -> None:
     found = simulated(600, (0.0, 0.006, -0.006))
     said = [each.risk(0.002) for _, each in found]
     came = [abs(target.landed) > 0.002 for target, _ in found]
@@ -132,7 +132,7 @@ def test_the_risk_comes_true_as_often_as_it_says() -> None:
     assert np.mean(said) == pytest.approx(np.mean(came), abs=0.06)
 
 
-def test_the_risk_is_that_of_the_mixture_it_is_made_of() -> None:
+def test_the_risk_matches_samples_of_the_mixture() -> None:
     ((_, tracker),) = simulated(1, (0.0, 0.006))
     random = np.random.default_rng(2)
     means = random.choice(tracker._means, 200_000, p=tracker._weights)
@@ -140,7 +140,7 @@ def test_the_risk_is_that_of_the_mixture_it_is_made_of() -> None:
     assert tracker.risk(0.004) == pytest.approx(sampled, abs=0.005)
 
 
-def test_no_probe_is_planned_where_it_would_leave_a_pad_empty() -> None:
+def test_no_probe_is_planned_that_would_leave_a_pad_empty() -> None:
     force = 60.0 / (1.0 + (0.006 / 0.008) ** 2) + PUSH
     most = empty_pad_offset(PARAMETERS, force)
     for bias in (0.0, most - 0.005, most - 0.007):
@@ -155,7 +155,7 @@ def test_no_probe_is_planned_where_it_would_leave_a_pad_empty() -> None:
         assert -PARAMETERS.probe_offset in asides
 
 
-def test_looks_that_contradict_the_arms_moves_are_found() -> None:
+def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
     honest = [each for _, each in simulated(200, (0.0, 0.006, -0.006))]
     assert not any(each.contradicts_itself for each in honest)
     frozen = known()
@@ -164,7 +164,7 @@ def test_looks_that_contradict_the_arms_moves_are_found() -> None:
     assert frozen.contradicts_itself
 
 
-def test_another_contact_gains_nothing_where_the_place_is_known_and_much_where_a_lean_hides_it() -> None:
+def test_another_contact_gains_nothing_at_a_known_place_and_much_if_a_lean_hides_it() -> None:
     sure = known(bias_stddev=0.0, place_stddev=1e-4)
     sure.update(LookAlong(0.0, 0.0, 1e-4, 60.0 + PUSH, 2.0, PUSH, 0.0, 0.0))
     assert sure.risk(0.004) < 1e-3

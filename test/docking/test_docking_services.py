@@ -60,7 +60,7 @@ def test_a_service_that_never_appears_is_named(services: Services) -> None:
     assert "probe" in answer.message
 
 
-def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
+def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node: Node) -> None:
     heard = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
@@ -72,7 +72,7 @@ def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: N
     assert heard == [True, False]
 
 
-def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
+def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node) -> None:
     heard = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
@@ -83,7 +83,7 @@ def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) 
     assert heard == [False]
 
 
-def test_a_detection_that_contradicts_itself_is_none_and_says_why(node: Node, services: Services) -> None:
+def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
     def lie(request: Any, response: Any) -> Any:
         response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
         return response
@@ -133,9 +133,7 @@ ASKED: dict[Service, tuple[str, Any, Any]] = {
 
 
 @pytest.mark.parametrize("service", ASKED)
-def test_answers_as_nobody_should_give_them_are_refused_or_tell_nothing(
-    node: Node, services: Services, service: Service
-) -> None:
+def test_malformed_answers_are_refused_or_ignored(node: Node, services: Services, service: Service) -> None:
     """Success with words without end, and with nothing, NaN or endless numbers as its payload."""
     name, kind, fill = ASKED[service]
     values = iter((None, NAN, INF, -INF, 1e308))

@@ -77,7 +77,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
 
 
 @pytest.mark.parametrize("z", [-8.0, -3.0, 3.0, 8.0])
-def test_a_known_place_that_is_wrong_is_no_harm(z: float) -> None:
+def test_a_wrong_known_place_does_no_harm(z: float) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     context = run.machine._context
@@ -91,7 +91,7 @@ def test_a_known_place_that_is_wrong_is_no_harm(z: float) -> None:
 
 
 @pytest.mark.parametrize("place", [(4.0, 0.0), (0.0, -4.0), (-3.0, 3.0)])
-def test_a_target_that_moved_between_two_presses_is_found_where_it_is_now(place: tuple[float, float]) -> None:
+def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place: tuple[float, float]) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     move_target(run, *place)
@@ -102,7 +102,7 @@ def test_a_target_that_moved_between_two_presses_is_found_where_it_is_now(place:
     assert run.world.record.energised_unsafe == 0.0
 
 
-def test_a_target_that_is_gone_between_two_presses_is_named() -> None:
+def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     move_target(run, z=60.0)
@@ -111,7 +111,7 @@ def test_a_target_that_is_gone_between_two_presses_is_named() -> None:
 
 
 @pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
-def test_a_place_that_was_told_wrongly_is_struck_no_harder(z: float) -> None:
+def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
     """Nearer than told by less than the standoff, or farther: the search meets it."""
     told = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
     run = charger()
@@ -125,7 +125,7 @@ def unfelt(observation: Observation) -> Observation:
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_touch_that_is_never_felt_is_bounded_by_the_current(again: bool) -> None:
+def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -> None:
     run = charger(6, 6, seed=2)
     if again:
         until_lifted(run)
@@ -142,7 +142,7 @@ def test_touch_that_is_never_felt_is_bounded_by_the_current(again: bool) -> None
     "fault",
     [{"servo_age": 0.15}, {"tactile_age": 0.15}, {"tactile_age": 0.15, "tactile_contact": False}],
 )
-def test_touch_lost_on_the_fast_line_holds_the_arm_before_the_target(fault: dict[str, Any]) -> None:
+def test_missing_touch_data_on_the_fast_line_stops_the_arm_before_the_target(fault: dict[str, Any]) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     run.until(lambda: run.machine.status.state is State.CONTACT, 10.0)

@@ -36,7 +36,7 @@ def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
 
 
 @pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_goals", "_begun")])
-def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger_free(
+def test_a_defect_at_the_beginning_of_a_goal_ends_it_and_leaves_the_charger_free(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hostile.heal()
@@ -51,7 +51,7 @@ def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger
     hostile.charge()
 
 
-def test_a_defect_at_the_beginning_of_undock_opens_what_was_closed(
+def test_a_defect_at_the_beginning_of_undock_opens_the_contactor(
     hostile: Hostile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hostile.heal()

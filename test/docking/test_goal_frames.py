@@ -79,7 +79,7 @@ def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
 
 
 @with_tf
-def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, context: Any, spin: Spin) -> None:
+def test_it_docks_at_a_goal_in_map_while_localization_runs(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
     robot.fix("base_link", "left/charger_base", MOUNT)
@@ -96,7 +96,7 @@ def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, 
 
 
 @with_tf
-def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
+def test_a_goal_without_a_transform_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
     robot.fix("base_link", "left/charger_base", MOUNT)
@@ -112,7 +112,7 @@ def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: An
 
 
 @with_tf
-def test_a_charger_that_serves_a_goal_reads_no_tf_for_another(charger: Charger) -> None:
+def test_a_busy_charger_reads_no_tf_for_another_goal(charger: Charger) -> None:
     first = charger.send("left/charger_base", TARGET)
     wait_until(lambda: any(each.kind == "accepted" for each in charger.told), "the first goal")
     second = charger.dock("map", TARGET)
@@ -122,12 +122,12 @@ def test_a_charger_that_serves_a_goal_reads_no_tf_for_another(charger: Charger) 
     assert answer(first.get_result_async()).result.success
 
 
-def test_the_client_asks_in_charger_base_whatever_its_prefix(charger: Charger) -> None:
+def test_the_client_sends_goals_in_charger_base_with_any_prefix(charger: Charger) -> None:
     outcome = charger.client.dock(DockRequest(Pose(*TARGET[:3])), deadline=DEADLINE)
     assert outcome.success, outcome.error_message
 
 
-def test_whatever_two_chargers_write_names_a_frame_of_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
+def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
     """With tf or without: what one writes in its frames is not taken for the other's."""
     prefixes = ("left/", "right/")
     chargers = [Charger(quick_scene, context, prefix) for prefix in prefixes]

@@ -135,7 +135,7 @@ WRONG["facing sideways"] = LEANS  # turned by a quarter about y the terminal's b
 
 
 @pytest.mark.parametrize("goal", WRONG.values(), ids=WRONG)
-def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, goal: Dock.Goal) -> None:
+def test_an_impossible_goal_is_refused_before_anything_moves(charger: Charger, goal: Dock.Goal) -> None:
     before = charger.servos.position
     result = charger.result(goal)
     assert not result.success
@@ -149,7 +149,7 @@ def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, g
     assert not result.suggested_base_pose.header.frame_id or CODES[result.error_code] == "UNREACHABLE"
 
 
-def test_a_goal_that_fails_before_it_measures_tells_nothing_of_an_earlier_docking(charger: Charger) -> None:
+def test_a_goal_that_fails_before_measuring_reports_nothing_of_an_earlier_docking(charger: Charger) -> None:
     docked = dock_at_last(charger.client, PLACE)
     assert not math.isnan(docked.details["misalignment"]["vertical"])
     assert charger.client.undock(deadline=DEADLINE).success
@@ -192,7 +192,7 @@ def test_fifty_wrong_goals_at_once_are_each_answered(charger: Charger) -> None:
     assert not charger.servos.torque_enabled
 
 
-def test_a_request_id_of_ten_megabytes_is_refused_and_repeated_nowhere(charger: Charger) -> None:
+def test_a_request_id_of_ten_megabytes_is_refused_and_not_repeated(charger: Charger) -> None:
     states: list[DockingState] = []
     heard = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
     for goal in (with_fields(request_id="x" * 10_000_000), Undock.Goal(request_id="x" * 10_000_000)):
@@ -256,7 +256,7 @@ client.dock(DockRequest(Pose(0.0, 0.0, 0.080), hold=True), die)
 """
 
 
-def test_a_client_that_dies_leaves_its_goal_and_another_may_end_it(charger: Charger) -> None:
+def test_the_goal_of_a_dead_client_continues_and_another_may_end_it(charger: Charger) -> None:
     """Charging goes on, supervised; who comes next is told so, cancels the goal that nobody holds, and is served."""
     command = [sys.executable, "-c", _DYING, charger.namespace]
     # An estimate that a stalled mock spoilt ends that client's goal, and no charging comes.

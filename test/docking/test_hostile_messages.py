@@ -111,7 +111,7 @@ WRONG_PADS: dict[str, Distortion] = {
 }
 
 
-def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
+def test_an_idle_charger_tolerates_every_message_and_then_docks(hostile: Hostile) -> None:
     defects = Defects(hostile)
     for topic, table in ((SERVO, WRONG_SERVOS), (POWER, WRONG_POWER), (PADS, WRONG_PADS)):
         for distortion in table.values():
@@ -123,7 +123,7 @@ def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
 
 
 @pytest.mark.parametrize(("part", "does"), [("_machine", "step"), slow("_inputs", "observation")])
-def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
+def test_an_internal_defect_opens_the_contactor_and_ends_with_a_code(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whether what it sees or what it decides goes wrong, each time anew."""
@@ -153,7 +153,7 @@ def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
 
 
 @pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque told"), slow("other names")])
-def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
+def test_invalid_servo_states_end_charging(hostile: Hostile, name: str) -> None:
     hostile.charge()
     hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
     assert hostile.opens_after() < OPENS
@@ -161,7 +161,7 @@ def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str
 
 
 @pytest.mark.parametrize("name", ["all NaN", slow("endless current"), slow("unknown fault")])
-def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
+def test_invalid_power_messages_end_charging(hostile: Hostile, name: str) -> None:
     """A current that is said to flow for ever keeps the arm where it is, with its torque: until that is healed."""
     hostile.charge()
     hostile.relay.distort[POWER] = WRONG_POWER[name]
@@ -171,7 +171,7 @@ def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ["NaN taxels", slow("no taxels")])
-def test_frames_that_tell_nothing_never_dock(hostile: Hostile, name: str) -> None:
+def test_invalid_tactile_frames_never_dock(hostile: Hostile, name: str) -> None:
     """misalignment_node and the mock of tactile_node hear the true ones: what is tested is docking's own sense."""
     hostile.relay.distort[PADS] = WRONG_PADS[name]
     outcome = hostile.dock()
@@ -179,7 +179,7 @@ def test_frames_that_tell_nothing_never_dock(hostile: Hostile, name: str) -> Non
     assert not hostile.is_closed
 
 
-def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(hostile: Hostile) -> None:
+def test_servos_in_another_order_are_sorted_or_refused_but_never_confused(hostile: Hostile) -> None:
     """Judged by where the arm goes: limbs that are taken for one another would carry it sideways."""
     hostile.servos._arm.angles[0] += 0.05  # no two limbs alike, so that a mistake shows
     hostile.relay.distort[SERVO] = reorder
@@ -195,7 +195,7 @@ def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(ho
 
 
 @pytest.mark.parametrize("topic", [SERVO, slow(PADS), slow(POWER)])
-def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Hostile, topic: str) -> None:
+def test_a_repeated_message_never_counts_as_new_even_from_the_future(hostile: Hostile, topic: str) -> None:
     """A publisher that hangs and repeats itself, stamped by a clock that was an hour ahead."""
     hostile.charge()
     kept: list[Any] = []
@@ -270,7 +270,7 @@ REFUSED = (
     ("topic", "malformed"),
     [(SERVO, cut(2, "position")), slow(PADS, cut(3, "left")), slow(POWER, swollen)],
 )
-def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
+def test_refused_messages_are_counted_and_do_not_affect_valid_ones(
     hostile: Hostile, topic: str, malformed: Distortion
 ) -> None:
     """Every second message of a topic is wrong while the charger docks and charges: that goes on."""
@@ -291,7 +291,7 @@ def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
 
 
 @pytest.mark.slow
-def test_a_trajectory_whose_stamp_is_none_ends_no_node(hostile: Hostile) -> None:
+def test_a_trajectory_with_an_invalid_stamp_ends_no_node(hostile: Hostile) -> None:
     publisher = hostile.client.node.create_publisher(JointTrajectory, "joint_trajectory", 1)
     wait_until(lambda: publisher.get_subscription_count() == 1, "the mock of servo_node")
     wrong = JointTrajectory(joint_names=list(JOINTS), points=[JointTrajectoryPoint(positions=[0.5] * 3)])

@@ -68,7 +68,7 @@ BAD = FeltPose(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
-def test_an_answer_that_comes_in_the_next_goal_is_nobodys(
+def test_an_answer_that_arrives_in_the_next_goal_is_ignored(
     service: Service, first: Code, own: dict[str, object], code: Code
 ) -> None:
     """The late one is a good one, said in every tick of the next goal, whose own answer is bad."""
@@ -174,7 +174,7 @@ def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None
     run.assert_never_hurt()
 
 
-def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
+def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
     """The first estimate, 6 mm off, is answered to every question: the arm goes after it until it can go no further."""
     run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
     felt: list[FeltPose] = []
@@ -194,7 +194,7 @@ def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
     run.assert_never_hurt()
 
 
-def test_a_goal_that_follows_at_once_is_not_misled_by_a_servo_state_from_before_the_torque_was_off() -> None:
+def test_an_immediate_next_goal_is_not_misled_by_a_servo_state_from_before_torque_off() -> None:
     run = quick_charger()
     seen: list[bool] = []
 

@@ -381,7 +381,7 @@ def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
 
 @SETTINGS
 @given(adversary=ADVERSARIES, goals=st.lists(GOALS, min_size=1, max_size=3), undock=st.booleans())
-def test_no_observations_close_the_contactor_without_its_conditions_and_every_goal_ends(
+def test_the_contactor_closes_only_under_its_conditions_and_every_goal_ends(
     adversary: tuple[int, tuple[str, ...], float, bool], goals: list[DockGoal], undock: bool
 ) -> None:
     run = Run(*adversary)
@@ -403,7 +403,7 @@ def test_no_observations_close_the_contactor_without_its_conditions_and_every_go
         assert not run.model.wanted
 
 
-def test_the_closing_was_reached_often_enough_to_show_something() -> None:
+def test_the_runs_close_the_contactor_often_enough() -> None:
     if not CLOSINGS["runs"]:
         pytest.skip("runs after the property that it speaks about")
     assert CLOSINGS["closed"] > 0.4 * CLOSINGS["runs"], CLOSINGS
@@ -411,7 +411,7 @@ def test_the_closing_was_reached_often_enough_to_show_something() -> None:
 
 @SETTINGS
 @given(seed=st.integers(0, 2**32), spoil=st.sampled_from(sorted(SPOILS)), jumps=st.booleans())
-def test_whatever_spoils_charging_ends_it_or_leaves_it_watched(seed: int, spoil: str, jumps: bool) -> None:
+def test_after_any_disturbance_charging_ends_or_stays_supervised(seed: int, spoil: str, jumps: bool) -> None:
     """The adversary waits until current flows."""
     run = Run(seed, (spoil,), 0.05, jumps, after=11.0)
     run.goal(DockGoal(None))

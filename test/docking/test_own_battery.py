@@ -40,7 +40,7 @@ def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code:
     assert_safe_at_home(run)
 
 
-def test_a_battery_that_becomes_unfit_meanwhile_is_not_energised() -> None:
+def test_a_battery_that_becomes_unfit_during_docking_is_not_energised() -> None:
     run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
@@ -51,7 +51,7 @@ def test_a_battery_that_becomes_unfit_meanwhile_is_not_energised() -> None:
 
 
 @pytest.mark.parametrize(("charges", "power_age"), [(False, 0.0), (True, math.inf)])
-def test_where_no_current_is_wanted_or_nothing_is_heard_yet_it_docks(charges: bool, power_age: float) -> None:
+def test_it_docks_without_charging_or_before_the_first_voltage(charges: bool, power_age: float) -> None:
     run = quick_charger()
     run.distort = lambda observation: replace(observation, battery_voltage=math.nan, power_age=power_age)
     run.dock(DockGoal(GOAL, start_charging=charges))
@@ -67,7 +67,7 @@ def test_the_bounds_themselves_are_in_range(volts: float) -> None:
     assert run.dock().success
 
 
-def test_another_battery_has_bounds_of_its_own() -> None:
+def test_another_battery_has_its_own_bounds() -> None:
     run = quick_charger(parameters={"battery_voltage_min": 18.0})
     run.distort = lambda observation: replace(observation, battery_voltage=19.0)
     assert run.dock().success

@@ -42,7 +42,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return lines
 
 
-def test_a_docking_is_told_phase_by_phase_with_its_contactor(told: list[str]) -> None:
+def test_a_docking_is_logged_phase_by_phase_with_its_contactor(told: list[str]) -> None:
     run = quick_charger(1.0, -1.0, 1.0)
     assert run.dock().success
     run.run(1.0)
@@ -64,7 +64,7 @@ def test_a_docking_is_told_phase_by_phase_with_its_contactor(told: list[str]) ->
     assert "nan" not in "".join(told)
 
 
-def test_a_failure_is_told_once_where_the_way_back_begins(told: list[str]) -> None:
+def test_a_failure_is_logged_once_when_retracting_begins(told: list[str]) -> None:
     run = quick_charger(1.0, -1.0, 1.0, parameters={"restarts_max": 0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
@@ -78,7 +78,7 @@ def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingSt
     return DockingStatus(state=state, code=code, message=message)
 
 
-def test_docking_again_is_told_and_its_failure_too() -> None:
+def test_docking_again_and_its_failure_are_logged() -> None:
     log = PhaseLog()
     log.begin("dock order-1")
     log.lines(status(State.CONTACT), (State.APPROACH, State.CONTACT), Observation(1.0))
@@ -88,7 +88,7 @@ def test_docking_again_is_told_and_its_failure_too() -> None:
     assert again == "dock order-1: retract → approach after 1.5 s, docking again"
 
 
-def test_a_failure_without_another_phase_is_told_too() -> None:
+def test_a_failure_without_a_new_phase_is_logged() -> None:
     log = PhaseLog()
     (line,) = log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.0))
     assert line == "docking: idle, 304 SERVO_FAULT: limp"
@@ -96,7 +96,7 @@ def test_a_failure_without_another_phase_is_told_too() -> None:
 
 
 @given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
-def test_lines_follow_the_states_whatever_comes(steps: list[tuple[list[State], State, bool, Code]]) -> None:
+def test_log_lines_follow_any_sequence_of_states(steps: list[tuple[list[State], State, bool, Code]]) -> None:
     log = PhaseLog()
     log.begin("dock order-1")
     told, entered, now = [], [State.IDLE], itertools.count()

@@ -79,14 +79,14 @@ def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> N
     assert set(told.models) == {"cnn"}
 
 
-def test_zero_at_the_first_look_moves_nothing_whatever_the_estimate_says() -> None:
+def test_zero_classes_at_first_cause_no_move_with_any_estimate() -> None:
     told = published(place=(4.0, 3.0, 2.0), sure=False, horizontal=0.004, vertical=0.003)
     outcome = told.run.dock()
     assert outcome.success, outcome.message
     assert (outcome.alignments, told.run.world.record.contacts, len(told.places)) == (0, 1, 1)
 
 
-def test_after_fifteen_moves_charging_starts_though_the_looks_contradict_each_other() -> None:
+def test_after_fifteen_moves_charging_starts_despite_contradicting_estimates() -> None:
     told = published(*[(5.0, 0.0), (-5.0, 0.0)] * 8, (5.0, 0.0))
     outcome = told.run.dock()
     assert outcome.success, outcome.message
@@ -104,14 +104,14 @@ def test_a_class_that_is_not_below_the_critical_angle_is_refused_before_any_move
     assert_safe_at_home(told.run)
 
 
-def test_nothing_above_five_degrees_is_told_so_that_the_probe_alone_finds_the_short() -> None:
+def test_classes_end_at_five_degrees_so_only_the_probe_finds_the_short() -> None:
     told = published(place=(0.0, 0.0, 14.0), degrees=5.0)
     assert told.run.dock().code is Code.SHORT_CIRCUIT
     assert told.run.world.record.energised == 0.0
     assert_safe_at_home(told.run)
 
 
-def test_pads_that_feel_nothing_end_it_before_and_while_charging() -> None:
+def test_all_zero_tactile_frames_end_it_before_and_while_charging() -> None:
     told = published(contact=False)
     assert told.run.dock().code is Code.NO_TACTILE_CONTACT
     assert_safe_at_home(told.run)
@@ -124,7 +124,7 @@ def test_pads_that_feel_nothing_end_it_before_and_while_charging() -> None:
     assert_safe_at_home(told.run)
 
 
-def test_pads_that_fall_silent_end_charging() -> None:
+def test_missing_tactile_frames_end_charging() -> None:
     told = published()
     assert told.run.dock().success
     told.run.distort = lambda observation: replace(observation, tactile_age=1.0)
@@ -135,7 +135,7 @@ def test_pads_that_fall_silent_end_charging() -> None:
 
 
 @pytest.mark.parametrize("axis", [item.name for item in fields(MisalignmentClasses)])
-def test_a_class_that_is_not_told_is_refused_by_name(axis: str) -> None:
+def test_a_missing_class_is_refused_by_name(axis: str) -> None:
     told = published()
 
     def lose(reply: Reply) -> Reply:
@@ -159,7 +159,7 @@ def test_an_estimate_without_any_classes_is_refused() -> None:
     assert "angle, vertical, horizontal" in outcome.message
 
 
-def test_as_printed_current_flows_where_clearance_refuses_it() -> None:
+def test_as_published_current_flows_even_without_clearance() -> None:
     wide = {"angle": math.radians(10.0), "vertical": 0.002}
     told = published(**wide)
     assert told.run.dock().success
@@ -183,7 +183,7 @@ def test_as_printed_current_flows_where_clearance_refuses_it() -> None:
         ({"sure": False}, Code.ESTIMATE_UNSURE, 1),
     ],
 )
-def test_with_our_rule_clearance_decides_by_the_estimate_whatever_the_classes_say(
+def test_with_our_rule_the_estimate_decides_about_clearance_not_the_classes(
     felt: dict[str, Any], code: Code, contacts: int
 ) -> None:
     told = published(parameters=RULE, **felt)
@@ -193,7 +193,7 @@ def test_with_our_rule_clearance_decides_by_the_estimate_whatever_the_classes_sa
     assert outcome.alignments == 0
 
 
-def test_with_our_rule_clearance_that_is_lost_while_charging_ends_it() -> None:
+def test_with_our_rule_lost_clearance_ends_charging() -> None:
     told = published(parameters=RULE)
     assert told.run.dock().success
     told.felt = {"vertical": 0.008}
@@ -213,7 +213,7 @@ def real(told: Told) -> Told:
     return told
 
 
-def test_before_hardware_that_is_not_proven_to_be_simulated_no_goal_that_charges_is_taken() -> None:
+def test_goals_that_charge_are_refused_if_hardware_is_not_proven_simulated() -> None:
     told = real(published())
     with pytest.raises(Rejected, match="published_clearance_rule"):
         told.run.begin(DockGoal(GOAL))
@@ -248,7 +248,7 @@ ENDS = [
 
 
 @pytest.mark.parametrize(("state", "fault", "code"), ENDS)
-def test_a_cancel_and_a_fault_in_every_phase_open_before_the_torque_goes(
+def test_after_a_cancel_or_fault_in_any_phase_the_contactor_opens_before_the_torque_goes(
     state: State, fault: dict[str, Any], code: Code
 ) -> None:
     told = published((5.0, 0.0), ZERO)
@@ -275,7 +275,7 @@ def test_a_cancel_and_a_fault_in_every_phase_open_before_the_torque_goes(
     assert run.world.record.parted_live == 0
 
 
-def test_docked_without_current_a_goal_that_charges_measures_classes_where_it_stands() -> None:
+def test_a_goal_that_charges_a_docked_target_measures_its_classes_in_place() -> None:
     told = published((5.0, 0.0), ZERO)
     assert told.run.dock(DockGoal(GOAL, start_charging=False)).success
     contacts = told.run.world.record.contacts

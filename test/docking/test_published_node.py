@@ -47,7 +47,7 @@ def outcomes(scene: Scene, context: Any, *requests: DockRequest) -> list[Outcome
 
 
 @pytest.mark.ros
-def test_the_simulated_charger_takes_a_goal_and_its_estimates_carry_the_cnns_classes(context: Any) -> None:
+def test_the_simulated_charger_accepts_a_goal_and_its_estimates_have_cnn_classes(context: Any) -> None:
     namespace = new_namespace()
     scene = as_published(parse_scene(SCENE, "quick"))
     with Composition(scene, context, namespace) as composition, ChargerClient(namespace, context) as client:
@@ -61,7 +61,7 @@ def test_the_simulated_charger_takes_a_goal_and_its_estimates_carry_the_cnns_cla
 
 
 @pytest.mark.ros
-def test_before_nodes_that_prove_nothing_a_goal_that_charges_is_refused(quick_scene: Scene, context: Any) -> None:
+def test_goals_that_charge_are_refused_if_nodes_do_not_prove_simulation(quick_scene: Scene, context: Any) -> None:
     refused, rests, again = outcomes(
         as_published(quick_scene),
         context,
@@ -76,7 +76,7 @@ def test_before_nodes_that_prove_nothing_a_goal_that_charges_is_refused(quick_sc
 
 
 @pytest.mark.ros
-def test_with_our_clearance_rule_any_charger_will_do(quick_scene: Scene, context: Any) -> None:
+def test_with_our_clearance_rule_any_charger_is_accepted(quick_scene: Scene, context: Any) -> None:
     (outcome,) = outcomes(as_published(quick_scene, published_clearance_rule=True), context, DockRequest(PLACE))
     assert outcome.error_name != "REJECTED", outcome
 
@@ -89,7 +89,7 @@ def message(**shares: Any) -> Misalignment:
     return found
 
 
-def test_the_most_probable_classes_are_told_by_their_centres() -> None:
+def test_the_most_probable_classes_are_given_by_their_centres() -> None:
     classes = estimate(message(), with_classes=True).classes
     assert classes is not None
     assert vars(classes) == pytest.approx({"angle": 0.0349066, "vertical": -0.005, "horizontal": 0.010})
@@ -98,7 +98,7 @@ def test_the_most_probable_classes_are_told_by_their_centres() -> None:
 
 @pytest.mark.parametrize("axis", ["angle", "vertical", "horizontal"])
 @pytest.mark.parametrize("shares", [[], [1.0, 0.0], [float("nan")] * 5, [1.0] * 7])
-def test_probabilities_that_are_missing_or_nan_tell_no_class(axis: str, shares: list[float]) -> None:
+def test_missing_or_nan_probabilities_give_no_class(axis: str, shares: list[float]) -> None:
     classes = estimate(message(**{axis: shares}), with_classes=True).classes
     told: Mapping[str, float] = vars(classes or SimpleNamespace())
     assert {name for name, value in told.items() if value != value} == {axis}
@@ -125,7 +125,7 @@ class Owner(Node):
 
 
 @pytest.mark.ros
-def test_the_nodes_that_are_heard_and_ordered_must_prove_it_and_stay(context: Any, spin: Spin, tmp_path: Path) -> None:
+def test_the_nodes_in_use_must_prove_simulation_and_stay_the_same(context: Any, spin: Spin, tmp_path: Path) -> None:
     """Nodes of the right names that are simulated do not vouch for others that docking has been remapped to."""
     ours, robot = (f"/{new_namespace().strip('/')}" for _ in range(2))
     with SimulatedCharger(

@@ -111,7 +111,7 @@ def test_every_second_source_is_named_until_it_is_gone(hostile: Hostile) -> None
     wait_until(lambda: not named(hostile), "nobody named any more")
 
 
-def test_docking_waits_for_a_second_to_go_and_one_that_comes_later_is_told(hostile: Hostile) -> None:
+def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(hostile: Hostile) -> None:
     node = Node("stranger", **options(hostile.context, hostile.namespace))
     node.create_service(Probe, "probe", lambda request, response: response)
     wait_until(lambda: named(hostile), "a second source")
@@ -150,7 +150,9 @@ def test_docking_waits_for_a_second_to_go_and_one_that_comes_later_is_told(hosti
 
 
 @pytest.mark.parametrize("beside", [True, slow(False)])
-def test_a_liar_about_the_angle_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
+def test_a_false_estimate_of_the_angle_never_closes_the_contactor(
+    quick_scene: Scene, context: Any, beside: bool
+) -> None:
     """The target is tilted past the rule. Beside the true server it may name frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")
     mocks = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}

@@ -132,7 +132,7 @@ def test_a_node_that_is_stopped_for_a_second(run: Faulty, node: str, phase: Stat
     run.go_home()
 
 
-def test_backing_off_ends_with_what_is_silent() -> None:
+def test_backing_off_ends_with_the_code_of_the_silent_node() -> None:
     """The paper's first push backs off where the target stands nearer than told."""
     run = Faulty(nearer=0.006, approach="paper")
     for node, code in (("servo_node", Code.SERVO_FAULT), ("tactile_node", Code.TACTILE_STALE)):

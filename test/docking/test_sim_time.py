@@ -124,7 +124,7 @@ def simulate(context: Any) -> Iterator[Callable[[], Simulator]]:
         each.close()
 
 
-def test_before_the_first_clock_a_goal_is_refused_by_name_and_after_it_docks(
+def test_before_the_first_clock_message_a_goal_is_refused_and_afterwards_it_docks(
     charge: Callable[..., Charger], simulate: Callable[[], Simulator]
 ) -> None:
     charger = charge()
@@ -142,7 +142,7 @@ def test_before_the_first_clock_a_goal_is_refused_by_name_and_after_it_docks(
     assert not charger.is_closed
 
 
-def test_a_charger_that_never_heard_a_clock_ends_safely(charge: Callable[..., Charger]) -> None:
+def test_a_charger_without_any_clock_message_ends_safely(charge: Callable[..., Charger]) -> None:
     charger = charge()
     charger.dock()
     charger.close()
@@ -165,7 +165,7 @@ def test_it_docks_at_half_and_at_double_rate(
 @pytest.mark.parametrize(
     ("change", "says"), [("pause", "stood still"), ("stop", "stood still"), ("back", "went back by 60")]
 )
-def test_a_clock_that_no_longer_goes_on_ends_charging_by_name_or_is_borne(
+def test_a_stopped_clock_is_tolerated_or_ends_charging_by_name(
     charge: Callable[..., Charger], simulate: Callable[[], Simulator], change: str, says: str
 ) -> None:
     simulator = simulate()
@@ -193,7 +193,7 @@ def test_a_clock_that_no_longer_goes_on_ends_charging_by_name_or_is_borne(
 
 
 @pytest.mark.parametrize("follows", ["docking_node", "mock_servo_node"])
-def test_nodes_of_two_clocks_are_named(
+def test_nodes_with_different_clocks_are_named(
     charge: Callable[..., Charger], simulate: Callable[[], Simulator], follows: str
 ) -> None:
     simulate()

@@ -57,7 +57,7 @@ def decisions(run: VirtualCharger) -> list[Decision]:
 
 @pytest.mark.parametrize("true", [2.0, 15.0, 40.0])
 @pytest.mark.parametrize("factor", [0.25, 4.0])
-def test_what_is_felt_overrides_what_was_told(true: float, factor: float) -> None:
+def test_the_estimated_stiffness_overrides_the_configured_one(true: float, factor: float) -> None:
     springs = told(factor * true)
     feel(springs, true)
     assert springs.is_felt
@@ -66,13 +66,13 @@ def test_what_is_felt_overrides_what_was_told(true: float, factor: float) -> Non
     assert springs.lag == pytest.approx(SERVO_DAMPING / true)
 
 
-def test_an_arm_that_still_yields_is_felt_as_well_as_one_at_rest() -> None:
+def test_a_moving_arm_gives_as_good_an_estimate_as_one_at_rest() -> None:
     springs = told(40.0)
     feel(springs, 4.0, rates=(-0.05, -0.08, 0.02))
     assert springs.stiffness == pytest.approx(4.0)
 
 
-def test_encoders_that_round_cost_little() -> None:
+def test_encoder_resolution_costs_little_accuracy() -> None:
     source = random.Random(1)
     worst = 0.0
     for _ in range(200):
@@ -97,7 +97,7 @@ SILENT: dict[str, tuple[Vector, Vector]] = {
 
 
 @pytest.mark.parametrize(("lags", "currents"), SILENT.values(), ids=SILENT)
-def test_readings_that_no_spring_explains_tell_nothing(lags: Vector, currents: Vector) -> None:
+def test_readings_that_no_spring_explains_are_ignored(lags: Vector, currents: Vector) -> None:
     springs = told(15.0)
     springs.feel(lags, STILL, STILL, currents)
     assert not springs.is_felt
@@ -107,7 +107,7 @@ def test_readings_that_no_spring_explains_tell_nothing(lags: Vector, currents: V
     assert springs.stiffness == pytest.approx(5.0), "what was felt stays"
 
 
-def test_new_readings_soon_count_for_more_than_old_ones() -> None:
+def test_new_readings_soon_outweigh_old_ones() -> None:
     springs = told(15.0)
     for _ in range(20):
         feel(springs, 30.0)
@@ -116,7 +116,7 @@ def test_new_readings_soon_count_for_more_than_old_ones() -> None:
     assert springs.stiffness == pytest.approx(10.0, rel=0.1)
 
 
-def test_a_reading_that_contradicts_what_was_felt_counts_alone() -> None:
+def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
     springs = told(15.0)
     for wrong in (60.0, 1.5):
         feel(springs, wrong)
@@ -125,7 +125,7 @@ def test_a_reading_that_contradicts_what_was_felt_counts_alone() -> None:
 
 
 @pytest.mark.parametrize("after", [0.3, 0.6])
-def test_a_servo_state_that_stands_still_teaches_nothing(after: float) -> None:
+def test_a_repeated_servo_state_is_ignored(after: float) -> None:
     up = {"gravity_y": 0.0, "gravity_z": -9.81}  # all three servos bear alike, as under a push
     run = charger(parameters=up, **up)
     run.begin(DockGoal(GOAL))
@@ -140,7 +140,7 @@ def test_a_servo_state_that_stands_still_teaches_nothing(after: float) -> None:
 @pytest.mark.parametrize(
     ("given", "felt", "named"), [(15.0, 15.0, False), (15.0, 11.0, False), (15.0, 4.0, True), (15.0, 40.0, True)]
 )
-def test_a_stiffness_that_does_not_fit_is_named_with_the_command_that_measures_it(
+def test_a_wrong_stiffness_is_reported_with_the_command_that_measures_it(
     given: float, felt: float, named: bool
 ) -> None:
     springs = told(given)
@@ -152,7 +152,7 @@ def test_a_stiffness_that_does_not_fit_is_named_with_the_command_that_measures_i
 
 
 @pytest.mark.parametrize(("true", "given"), [(2.0, 8.0), (3.0, 0.75), (15.0, 60.0), (40.0, 10.0)])
-def test_an_arm_that_nobody_measured_docks_in_its_band(true: float, given: float) -> None:
+def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: float) -> None:
     run = charger(parameters={"servo_stiffness": given}, servo=ServoParameters(stiffness=true))
     found = decisions(run)
     outcome = run.dock()
@@ -166,7 +166,7 @@ def test_an_arm_that_nobody_measured_docks_in_its_band(true: float, given: float
     assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
 
 
-def test_what_was_felt_is_kept_for_the_next_docking() -> None:
+def test_the_estimate_is_kept_for_the_next_docking() -> None:
     run = charger(parameters={"servo_stiffness": 40.0}, servo=ServoParameters(stiffness=10.0))
     first = run.dock()
     assert first.success, first.message
@@ -179,7 +179,7 @@ def test_what_was_felt_is_kept_for_the_next_docking() -> None:
     assert dict(weighed.values)["felt_Nm_per_rad"] == pytest.approx(before, rel=0.1)
 
 
-def test_an_arm_under_way_tells_nothing() -> None:
+def test_readings_during_a_motion_are_ignored() -> None:
     run, found = charger(), []
 
     def script(context: Context) -> Script[str]:
@@ -196,7 +196,7 @@ def test_an_arm_under_way_tells_nothing() -> None:
     assert found == [15.0] * len(found)
 
 
-def test_servos_at_their_current_bound_tell_nothing() -> None:
+def test_servos_at_their_current_bound_are_ignored() -> None:
     """The goal lies ever farther behind the target while the currents stay what they are allowed."""
     run, pushed = charger(0.0, 0.0, 0.0), []
 
@@ -214,7 +214,7 @@ def test_servos_at_their_current_bound_tell_nothing() -> None:
     assert run.machine._context.springs.stiffness == pytest.approx(15.0, rel=0.05)
 
 
-def test_a_soft_arm_goes_so_far_off_the_magnets_that_they_do_not_draw_it_back() -> None:
+def test_a_soft_arm_leaves_the_magnets_so_far_that_they_do_not_pull_it_back() -> None:
     run = charger(-8.0, -8.0, 8.0, 5, parameters={"servo_stiffness": 2.0}, servo=ServoParameters(stiffness=2.0))
     assert run.dock().success
     outcome = run.undock()
@@ -223,7 +223,7 @@ def test_a_soft_arm_goes_so_far_off_the_magnets_that_they_do_not_draw_it_back() 
 
 
 @pytest.mark.parametrize(("given", "named"), [(15.0, False), (50.0, True)])
-def test_a_stuck_arm_says_where_its_stiffness_does_not_fit(given: float, named: bool) -> None:
+def test_a_stuck_arm_reports_a_wrong_stiffness(given: float, named: bool) -> None:
     run = charger(0.0, 0.0, parameters={"servo_stiffness": given}, magnets=MagnetParameters(force=200.0))
     run.dock()
     outcome = run.undock()

@@ -43,7 +43,7 @@ def contact(x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0,
 
 @pytest.mark.parametrize("yaw", [2.0, -2.0, 0.5])
 @pytest.mark.parametrize("camera", [0.2, None], ids=["seen", "not seen"])
-def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float, camera: float | None) -> None:
+def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camera: float | None) -> None:
     place = target_place(PARAMETERS, seen() if camera is None else seen(yaw, camera))
     felt = contact(0.0)
     for aside in (0.0, 0.006, -0.006, 0.0):
@@ -57,7 +57,7 @@ def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float,
     assert abs(felt.horizontal) > 3.0 * abs(told.horizontal)
 
 
-def test_what_loads_change_by_in_one_contact_is_the_targets_slide_and_not_its_lean() -> None:
+def test_a_change_of_loads_within_one_contact_is_a_slide_and_not_a_lean() -> None:
     place, felt = target_place(PARAMETERS, seen(2.0, 0.1)), contact(0.0, 2.0)
     place.feel(felt, 0.0, 0.0, PUSH)
     before, same = place.told(felt), place.told(felt, later=True)
@@ -69,7 +69,7 @@ def test_what_loads_change_by_in_one_contact_is_the_targets_slide_and_not_its_le
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
-def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: float) -> None:
+def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(angle: float) -> None:
     place, felt = target_place(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
     place.feel(felt, 0.0, 0.0, PUSH)
     told = place.told(felt)
@@ -80,7 +80,7 @@ def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: flo
 
 
 @pytest.mark.parametrize("force", [math.nan, 0.0])
-def test_a_force_that_is_not_told_is_unknown(force: float) -> None:
+def test_a_missing_force_is_unknown(force: float) -> None:
     parameters = DockingParameters(yaw_stddev=0.0)
     place = target_place(parameters, seen())
     felt = FeltPose(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
@@ -90,7 +90,7 @@ def test_a_force_that_is_not_told_is_unknown(force: float) -> None:
     assert place.off[0] == pytest.approx(0.003, abs=0.8 * MILLIMETRE)
 
 
-def test_a_probe_is_made_beside_the_target_along_its_bars_and_only_where_the_arm_reaches() -> None:
+def test_a_probe_is_made_along_the_bars_and_only_within_reach() -> None:
     angle = 0.1
     place = target_place(PARAMETERS, seen(roll=angle))
     place.feel(contact(0.002, 1.5, 0.0, angle), 0.0, 0.0, PUSH)
@@ -109,7 +109,7 @@ def test_parallel_faces_are_never_probed_for_their_lean() -> None:
     assert place.plan.gain <= 0.0
 
 
-def test_the_same_contact_felt_again_is_not_one_more_witness() -> None:
+def test_a_second_estimate_of_one_contact_replaces_the_first() -> None:
     place, felt = target_place(PARAMETERS, seen()), contact(0.003, 1.0)
     place.feel(felt, 0.0, 0.0, PUSH)
     risk, told = place.risk, place.told(felt).horizontal_stddev
@@ -119,7 +119,7 @@ def test_the_same_contact_felt_again_is_not_one_more_witness() -> None:
     assert place.risk == pytest.approx(risk, abs=1e-3)
 
 
-def test_a_target_teaches_the_share_that_is_left_once_and_only_by_what_it_felt() -> None:
+def test_the_remaining_share_is_learnt_once_per_target_and_only_from_its_contacts() -> None:
     share = RemainingShare(PARAMETERS)
     untouched = TargetPlace(PARAMETERS, share, seen(2.0, 0.05))
     before = share.value, share.stddev
@@ -135,7 +135,7 @@ def test_a_target_teaches_the_share_that_is_left_once_and_only_by_what_it_felt()
     assert (share.value, share.stddev) == once
 
 
-def test_what_a_target_teaches_is_as_sure_as_it_says() -> None:
+def test_the_learnt_share_has_its_true_error() -> None:
     random, scores = np.random.default_rng(4), []
     for true in 0.0676 * np.exp(random.normal(0.0, 0.3, 60)):
         share = RemainingShare(PARAMETERS)
@@ -156,7 +156,7 @@ def one_pad(left: float, right: float) -> FeltPose:
     return FeltPose(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
 
 
-def test_a_pad_that_bears_all_needs_a_yaw_toward_it_where_both_ridges_are_on_their_pads() -> None:
+def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_their_pads() -> None:
     place = target_place(PARAMETERS, seen())
     left = place.least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)
     assert left == pytest.approx(-place.least_yaw(one_pad(0.5, 60.0), 0.0, PUSH))
@@ -171,7 +171,7 @@ def test_a_pad_that_bears_all_needs_a_yaw_toward_it_where_both_ridges_are_on_the
     assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "parallel by construction"
 
 
-def test_an_unsure_offset_points_along_the_bars_as_far_as_no_lean_explains_it() -> None:
+def test_an_unsure_offset_points_along_the_bars_only_as_far_as_no_lean_explains_it() -> None:
     far = FeltPose(0.0, 0.01, 0.0, 1e-3, 0.02, 1e-3, left_force=60.0, right_force=4.0)
     parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
     assert parallel.pointed_at(far, 0.0)[0] == pytest.approx(0.02, rel=0.02)

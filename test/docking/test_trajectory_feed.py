@@ -85,7 +85,7 @@ def begun(line: Piece = LINE, lag: float = LAG) -> TrajectoryFeed:
     return feed
 
 
-def test_told_in_time_the_goal_is_that_of_the_whole_line_at_every_tick() -> None:
+def test_pieces_sent_in_time_give_the_goal_of_the_complete_line_at_every_tick() -> None:
     listener, whole = Listener(), checked(LINE)
     for now, *goal in drive(begun(), listener, END + 0.1)[:, :4]:
         assert goal == pytest.approx(whole.goal_at(now, LINE[0].angles), abs=1e-12)
@@ -94,7 +94,7 @@ def test_told_in_time_the_goal_is_that_of_the_whole_line_at_every_tick() -> None
 
 @pytest.mark.parametrize("lag", [0.02, LAG, 0.364])
 @pytest.mark.parametrize("line", [LINE, SLOW, LINE[:2], LINE[:1]])
-def test_pieces_are_short_are_never_refused_and_lead_exactly_to_the_end(line: Piece, lag: float) -> None:
+def test_pieces_are_short_never_refused_and_end_exactly_at_the_goal(line: Piece, lag: float) -> None:
     draw, feed, now = random.Random(3), begun(line, lag), 0.0
     pieces: list[Piece] = []
     while feed.is_under_way(now):
@@ -144,7 +144,7 @@ def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(sh
 
 
 @pytest.mark.parametrize("silence", [0.2, 3.0])
-def test_a_sender_that_comes_back_goes_on_from_where_it_left_the_arm(silence: float) -> None:
+def test_a_returning_sender_continues_from_where_it_left_the_arm(silence: float) -> None:
     gone = 0.4 * END
     rows = drive(begun(), Listener(), END + silence + 0.2, heard=lambda now: not gone < now < gone + silence)
     back = rows[:, 0] > gone + silence
@@ -153,7 +153,7 @@ def test_a_sender_that_comes_back_goes_on_from_where_it_left_the_arm(silence: fl
     assert rows[-1, 1:4] == pytest.approx(LINE[-1].angles, abs=1e-9)
 
 
-def test_held_it_stops_at_once_and_goes_on_with_all_that_is_left() -> None:
+def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
     feed, listener = begun(), Listener()
     since, until = 0.4 * END, 0.4 * END + 0.5
     rows = drive(feed, listener, END + 0.7, held=lambda now: since <= now < until)
@@ -180,7 +180,7 @@ def test_a_line_held_before_it_began_leaves_the_goal_where_it_is() -> None:
     assert first[0].time == LINE[0].time
 
 
-def test_velocities_are_those_of_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
+def test_velocities_match_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
     piece = begun().piece(0.5 * END)
     assert piece is not None
     assert max(map(abs, piece[0].velocities or ())) == pytest.approx(peak_speed(LINE), rel=0.1)
@@ -191,7 +191,7 @@ def test_velocities_are_those_of_the_line_and_a_piece_that_ends_early_ends_at_re
     assert {point.velocities for point in told} == {None}
 
 
-def test_a_line_that_is_stopped_or_replaced_is_not_told_any_more() -> None:
+def test_a_line_that_is_stopped_or_replaced_is_no_longer_sent() -> None:
     feed = begun()
     feed.piece(0.0)
     feed.stop()
@@ -205,7 +205,7 @@ def test_a_line_that_is_stopped_or_replaced_is_not_told_any_more() -> None:
     assert piece[0] == SLOW[0]
 
 
-def test_a_pull_that_nobody_repeats_ends_where_the_arm_was_under_the_weaker_bound() -> None:
+def test_a_pull_that_is_not_repeated_ends_at_the_arms_place_under_the_weaker_bound() -> None:
     goal, rest = (0.0, 0.0, 0.0), (0.2, 0.2, 0.2)
     trajectory = checked(pull(goal, (4.0,) * 3, rest, (0.9,) * 3))
     for elapsed in (0.0, 0.03, PULL_HORIZON - 1e-6):

@@ -36,7 +36,7 @@ def is_believed(heard: Witness, *named: int) -> bool:
     return reply.success
 
 
-def test_frames_after_the_question_are_believed_also_where_half_of_them_were_lost() -> None:
+def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() -> None:
     assert is_believed(witness(), *AFTER)
     assert is_believed(witness(every=2), *AFTER)
     assert not is_believed(witness(every=3), *AFTER)
@@ -57,22 +57,22 @@ def test_frames_after_the_question_are_believed_also_where_half_of_them_were_los
         ((2**64 - 1,), "the largest number"),
     ],
 )
-def test_what_no_frames_stand_behind_is_refused(named: tuple[int, ...], why: str) -> None:
+def test_an_estimate_without_matching_frames_is_refused(named: tuple[int, ...], why: str) -> None:
     assert not is_believed(witness(), *named), why
 
 
 @pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
-def test_a_tactile_node_that_was_started_anew_and_a_board_that_rebooted_are_believed(start: int) -> None:
+def test_frames_after_a_restart_of_tactile_node_or_board_are_accepted(start: int) -> None:
     """The sequence begins anew with the first, and jumps ahead with the second."""
     after = range(start, start + 24)
     assert is_believed(witness(after), *after)
     assert is_believed(witness(after, every=2), *after)
 
 
-def test_who_heard_nothing_believes_nothing() -> None:
+def test_without_received_frames_no_estimate_is_accepted() -> None:
     assert not is_believed(Witness(), *AFTER)
 
 
-def test_answers_without_an_estimate_pass_as_they_are() -> None:
+def test_answers_without_an_estimate_are_not_changed() -> None:
     reply = Reply(3, True, "tared", resistance=math.pi)
     assert Witness().checked(reply) is reply

@@ -232,7 +232,7 @@ def test_home_is_moved_between_missions(robot: Robot) -> None:
     assert home(HOME.x) == ""
 
 
-def test_out_of_reach_it_stands_again_and_docks(real: Robot) -> None:
+def test_if_the_target_is_out_of_reach_the_robot_moves_and_docks(real: Robot) -> None:
     real.set("mock_detector_node", "beyond_reach")
     real.node("mock_navigator_node").arrived.clear()
     errand = real.send()
@@ -245,7 +245,7 @@ def test_out_of_reach_it_stands_again_and_docks(real: Robot) -> None:
     assert real.place == HOME
 
 
-def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stand(real: Robot) -> None:
+def test_a_target_that_stays_out_of_reach_fails_with_a_suggested_base_pose(real: Robot) -> None:
     real.set("mock_detector_node", "beyond_reach")
     result, _ = real.run()
     assert named(result) == (False, "UNREACHABLE", True), result
@@ -254,7 +254,7 @@ def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stan
     assert len(real.node("mock_navigator_node").arrived) > 2
 
 
-def test_what_stays_askew_is_stood_before_again_and_then_given_up(real: Robot) -> None:
+def test_a_target_that_stays_askew_fails_after_the_allowed_moves(real: Robot) -> None:
     """The mock's electrodes travel along with the base, so that every stand leaves them as askew."""
     real.set("mock_detector_node", "leaning")
     arrived = real.node("mock_navigator_node").arrived
@@ -286,7 +286,7 @@ def test_a_cancelled_mission_opens_undocks_and_comes_home(robot: Robot, stage: S
         assert errand.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
 
 
-def test_a_cancel_on_the_way_back_stops_it_there(robot: Robot) -> None:
+def test_a_cancel_during_the_return_stops_the_robot(robot: Robot) -> None:
     errand = robot.send()
     errand.reach(Stage.CHARGE)
     robot.set("mock_navigator_node", "slow")
@@ -320,7 +320,7 @@ def test_a_second_goal_is_rejected_and_the_same_request_joins(robot: Robot) -> N
         ("lost", "UNREACHABLE", "not known in that frame"),
     ],
 )
-def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, says: str) -> None:
+def test_a_failing_navigator_is_reported(robot: Robot, fault: str, name: str, says: str) -> None:
     robot.set("mock_navigator_node", fault)
     errand = robot.send()
     errand.reach(Stage.RETURN)
@@ -332,13 +332,13 @@ def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, say
 
 
 @pytest.mark.parametrize("frame", ["", "the_moon"])
-def test_a_place_in_no_frame_of_the_navigator_is_refused(robot: Robot, frame: str) -> None:
+def test_a_target_in_an_unknown_frame_is_refused(robot: Robot, frame: str) -> None:
     result, _ = robot.run(frame=frame)
     assert not result.success
     assert CODES[result.error_code] == ("UNREACHABLE" if frame and not installed() else "REJECTED")
 
 
-def test_a_target_in_another_frame_of_tf_is_the_same_target_in_map(robot: Robot, context: Any, spin: Spin) -> None:
+def test_a_target_in_another_tf_frame_is_transformed_to_map(robot: Robot, context: Any, spin: Spin) -> None:
     """A navigator that knows no frame but map is sent to the same place."""
     broadcaster = spin(Broadcaster(context))
     errand = robot.send(stop_after=60.0)
@@ -360,7 +360,7 @@ def test_a_target_in_another_frame_of_tf_is_the_same_target_in_map(robot: Robot,
     timer.cancel()
 
 
-def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
+def test_the_base_pose_follows_the_charger_mount_in_tf(
     made: Callable[[Scene], Robot], context: Any, spin: Spin
 ) -> None:
     def without(content: dict[str, Any]) -> None:
@@ -385,7 +385,7 @@ def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
     assert "base_pose contradicts tf" in result.error_message
 
 
-def test_a_charger_that_is_docked_already_is_not_driven(robot: Robot) -> None:
+def test_a_docked_charger_is_not_driven(robot: Robot) -> None:
     assert robot.docking is not None
     undockings = robot.docking.undockings
     robot.docking.tell(DockingState.STATE_CHARGING, docked=True, charging=True)
@@ -411,7 +411,7 @@ def made(context: Any) -> Iterator[Callable[[Scene], Robot]]:
         robot.close()
 
 
-def test_who_is_missing_is_named_and_nothing_moves(made: Callable[[Scene], Robot]) -> None:
+def test_missing_nodes_are_named_and_nothing_moves(made: Callable[[Scene], Robot]) -> None:
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
 
     def change(content: dict[str, Any]) -> None:
@@ -434,7 +434,7 @@ def standing(content: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is_gone(
+def test_a_stationary_charger_needs_no_navigator_and_reports_missing_docking(
     made: Callable[[Scene], Robot],
 ) -> None:
     robot = made(mocked(standing))
@@ -451,7 +451,7 @@ def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is
     assert "undock_timeout" in result.error_message
 
 
-def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_nowhere(
+def test_closing_mission_node_ends_charging_and_its_goal_and_drives_nowhere(
     made: Callable[[Scene], Robot],
 ) -> None:
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
@@ -471,7 +471,7 @@ def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_now
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
-def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
+def test_the_process_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
     code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
     words = ["--ros-args", "-r", f"__ns:=/{namespace}"]
     process = start(sys.executable, "-c", code, *words)
@@ -483,7 +483,7 @@ def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any
     node.destroy_node()
 
 
-def test_without_nav2_msgs_the_node_says_what_to_install(
+def test_without_nav2_msgs_the_node_names_what_to_install(
     context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "nav2_msgs", None)
@@ -493,7 +493,7 @@ def test_without_nav2_msgs_the_node_says_what_to_install(
         Composition(scene, context, namespace).start()
 
 
-def test_a_mission_that_meets_a_defect_as_it_begins_leaves_the_node_free(
+def test_a_defect_at_the_beginning_of_a_mission_leaves_the_node_free(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = robot.node("mission_node")._machine
