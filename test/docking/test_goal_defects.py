@@ -35,7 +35,7 @@ def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
     patch.setattr(owner, name, fail)
 
 
-@pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_goals", "_begun")])
+@pytest.mark.parametrize(("part", "does"), [("_machine", "_record_goal"), ("_goals", "_begun")])
 def test_a_defect_at_the_beginning_of_a_goal_ends_it_and_leaves_the_charger_free(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
