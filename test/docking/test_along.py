@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a target is along its bars through a lean that loads the pads as an offset does: laws of the filter."""
+"""Laws of the filter for the target's place along its bars, with a lean that loads the pads like an offset."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from deltacharger_docking.parameters import DockingParameters
 MILLIMETRE = 1e-3
 PARAMETERS = DockingParameters()
 PUSH = 17.0  # N
-BIAS = 0.0081  # m, what a yaw of 1.2° loads the pads by on a platform of the usual compliance
-FLAT = 0.2  # m; a prior that tells nothing within the grid
+BIAS = 0.0081  # m, load bias of a yaw of 1.2° on a platform of the usual compliance
+FLAT = 0.2  # m; a prior without information within the grid
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.05, -0.2])
@@ -33,7 +33,7 @@ def test_derivatives_of_the_pull_match_finite_differences(x: float, across: floa
         for side in (1.0, -1.0)
     )
     assert by_width == pytest.approx((wide - narrow) / 2e-6, rel=1e-5, abs=1e-4)
-    # The distance of the centres is that of an end_effector which sees the bars turned.
+    # The distance of the centres, for an end_effector that measures the bars as rotated.
     y = (across + x * math.sin(angle)) / math.cos(angle)
     share = 1.0 / (1.0 + (x * x + y * y) / PARAMETERS.magnet_width**2)
     assert pull == pytest.approx(PARAMETERS.magnet_force * share)
@@ -47,11 +47,11 @@ def test_far_away_only_the_floor_of_the_pull_remains_and_gives_no_place() -> Non
 
 
 class Target:
-    """A target drawn from the filter's own model, and the looks that contacts on it give.
+    """A target drawn from the filter's own model, and the measurements of contacts on it.
 
     Attributes:
         place: m, where it is.
-        landed: m, how far its centre lay off in the last contact.
+        landed: m, offset of its centre in the last contact.
     """
 
     def __init__(self, random: np.random.Generator, bias_stddev: float, place_stddev: float = 0.005) -> None:
@@ -77,12 +77,12 @@ class Target:
 
 
 def known(bias_stddev: float = BIAS, place_stddev: float = PARAMETERS.place_stddev) -> AlongFilter:
-    """A filter that foresees a target at 0."""
+    """A filter that expects a target at 0."""
     return AlongFilter(PARAMETERS, 0.0, place_stddev, 0.0, bias_stddev)
 
 
 def simulated(count: int, asides: tuple[float, ...], bias_stddev: float = BIAS) -> list[tuple[Target, AlongFilter]]:
-    """Targets and filters after contacts that lay beside where each was foreseen, m."""
+    """Targets and filters after contacts at these offsets (m) from the expected place."""
     random = np.random.default_rng(7)
     found = []
     for _ in range(count):
@@ -159,7 +159,7 @@ def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
     honest = [each for _, each in simulated(200, (0.0, 0.006, -0.006))]
     assert not any(each.contradicts_itself for each in honest)
     frozen = known()
-    for platform in (0.0, -0.006, 0.006, 0.012):  # the pads repeat what they felt first
+    for platform in (0.0, -0.006, 0.006, 0.012):  # the pads repeat their first reading
         frozen.update(LookAlong(platform, 0.004, 3e-4, 60.0 + PUSH, 2.0, PUSH, 0.0, 0.0))
     assert frozen.contradicts_itself
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What attacks on docking found, in virtual time: each once left current on, an arm stuck or a goal without an end."""
+"""Faults found by attacks on docking, in virtual time: each once left current on, an arm stuck or an endless goal."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_the_next_goal_does_not_pull_electrodes_off_a_welded_contactor() -> None
 
 
 def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
-    """The close takes its way and charger_power comes late, so the first messages still tell of an open contactor."""
+    """Closing takes time and charger_power is late, so the first messages still report an open contactor."""
     run = quick_charger()
     late: list[tuple[float, Callable[[], None]]] = []
     plant, close, open_ = run.plant, run.plant.close_contactor, run.plant.open_contactor
@@ -288,7 +288,7 @@ def two_speak(observation: Observation) -> Observation:
 
 @pytest.mark.parametrize("begins", [slow(State.APPROACH), State.MEASURE, slow(State.ENERGISE)])
 def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) -> None:
-    """Whenever the second comes; docking goes on up to there, waits for it to go, says so, and goes home."""
+    """A second source at any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
     run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is begins, 60.0)
@@ -303,7 +303,7 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) 
 
 @pytest.mark.parametrize("begins", [slow(State.CONTACT), State.MEASURE])
 def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State) -> None:
-    """A second that is gone when the contactor would close may have spoken for the estimate: it is made anew."""
+    """A second source that has disappeared before closing may have sent the estimate, so it is repeated."""
     run = quick_charger()
     felt: list[float] = []
 

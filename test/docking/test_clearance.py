@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When current may flow, and where the target is: laws of the two decisions that keep docking safe."""
+"""Laws of the two decisions that keep docking safe: whether current may flow, and where the target is."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deltacharger_docking.place import AxisFilter
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
 LEVEL = [item for item in fields(FeltPose) if item.name not in ("across", "across_stddev", "classes")]
-"""What an estimate of before the offset across was told has."""
+"""Fields of estimates from before the offset across existed."""
 
 
 def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> FeltPose:
@@ -92,10 +92,10 @@ def test_a_lean_that_looks_like_an_offset_along_the_bars_changes_no_verdict(degr
         )
         assert abs(level.vertical - leaning.vertical) > 8e-4
         assert judge(level, PARAMETERS) is judge(leaning, PARAMETERS)
-        # Where nobody tells the offset across, that of the pose is the same, and less sure.
+        # An offset across that is calculated from the pose is equal, and less sure.
         worked_out = replace(leaning, across=math.nan, across_stddev=math.nan)
         assert worked_out.across == pytest.approx(across)
-        # A publisher that does not know the fields leaves zeros: that is not an offset of exactly nothing.
+        # A publisher that does not know the fields leaves zeros: they do not mean an exact offset of 0.
         assert replace(leaning, across=0.0, across_stddev=0.0).across == pytest.approx(across)
 
 
@@ -132,7 +132,7 @@ def test_the_filter_averages_out_the_scatter_of_dockings() -> None:
 
 def test_a_far_first_contact_does_not_outweigh_near_ones() -> None:
     tracker = axis(jitter=0.0005)
-    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm where the truth is 8
+    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm, truth 8 mm
     tracker.update(0.010, -0.002, 1e-4)
     assert tracker.target == pytest.approx(0.008, abs=3e-4)
 

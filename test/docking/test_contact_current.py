@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact current is the servos' force along z less what holds the arm, whatever way it is computed."""
+"""The contact current is the servos' force along z less the holding force."""
 
 from __future__ import annotations
 

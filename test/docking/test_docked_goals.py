@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals on a docked target: each gets what it asks for, none moves what rests well, none weakens the supervision."""
+"""Goals on a docked target: each is fulfilled, none moves electrodes that rest well or weakens the supervision."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> Virtual
 
 
 def shifted(reply: Reply, degrees: float) -> Reply:
-    """The same answer on a target turned by so much."""
+    """The same answer for a target rotated by this angle."""
     assert reply.estimate is not None
     return replace(reply, estimate=felt_as(reply.estimate, angle=math.radians(degrees)))
 
@@ -197,7 +197,7 @@ def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
 
 @pytest.mark.parametrize("wait", [1.0, 25.0])
 def test_current_that_is_cut_off_is_not_a_full_target(wait: float) -> None:
-    """Also in the middle of the taper, where current is small already."""
+    """Also in the middle of the taper, when current is already small."""
     run = docked(circuit=FILLING)
     run.run(wait)
     assert run.world.snapshot().contactor_closed

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node and its goals: every state is told, none is lost between two clients, and the end answers them all."""
+"""docking_node and its goals: every state is reported, no goal is lost between two clients, and all are answered."""
 
 from __future__ import annotations
 

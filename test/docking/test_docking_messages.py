@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking says on joint_trajectory, and what it reads from poses: goals and detections that lean or do not."""
+"""What docking publishes on joint_trajectory and reads from poses: goals and detections with and without a lean."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_goal_without_velocities_is_sent_without_them_and_no_points_mean_hold(
 DEGREE = math.radians(1.0)
 MOUNT = DockingNodeParameters()
 TURNED = DockingNodeParameters(base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * value for value in (2, 2, 0, 0))))
-"""A charger_base that stands otherwise on its robot."""
+"""A charger_base with another mount on its robot."""
 
 
 def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, ...]:
@@ -66,7 +66,7 @@ def test_a_base_pose_with_a_zero_quaternion_is_refused_by_name() -> None:
 
 
 def roll_of(numbers: tuple[float, ...]) -> float:
-    """Return the roll as the camera tells it: of the x axis projected on charger_base's x and y, rad."""
+    """Return the roll as the camera reports it: of the x axis projected on charger_base's x and y, rad."""
     rows = rotation(*numbers)
     return math.atan2(rows[1][0], rows[0][0])
 
@@ -103,7 +103,7 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
 @pytest.mark.parametrize("roll", [0.0, 7.0])
 @pytest.mark.parametrize("mount", [MOUNT, TURNED])
 def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
-    """Also where its numbers were rounded on their way: a fleet that sends a roll has not looked whether it leans."""
+    """Also with rounded numbers: a fleet that sends a roll has not measured the lean."""
     told = turned(roll=roll * DEGREE)
     rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], told))
     for found in (goal(told, mount), goal(rounded, mount, mount.base_pose)):

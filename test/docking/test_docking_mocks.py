@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node on mocks that misbehave: every failure ends with its code, the contactor open and the reason told.
+"""docking_node on mocks that misbehave: every failure ends with its code and reason, and the contactor open.
 
-One charger serves all scenarios; between them it undocks. This is what the launch test does in separate processes.
+One charger serves all scenarios; between them it undocks. The launch test does this in separate processes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Charger:
         assert result.successful, result.reason
 
     def dock(self, request: DockRequest | None = None, **options: Any) -> Outcome:
-        """Dock; an estimate that a stalled mock arm spoilt is retriable, and tried once more as a fleet would."""
+        """Dock; if a stalled mock arm spoilt the estimate, which is retriable, try once more as a fleet would."""
         goal = request or DockRequest(PLACE)
         outcome = self.client.dock(goal, deadline=DEADLINE, **options)
         if outcome.error_name == "ESTIMATE_UNSURE" and self.fault != "unsure":
@@ -69,7 +69,7 @@ class Charger:
 
 @pytest.fixture(scope="module")
 def shared(quick_scene: Scene, context: Any) -> Iterator[list[Charger]]:
-    """The charger of all scenarios; empty after one that broke it, so that the next starts afresh."""
+    """The charger of all scenarios; empty after one that broke it, so that the next one starts a new charger."""
     chargers: list[Charger] = []
     yield chargers
     for charger in chargers:

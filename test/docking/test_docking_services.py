@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's calls: a service that comes late is waited for, one that never comes is told, none overtakes another."""
+"""Docking's calls: it waits for a late service, reports a missing one, and no call overtakes another."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ ASKED: dict[Service, tuple[str, Any, Any]] = {
 
 @pytest.mark.parametrize("service", ASKED)
 def test_malformed_answers_are_refused_or_ignored(node: Node, services: Services, service: Service) -> None:
-    """Success with words without end, and with nothing, NaN or endless numbers as its payload."""
+    """Success with a very long message, and with nothing, NaN or infinite numbers as its payload."""
     name, kind, fill = ASKED[service]
     values = iter((None, NAN, INF, -INF, 1e308))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm at ease: no servo carries more than its share, for hours, as far as friction holds and no farther."""
+"""The arm at ease: no servo carries more than its share for hours, as far as friction holds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def charger(
 
 
 def decisions(run: VirtualCharger) -> list[Decision]:
-    """Collect what the machine decides from now on."""
+    """Collect the machine's decisions from now on."""
     found: list[Decision] = []
     step = run.machine.step
 
@@ -108,7 +108,7 @@ def test_four_hours_in_the_simulated_world_change_nothing() -> None:
 
 
 def test_weight_along_the_push_remains_on_the_servos() -> None:
-    """No friction carries it: 0.09 A of it add to each, alike."""
+    """No friction carries it: it adds 0.09 A to each servo."""
     for gravity, expected in (((0.0, 0.0, 9.81), 0.36), ((0.0, 0.0, -9.81), 0.54)):
         run = charger(3.0, -2.0, 15.0, gravity)
         assert run.dock().success

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact is fast where nothing can be struck, and bounded wherever the target may be: laws of press."""
+"""Laws of press: contact is fast where nothing can be struck, and bounded wherever the target may be."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STRIKE_MOST = 115.0  # N besides the magnets on electrodes of 1e5 N/m, impact in
 
 
 def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:
-    """Shove the target by so many mm while the docking is under way."""
+    """Shift the target by these mm during the docking."""
     target = run.world.parameters.target
     moved = replace(target, x=target.x + x * MILLIMETRE, y=target.y + y * MILLIMETRE, z=target.z + z * MILLIMETRE)
     run.world.parameters = replace(run.world.parameters, target=moved)
@@ -38,8 +38,7 @@ def until_lifted(run: VirtualCharger) -> None:
 def pushed(run: VirtualCharger) -> float:
     """Largest push (N) so far besides the magnets', impact included, as it would be on electrodes of 1e5 N/m.
 
-    What strikes with a speed strikes the harder, by the root of its stiffness, the stiffer it meets; soft electrodes
-    bottom, and meet their stop.
+    At a given speed the impact grows with the root of the stiffness. Soft electrodes bottom out at their stop.
     """
     contact = run.world.parameters.contact
     bottoms = contact.stiffness * contact.hard_stop < 30.0  # N of one electrode under half of the magnets' pull
@@ -82,7 +81,7 @@ def test_a_wrong_known_place_does_no_harm(z: float) -> None:
     until_lifted(run)
     context = run.machine._context
     assert context.known_contact is not None
-    wrong = -z * MILLIMETRE  # the target lies by z nearer or farther than where it is known to be
+    wrong = -z * MILLIMETRE  # the target is nearer or farther by z than its known place
     known = context.known_contact
     context.known_contact = replace(known, commanded=known.commanded + wrong, measured=known.measured + wrong)
     assert run.finish(120.0).success
@@ -112,7 +111,7 @@ def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
 
 @pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
 def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
-    """Nearer than told by less than the standoff, or farther: the search meets it."""
+    """Nearer than given by less than the standoff, or farther: the search finds it."""
     told = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
     run = charger()
     outcome = run.dock(DockGoal(ElectrodePose(told, 0.0)))
@@ -157,7 +156,7 @@ def test_missing_touch_data_on_the_fast_line_stops_the_arm_before_the_target(fau
 
 
 def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
-    """Conditions that hold on each of the lines of contact, in their order: fast, slow, pressing; and again."""
+    """Conditions of each line of contact, in order: fast, slow, pressing; then again."""
     status, z = run.machine.status, run.world.snapshot
     depth = GOAL.position[2] - run.parameters.search_from
     return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An error of our own where a goal begins: the client hears INTERNAL, and nothing goes on that nobody serves."""
+"""An internal error at the beginning of a goal: the client gets INTERNAL, and nothing continues unserved."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def hostile(quick_scene: Scene, context: Any) -> Iterator[Hostile]:
 
 
 def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
-    """Let the next call of a method raise, after it has done its work."""
+    """Let the next call of a method raise after its work."""
     works = getattr(owner, name)
 
     def fail(*words: Any, **options: Any) -> Any:

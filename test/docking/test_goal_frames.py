@@ -61,7 +61,7 @@ class Charger:
         return answer(answer(self.client.node.executor.call_soon(self._docks.send_goal_async, goal)))
 
     def taken(self) -> DockingDecision:
-        """Return the decision that told where the last goal was taken to be."""
+        """Return the decision with the last goal's place."""
         wait_until(lambda: any(each.kind == "accepted" for each in self.told), "the decision")
         return next(each for each in reversed(self.told) if each.kind == "accepted")
 
@@ -128,13 +128,13 @@ def test_the_client_sends_goals_in_charger_base_with_any_prefix(charger: Charger
 
 
 def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
-    """With tf or without: what one writes in its frames is not taken for the other's."""
+    """With tf or without: data in the frames of one charger are not used for the other."""
     prefixes = ("left/", "right/")
     chargers = [Charger(quick_scene, context, prefix) for prefix in prefixes]
     try:
         for charger, prefix in zip(chargers, prefixes, strict=True):
             heard = _hear(charger)
-            result = charger.dock("", TARGET)  # by the camera, so that a detection is told, too
+            result = charger.dock("", TARGET)  # by the camera, so that a detection is published
             assert result.success, result.error_message
             wait_until(lambda heard=heard: all(heard.values()), "a message of each topic")
             assert {frame.removesuffix("charger_base").removesuffix("end_effector") for frame in heard.values()} == {
@@ -150,7 +150,7 @@ def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, 
 
 
 def _hear(charger: Charger) -> dict[str, str]:
-    """Return the frame_id of each topic of a charger that says where something is, as soon as it is heard."""
+    """Return the frame_id of each topic of a charger that has one, after its first message."""
     node: Any = charger.client.node
     own = [each.node for each in charger.composition.nodes]
     ends = {each.topic_name: each.msg_type for every in own for each in every.publishers}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lean that is known before contact, in virtual time: what surely lies too far off is refused before anything moves."""
+"""Lean that is known before contact, in virtual time: a sure lean beyond the limit is refused before anything moves."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_large_yaw_is_refused_before_anything_moves_with_a_suggested_base_pose
     base = outcome.suggested_base
     assert base is not None
     assert base.yaw == pose.yaw
-    # From there the electrodes lie straight ahead: R_y(yaw)ᵀ (electrodes − base).
+    # From there the electrodes are straight ahead: R_y(yaw)ᵀ (electrodes − base).
     x, y, z = (a - b for a, b in zip(pose.position, (base.x, base.y, base.z), strict=True))
     sine, cosine = math.sin(base.yaw), math.cos(base.yaw)
     assert (cosine * x - sine * z, y, sine * x + cosine * z) == pytest.approx((0.0, 0.0, 0.080))

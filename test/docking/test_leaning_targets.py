@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Targets whose faces lean, in virtual time: what is charged all the same, and what is refused with what to do."""
+"""Targets whose faces lean, in virtual time: which are charged, and which are refused with a remedy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def leaning(
     stiffness: float = 1e5,
     seed: int = 1,
 ) -> QuickCharger:
-    """A charger whose target stands (mm, mm, degrees) beside the goal's and leans, in degrees."""
+    """A charger whose target differs from the goal's by (mm, mm, degrees) and leans, in degrees."""
     x, y, roll = place
     target = TargetParameters(
         x=x * MILLIMETRE,
@@ -45,7 +45,7 @@ def leaning(
 
 
 def dock(run: QuickCharger, pitch: float = math.nan) -> DockingOutcome:
-    """Dock where the goal says; `pitch` (degrees) as a camera sees it within 0.5°."""
+    """Dock at the goal's place; `pitch` (degrees) as a camera measures it within 0.5°."""
     stddev = math.radians(0.5) if math.isfinite(pitch) else math.nan
     return run.dock(DockGoal(replace(GOAL, pitch=math.radians(pitch), pitch_stddev=stddev)))
 

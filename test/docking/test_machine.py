@@ -153,7 +153,7 @@ def test_a_pad_that_lost_its_ridge_still_shows_the_direction_across_the_bars(y: 
 def test_a_pad_without_load_causes_no_move_along_the_bars_since_a_lean_may_empty_it(yaw_stddev: float) -> None:
     run = charger(x=25.0, y=0.0, parameters={"yaw_stddev": yaw_stddev})
     outcome = run.dock()
-    assert outcome.code is Code.ESTIMATE_UNSURE  # so far aside the magnets hardly pull: no lean, then
+    assert outcome.code is Code.ESTIMATE_UNSURE  # this far away the magnets hardly pull, so it is not a lean
     assert outcome.alignments == 0
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)

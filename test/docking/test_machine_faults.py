@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with docking in virtual time: every way out is safe."""
+"""Faults of docking in virtual time: it always ends safely."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_old_data_stop_the_arm_and_fresh_data_let_it_continue(state: State, faul
 def test_a_missing_input_first_stops_the_arm_and_then_ends_the_goal(state: State, fault: str, code: Code) -> None:
     run = moving_in(state)
     since, z = run.now, run.world.snapshot().position[2]
-    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it strikes nothing, however fast
+    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it cannot strike anything
     run.distort = lambda observation: replace(observation, **{fault: run.now - since})
     run.run(0.2)
     assert run.outcome is None
@@ -120,7 +120,7 @@ def test_retracting_needs_no_tactile_data() -> None:
 
 @pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT])
 def test_torque_lost_during_a_motion_ends_the_goal_at_once(state: State) -> None:
-    """Else the command would run on to the arm's limit, and pressing would resume from there."""
+    """Otherwise the command would reach the arm's limit, and pressing would resume from there."""
     run = moving_in(state)
     run.distort = lambda observation: replace(observation, torque_enabled=False)
     assert run.finish(2.0).code is Code.SERVO_FAULT
@@ -217,7 +217,7 @@ def test_after_an_emergency_everything_is_off() -> None:
 
 
 def test_no_observation_raises_an_error() -> None:
-    """Whatever the topics say, the machine answers; a machine that raises would leave a goal hanging."""
+    """The machine answers any data; a machine that raises would leave a goal without result."""
     blank = Observation(time=0.0)
     run = quick_charger()
     run.begin(DockGoal(GOAL))

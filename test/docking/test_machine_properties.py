@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the docking machine under any observations: no current without all of its conditions, every way has an end.
+"""Laws of the docking machine under any observations: no current without all of its conditions, and no endless goal.
 
-The machine is driven by a small cooperative model, so that it comes to the end of a docking in a few hundred steps, and
-by an adversary that spoils what it sees: not measured, too old, contradictory, late, twice, of another kind, in another
-order, clocks that jump, goals and cancels at any time.
+A small cooperative model drives the machine, so that a docking takes a few hundred steps. An adversary spoils its
+observations: not measured, too old, contradictory, late, twice, of another kind, in another order, clocks that jump,
+goals and cancels at any time.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ LEGAL: dict[State, set[State]] = {
 
 @dataclass
 class Model:
-    """A charger without dynamics: the platform stands where it was told, and pushes by what that lies too far."""
+    """A charger without dynamics: the platform is at its command, and pushes by its distance beyond the target."""
 
     geometry: ScalarDelta = field(default_factory=lambda: ScalarDelta(DeltaGeometry()))
     now: float = 0.0
@@ -89,7 +89,7 @@ class Model:
         self.wanted = command.energise
 
     def observe(self) -> Observation:
-        """Go on by a tick and tell what is."""
+        """Advance by a tick and return the observation."""
         self.now += TICK
         for item in [item for item in self.pending if item[0] <= self.now]:
             self.pending.remove(item)
@@ -137,7 +137,7 @@ class Model:
 
 
 class Judge:
-    """Looks at every observation and command, and says what must not be; it knows nothing of the machine's inside."""
+    """Checks every observation and command against the rules, without knowledge of the machine's internals."""
 
     def __init__(self) -> None:
         self.asked: dict[int, Service] = {}
@@ -152,7 +152,7 @@ class Judge:
         self.probed = False
 
     def saw(self, observation: Observation) -> None:
-        """Note what the machine was told."""
+        """Store the machine's observation."""
         for reply in observation.replies:
             service = self.asked.pop(reply.number, None)
             if service is Service.ESTIMATE:
@@ -169,7 +169,7 @@ class Judge:
         self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
 
     def heard(self, observation: Observation, command: Command, contact_current: float) -> None:
-        """Check what the machine said to it."""
+        """Check the machine's command."""
         for state in command.states:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
             self.states.append(state)
@@ -228,7 +228,7 @@ def _failed(reply: Reply, source: random.Random) -> Iterator[Reply]:
 
 
 def _other(reply: Reply, source: random.Random) -> Iterator[Reply]:
-    """A reply as of another service, or one with numbers that are none."""
+    """A reply like that of another service, or one with invalid numbers."""
     value = source.choice((math.nan, math.inf, 0.2, -24.0, 5.0, 1e9, 24.0))
     felt = reply.estimate
     if felt is not None:
@@ -335,7 +335,7 @@ class Run:
             self.step()
 
     def settle(self) -> None:
-        """Let whatever the machine does by itself come to its end without an adversary."""
+        """Let the machine end its own actions without the adversary."""
         self._spoiled, self._jumps, self._left = (), False, 0
         quiet, end = 0, self.model.now + ENOUGH
         while quiet < 20:
@@ -345,7 +345,7 @@ class Run:
             quiet = quiet + 1 if rests and not self.machine.busy else 0
 
 
-# The goal's own deadline, twice as docking begins again once, the ways back, and what the clock was set back meanwhile.
+# The goal's deadline twice, since docking restarts once, plus retracting and the time by which the clock was set back.
 ENOUGH = 2.0 * (LIMITS.goal_timeout + LIMITS.retract_timeout + 5.0)
 ADVERSARIES = st.tuples(
     st.integers(0, 2**32),

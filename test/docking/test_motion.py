@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of docking: commanded with the arm's weight led, bounded in effort, and refused whole before anything moves."""
+"""Lines of docking: commanded with the arm's weight fed forward, bounded in effort, and refused before any motion."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_the_start_is_not_a_waypoint_and_times_increase() -> None:
 
 
 def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> None:
-    goal = (0.010, 0.020, 0.062)  # here the weight pulls at the arm that is turned farthest
+    goal = (0.010, 0.020, 0.062)  # here the weight acts on the arm that is turned farthest
     limit = float(DELTA.inverse(goal).angles.max()) + 1e-6
     waypoints = Planner(PARAMETERS, DeltaGeometry(joint_max=limit)).line(HOME, goal, 0.12)
     angles, velocities = table(waypoints, "angles"), table(waypoints, "velocities")
@@ -86,7 +86,7 @@ def test_a_way_is_refused_if_its_last_leg_is_impossible() -> None:
 
 
 class Watched(VirtualCharger):
-    """A charger whose machine works with a geometry of its own, and that remembers what the arm was told."""
+    """A charger whose machine uses its own geometry; it stores the arm's commands."""
 
     def __init__(self, geometry: DeltaGeometry, target: TargetParameters, **parameters: Any) -> None:
         super().__init__(WorldParameters(target=target), DockingParameters(**parameters))
@@ -115,7 +115,7 @@ def test_an_arm_outside_its_limits_is_not_moved() -> None:
 
 
 def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
-    # The rods allow the told place and not the one 6 mm further, which touch finds out.
+    # The rods allow the given place, but not a place 6 mm farther, which touch requests.
     told, real = (0.048, 0.0, 0.080), 0.054
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
     geometry = DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger's own battery is let onto the electrodes only while its voltage is measured and in range."""
+"""The charger's own battery feeds the electrodes only while its voltage is measured and in range."""
 
 from __future__ import annotations
 

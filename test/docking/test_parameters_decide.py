@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking and mission declare decides: each parameter is read, and a scene's value is what the machine has."""
+"""Each declared parameter of docking and mission is read, and the machine uses the scene's value."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNo
 
 
 def other(each: Declaration) -> Any:
-    """Return an allowed value beside the default, so near that no two parameters contradict each other."""
+    """Return an allowed value near the default, so that no two parameters contradict each other."""
     if each.name == "power":  # its other value allows one approach alone; see test_wired
         return each.default
     if isinstance(each.default, tuple):
@@ -46,7 +46,7 @@ def values(node: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
 def test_every_declared_parameter_is_read(table: type[Any]) -> None:
-    """Read as an attribute somewhere in the package that declares it; what nobody reads decides nothing."""
+    """Read as an attribute somewhere in the package that declares it."""
     read = {
         node.attr
         for path in (ROOT / table.__module__.partition(".")[0]).rglob("*.py")

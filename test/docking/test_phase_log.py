@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking logs: every phase once and in order, every failure with its code, the contactor, and no line else."""
+"""Docking's log: every phase once and in order, every failure with its code, the contactor, and no other line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def passages(lines: list[str]) -> list[tuple[str, str]]:
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the log of every virtual charger says, each stepped as docking_node steps its own."""
+    """Log lines of all virtual chargers, each stepped as docking_node steps its machine."""
     lines: list[str] = []
     log, follow = PhaseLog(), VirtualCharger._follow
     log.begin("dock order-1")

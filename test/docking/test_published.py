@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 as printed: classes move the arm and zero ends the loop; clearance counts only where it is asked for."""
+"""Algorithm 1 as published: classes move the arm and zero ends the loop; clearance counts only if required."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RULE = {"published_clearance_rule": True}
 
 
 class Told:
-    """What a docking decided and felt; its estimates carry scripted classes in place of the CNN's.
+    """Decisions and estimates of a docking; its estimates have scripted classes in place of the CNN's.
 
     Attributes:
-        offsets: (horizontal, vertical) mm of one look after the other; the last one is told again and again.
+        offsets: (horizontal, vertical) mm of successive estimates; the last one is repeated.
         degrees: of the angle's class.
-        felt: replaces each estimate's values by these.
-        places: x, y of the platform (m) at each look.
-        models: whose classes were asked for.
+        felt: replaces these values of each estimate.
+        places: x, y of the platform (m) at each estimate.
+        models: whose classes were requested.
     """
 
     def __init__(self, run: VirtualCharger, offsets: list[Step], degrees: float = 1.0, **felt: Any) -> None:
@@ -61,7 +61,7 @@ class Told:
 
 
 def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Told:
-    """A charger of `approach: published` and what it is told; parameters as `parameters`."""
+    """A charger of `approach: published` with its scripted estimates and these parameters."""
     parameters = {"approach": "published", **more.pop("parameters", {})}
     return Told(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
 
@@ -207,7 +207,7 @@ def unproven(observation: Observation) -> Observation:
 
 
 def real(told: Told) -> Told:
-    """The same charger, of which nobody knows that it is simulated."""
+    """The same charger, not known to be simulated."""
     run, observe = told.run, told.run.observe
     run.observe = lambda: unproven(observe())  # type: ignore[method-assign]
     return told

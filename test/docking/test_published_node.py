@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node of `approach: published`: current as printed only before ports that are proven to be simulated."""
+"""docking_node of `approach: published`: without clearance, current flows only with ports proven to be simulated."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def as_published(scene: Scene, **more: Any) -> Scene:
 
 
 def outcomes(scene: Scene, context: Any, *requests: DockRequest) -> list[Outcome]:
-    """Serve one goal after the other on a charger of this scene."""
+    """Serve goals one after the other on a charger of this scene."""
     namespace = new_namespace()
     with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE)
@@ -105,7 +105,7 @@ def test_missing_or_nan_probabilities_give_no_class(axis: str, shares: list[floa
 
 
 class Owner(Node):
-    """Stands for the node of a port: publishes and serves what docking takes for its."""
+    """Replaces the node of a port: publishes and serves its topics and services."""
 
     def __init__(self, context: Any, namespace: str, name: str, port: str) -> None:
         super().__init__(name, namespace=namespace, context=context)
@@ -126,7 +126,7 @@ class Owner(Node):
 
 @pytest.mark.ros
 def test_the_nodes_in_use_must_prove_simulation_and_stay_the_same(context: Any, spin: Spin, tmp_path: Path) -> None:
-    """Nodes of the right names that are simulated do not vouch for others that docking has been remapped to."""
+    """Simulated nodes of the right names prove nothing about other nodes to which docking is remapped."""
     ours, robot = (f"/{new_namespace().strip('/')}" for _ in range(2))
     with SimulatedCharger(
         parse_scene({"nodes": [], "simulation": {}}, "test").simulation, tmp_path / "ports"

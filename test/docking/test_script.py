@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runtime of docking's and the mission's scripts: what they wait for, what is thrown into them, who is answered."""
+"""The runtime of docking's and the mission's scripts: waiting, errors thrown into them, and replies."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strangers who publish or serve beside the charger's own nodes: they are named, and no contactor closes meanwhile."""
+"""Foreign nodes that publish or serve the charger's inputs: they are named, and the contactor stays open."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ SERVICES: dict[str, Any] = {
     "set_contactor": SetContactor,
 }
 ACTIONS: dict[str, Any] = {"dock": Dock, "undock": Undock}
-_EARLY = 8  # frames of before the question that docking bears: so many earlier than the true server can it answer
+_EARLY = 8  # frames sampled before the request that docking accepts: the false server can answer this much earlier
 TILT = math.radians(9.0)  # past the clearance rule, before the angle at which the electrodes short
 
 
 class Liar(Node):
-    """Answers predict_misalignment first, with a target that stands straight; names the frames it heard, or none."""
+    """Answers predict_misalignment first, with a target without tilt; names the frames it received, or none."""
 
     def __init__(self, context: Any, namespace: str, names_frames: bool) -> None:
         super().__init__("liar", **options(context, namespace))
@@ -153,7 +153,7 @@ def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(
 def test_a_false_estimate_of_the_angle_never_closes_the_contactor(
     quick_scene: Scene, context: Any, beside: bool
 ) -> None:
-    """The target is tilted past the rule. Beside the true server it may name frames; in its place it names none."""
+    """The target is tilted past the rule. Next to the true server it may name frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")
     mocks = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}
     nodes = tuple(name for name in quick_scene.nodes if beside or name != "misalignment_node")

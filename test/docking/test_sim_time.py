@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""use_sim_time over a real /clock: refused by name before the first, docked after it at any rate, safe when it ends.
+"""use_sim_time with a real /clock: goals are refused before its first message, served at any rate, and end safely.
 
-Control, the contactor's lease and the arm's watchdogs live on the monotonic clock; stamps alone are of /clock.
+Control, the contactor's lease and the arm's watchdogs use the monotonic clock; only stamps use /clock.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Simulator:
     """Publishes /clock as a simulator does.
 
     Attributes:
-        rate: simulated s per real s; 0 = paused: the same time again and again.
+        rate: simulated s per real s; 0 = paused: the same time repeatedly.
         now: simulated s.
     """
 
@@ -181,7 +181,7 @@ def test_a_stopped_clock_is_tolerated_or_ends_charging_by_name(
         time.sleep(1.0)
     if change != "back":
         wait_until(lambda: not charger.is_closed, "an open contactor", 2.0)
-    if charger.is_closed:  # borne: what is stale is told from what is fresh behind the step as before it
+    if charger.is_closed:  # tolerated: stale and fresh data are distinguished after the step as before it
         servos = charger.composition.node("mock_servo_node")
         servos._fault.active = lambda: "silence"
         wait_until(lambda: not charger.is_closed, "an open contactor", 2.0)

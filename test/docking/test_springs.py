@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking believes of its servos' stiffness: what it was told, until the arm has felt it."""
+"""Docking's value of the servos' stiffness: as configured until it is estimated."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .dockings import assert_safe_at_home, charger
 
 STILL: Vector = (0.0, 0.0, 0.0)
 PRESSED: Vector = (0.45, 0.6, 0.35)
-"""A of the servos in the band, with the arm's weight on the second."""
+"""Currents (A) of the servos in the band, with the arm's weight on the second."""
 
 
 def feel(springs: Springs, stiffness: float, currents: Vector = PRESSED, rates: Vector = STILL) -> None:
-    """Let springs of `stiffness` (N·m/rad) be read under currents (A) at rates (rad/s)."""
+    """Give readings of springs of `stiffness` (N·m/rad) under currents (A) at rates (rad/s)."""
     goals = tuple(
         (TORQUE_CONSTANT * current + SERVO_DAMPING * rate) / stiffness
         for current, rate in zip(currents, rates, strict=True)
@@ -93,7 +93,7 @@ SILENT: dict[str, tuple[Vector, Vector]] = {
     "no angle": ((math.nan, 0.06, 0.03), PRESSED),
     "no current": ((0.04, 0.06, 0.03), (math.nan, math.nan, math.nan)),
 }
-"""Lags (rad) and currents (A) that tell nothing of a spring."""
+"""Lags (rad) and currents (A) that do not fit a spring."""
 
 
 @pytest.mark.parametrize(("lags", "currents"), SILENT.values(), ids=SILENT)
@@ -126,7 +126,7 @@ def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
 
 @pytest.mark.parametrize("after", [0.3, 0.6])
 def test_a_repeated_servo_state_is_ignored(after: float) -> None:
-    up = {"gravity_y": 0.0, "gravity_z": -9.81}  # all three servos bear alike, as under a push
+    up = {"gravity_y": 0.0, "gravity_z": -9.81}  # equal load on all three servos, as under a push
     run = charger(parameters=up, **up)
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
@@ -162,7 +162,7 @@ def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: fl
     assert context.springs.stiffness == pytest.approx(true, rel=0.02)
     assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
     weighed = [dict(each.values)["felt_Nm_per_rad"] for each in found if each.kind == "stiffness"]
-    # Its weight bends a stiff arm too little; the contact tells.
+    # The weight hardly bends a stiff arm; the contact gives the estimate.
     assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
 
 
@@ -197,7 +197,7 @@ def test_readings_during_a_motion_are_ignored() -> None:
 
 
 def test_servos_at_their_current_bound_are_ignored() -> None:
-    """The goal lies ever farther behind the target while the currents stay what they are allowed."""
+    """The goal is farther and farther behind the target while the currents stay at their bound."""
     run, pushed = charger(0.0, 0.0, 0.0), []
 
     def script(context: Context) -> Script[str]:

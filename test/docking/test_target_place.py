@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all contacts together tell of a target: its place, the yaw of its faces, and whose force was never told."""
+"""Estimates from all contacts on a target: its place, the yaw of its faces, also without forces."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ RIGID = 1.0 + PARAMETERS.platform_compliance * PARAMETERS.pad_yaw_stiffness
 
 
 def target_place(parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> TargetPlace:
-    """A target's place before an arm that has learnt nothing yet."""
+    """A target's place for an arm that has learnt nothing yet."""
     return TargetPlace(parameters, RemainingShare(parameters), electrodes)
 
 
 def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> ElectrodePose:
-    """Electrodes straight ahead, whose yaw (degrees) a camera may have seen."""
+    """Electrodes straight ahead, whose yaw (degrees) a camera may have measured."""
     return ElectrodePose((0.0, 0.0, 0.08), roll, yaw=yaw * DEGREE, yaw_stddev=stddev * DEGREE)
 
 
 def contact(x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True) -> FeltPose:
-    """What one contact tells of a target x and across (m) off whose faces are yawed by degrees, all by the model."""
+    """Estimate of one contact by the model: target off by x and across (m), faces yawed by degrees."""
     left = 0.5 * (float(MagnetPull(PARAMETERS).at(np.array(x), across, angle)[0]) + PUSH)
     along = x + PARAMETERS.load_per_yaw * yaw * DEGREE / RIGID
     vertical = (across + along * math.sin(angle)) / math.cos(angle)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line told piece by piece: the same line to whoever hears it, and an early end where nobody tells it any more."""
+"""A line sent piece by piece: the receiver follows the same line, and stops early if the sender stops."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIMITS = driver.JointLimits(("a", "b", "c"), -math.pi, math.pi, 10.0)
 
 
 def checked(piece: Sequence[Waypoint]) -> driver.Trajectory:
-    """The piece as servo_node takes it; refused ones raise."""
+    """The piece as servo_node reads it; refused pieces raise."""
     points = [driver.ServoWaypoint(point.time, point.angles, point.torque_bound) for point in piece]
     return driver.check(LIMITS.names if points else (), points, LIMITS)
 
@@ -36,7 +36,7 @@ def peak_speed(line: Piece) -> float:
 
 
 class Listener:
-    """Follows pieces from their arrival on, as linear motion of the goal; behind it an arm of first order."""
+    """Follows pieces from their arrival on, as linear motion of the goal, with a first-order arm."""
 
     def __init__(self, lag: float = LAG) -> None:
         self._lag = lag
@@ -68,7 +68,7 @@ def drive(
     heard: Callable[[float], bool] = lambda now: True,
     held: Callable[[float], bool] = lambda now: False,
 ) -> np.ndarray:
-    """Run sender and listener for `end` s; rows of time, goal and arm angles."""
+    """Run sender and receiver for `end` s; rows of time, goal and arm angles."""
     rows = []
     for step in range(1 + round(end / TICK)):
         now = step * TICK

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's live parameters are set between goals: they decide the next one, and never one that runs."""
+"""Docking's live parameters are set between goals: they apply to the next goal, never to a running one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..chargers import DEADLINE, dock_at_last, new_namespace
 
 PLACE = Pose(0.0, 0.0, 0.080)
 LIVE = [each for each in declared(DockingParameters) if each.live]
-GUARDS = {  # of live electrodes, or told to what keeps a copy
+GUARDS = {  # of live electrodes, or copied by another part
     "approach", "published_clearance_rule", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
     "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",
     "unsafe_max", "blind_max", "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
@@ -34,7 +34,7 @@ GUARDS = {  # of live electrodes, or told to what keeps a copy
 
 
 def changed(name: str) -> DockingParameters:
-    """Return parameters of which one differs, towards the bound that contradicts no other."""
+    """Return parameters with one different value, toward the bound that contradicts no other."""
     about, usual = next(each for each in LIVE if each.name == name), DockingParameters()
     value = getattr(usual, name)
     if about.kind is bool:
@@ -50,7 +50,7 @@ def changed(name: str) -> DockingParameters:
 
 
 def content(thing: Any, seen: set[int]) -> Any:
-    """Return all that can be reached from a thing, as values."""
+    """Return all values that can be reached from an object."""
     if id(thing) in seen or callable(thing):
         return type(thing).__name__
     if isinstance(thing, dict | list | tuple) or hasattr(thing, "__dict__"):

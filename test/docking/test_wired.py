@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Electrodes that hang on the battery (power: none): live at every touch, looked at early, never called charging."""
+"""Electrodes wired to the battery (power: none): live at every touch, measured early, never reported as charging."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRESSED = 0.3  # A of contact current that no touch reaches
 
 
 def wired(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **circuit: Any) -> Watched:
-    """A charger without a contactor before a target so many mm and degrees off."""
+    """A charger without a contactor; its target is off by these mm and degrees."""
     run = quick_charger(*place, parameters={**NONE, **parameters}, circuit=CircuitParameters(wired=True, **circuit))
     return Watched(run)
 
@@ -35,9 +35,9 @@ class Watched:
 
     Attributes:
         run: the charger.
-        asked: the services that were asked for.
+        asked: the services that were called.
         decisions: in their order.
-        pressed: largest contact current while it had not been told to retract, A.
+        pressed: largest contact current before retracting, A.
     """
 
     def __init__(self, run: VirtualCharger) -> None:
@@ -59,18 +59,18 @@ class Watched:
 
     @property
     def kinds(self) -> list[str]:
-        """What was decided, in words."""
+        """Texts of the decisions."""
         return [decision.kind for decision in self.decisions]
 
     def docked(self) -> VirtualCharger:
-        """Dock; the current of two batteries flows then."""
+        """Dock; then current flows between two batteries."""
         outcome = self.run.dock()
         assert outcome.success, outcome
         assert self.run.world.snapshot().charge_current > 1.0
         return self.run
 
     def ends(self, code: Code, within: float) -> None:
-        """See the arm go back for that reason, begun within so many s, and come home."""
+        """Check that the arm retracts for this reason, begins within this time (s), and reaches home."""
         run = self.run
         run.until(lambda: run.machine.status.state is State.RETRACT, within)
         run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
@@ -79,7 +79,7 @@ class Watched:
 
 
 def assert_home(run: VirtualCharger) -> None:
-    """The arm is home and limp: nothing touches any more."""
+    """The arm is home and limp, without contact."""
     truth = run.world.snapshot()
     assert truth.charge_current == 0.0
     assert math.dist(truth.position, run.parameters.home) < 0.003
@@ -141,7 +141,7 @@ def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
 
 
 def spoil(run: VirtualCharger, change: Callable[[Reply], Reply], times: int = 1) -> None:
-    """Let the next answers of the estimator be changed."""
+    """Change the estimator's next answers."""
     left = [times]
 
     def answer(reply: Reply) -> Reply:
@@ -152,7 +152,7 @@ def spoil(run: VirtualCharger, change: Callable[[Reply], Reply], times: int = 1)
 
 
 def unsure(degrees: float) -> Callable[[Reply], Reply]:
-    """Make an estimate unsure, and tell that angle."""
+    """Make an estimate unsure, with this angle."""
 
     def change(reply: Reply) -> Reply:
         assert reply.estimate is not None
@@ -351,7 +351,7 @@ def test_a_lower_critical_angle_on_the_docked_target_applies_at_once() -> None:
 
 
 def test_a_target_of_higher_voltage_feeds_back_unnoticed() -> None:
-    """What the documentation warns of: nothing measures, so nothing is said."""
+    """The documentation warns of this: nothing is measured, so nothing is reported."""
     run = wired(target_voltage=29.0).run
     outcome = run.dock()
     assert outcome.success

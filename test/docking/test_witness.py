@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames behind an estimate: sampled after the question, each once, and half of them heard by docking itself."""
+"""The frames of an estimate: sampled after the request, each once, and half of them received by docking itself."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ FELT = FeltPose(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 
 def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:
-    """One that heard a second of frames before ASKED, and every n-th of those after it."""
+    """A witness that received a second of frames before ASKED, and every n-th frame after it."""
     heard = Witness()
     for frame in before:
-        heard.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least so long
+        heard.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
     for frame in after[::every]:
         heard.hear(frame, ASKED + (frame - after.start) * PERIOD)
     return heard
@@ -63,7 +63,7 @@ def test_an_estimate_without_matching_frames_is_refused(named: tuple[int, ...], 
 
 @pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
 def test_frames_after_a_restart_of_tactile_node_or_board_are_accepted(start: int) -> None:
-    """The sequence begins anew with the first, and jumps ahead with the second."""
+    """The sequence restarts with the first, and jumps ahead with the second."""
     after = range(start, start + 24)
     assert is_believed(witness(after), *after)
     assert is_believed(witness(after, every=2), *after)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of a mission, in virtual time: every way ends in a named code, undocked before it drives, and home if it can."""
+"""Laws of a mission, in virtual time: it ends with a code, undocks before it drives, and returns home if possible."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ QUICK = MissionParameters(
     mission_timeout=1000.0,
 )
 LONGEST = 1000.0 + 2 * 10.0 + 2 * (20.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
-"""s that any mission with QUICK may last: its own limit, and all of the way out."""
+"""Longest time (s) of a mission with QUICK: its limit and its final steps."""
 
 angles = st.floats(-math.pi, math.pi)
 
@@ -69,7 +69,7 @@ def test_a_mission_drives_searches_docks_charges_undocks_and_returns() -> None:
     offset=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(0.0, 0.5)),
     facing=angles,
     shift=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
-    # 0.01 m each way and 0.03 rad at 0.79 m from the base's centre lie within REACH, each time anew.
+    # Errors of 0.01 m each way and of 0.03 rad at 0.79 m from the base's centre are within REACH.
     miss=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01), st.floats(-0.03, 0.03)),
 )
 def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
@@ -79,7 +79,7 @@ def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
     shift: tuple[float, float],
     miss: tuple[float, float, float],
 ) -> None:
-    """The target stands beside where it was said to stand, and the navigator stops beside its goals and says so."""
+    """The target is not exactly at its given place, and the navigator stops near its goals and reports it."""
     told = Place(2.0, 1.0, facing)
     truth = Truth(told.at(*shift), offset[2], miss, level_mount(heading, *offset))
     world = quick(truth=truth)
@@ -113,7 +113,7 @@ def test_parameters_change_only_between_missions() -> None:
 
 
 def test_electrodes_follow_from_the_target_and_its_parameters() -> None:
-    """electrodes_* is added by the shell; a target whose electrodes are told is stood before like any other."""
+    """The shell adds electrodes_*; a target with given electrodes is approached like any other."""
     robot = Place(5.0, -2.0, 1.0)
     carried = robot.at(-0.3, 0.1, math.pi)
     assert (carried.x, carried.y) == pytest.approx(
@@ -206,15 +206,15 @@ def test_moves_are_bounded_if_docking_always_finds_the_target_out_of_reach() -> 
 
 FIVE = math.radians(5.0)
 SIDEWAYS = level_mount(-2.0, 0.2, -0.1, 0.0)
-"""A charger_base that looks back and to the right."""
-# y along the ground, to the robot's right: there a turn of the robot is a pitch
+"""A charger_base that points back and to the right."""
+# y along the ground, to the robot's right: so a turn of the robot is a pitch
 ON_ITS_SIDE = (0.0, 0.0, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 
 
 @pytest.mark.parametrize("yaw", [FIVE, -FIVE])
 @pytest.mark.parametrize("mount", [FORWARD, SIDEWAYS, level_mount(2.0, 0.0, 0.1, 0.0)])
 def test_a_target_detected_askew_is_faced_squarely_after_one_move(yaw: float, mount: tuple[float, ...]) -> None:
-    """The errand's own search tells it: docking is asked once, from a stand that any errand takes."""
+    """The mission's own search finds it: docking is called once, after the usual move."""
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, yaw), mount=mount, lean_stddev=0.01))
     outcome = world.run()
     assert outcome.success, outcome
@@ -230,7 +230,7 @@ def test_a_target_detected_askew_is_faced_squarely_after_one_move(yaw: float, mo
 def test_the_robot_takes_a_suggested_base_pose_with_its_heading(
     yaw: float, mount: tuple[float, ...], code: Code
 ) -> None:
-    """The search tells no lean, so that the robot faces the target as told until docking says how far it is off."""
+    """The search reports no lean, so the robot faces the target as given until docking reports the error."""
     world = quick({Task.DOCK: squarely(FIVE, code)}, Truth(TARGET.at(0.0, 0.0, yaw), mount=mount))
     outcome = world.run()
     assert outcome.success, outcome
@@ -402,7 +402,7 @@ def test_charging_and_the_mission_have_their_own_limits() -> None:
 
 
 def rests(after: float = 100.0) -> Answer:
-    """Return docking without a contactor (power: none): it rests on the target and knows nothing of a current."""
+    """Return docking without a contactor (power: none): it rests on the target and measures no current."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         world.attached, world.docking = True, DockingReport(State.IDLE, docked=True)
@@ -490,7 +490,7 @@ def test_a_mission_passes_no_limit_and_no_cancel_to_the_next() -> None:
     world = quick()
     assert world.run(cancel_in=Stage.RETURN).code is Code.CANCELED
     world.time += 1e6
-    world.machine.cancel()  # of nobody
+    world.machine.cancel()  # without a goal
     outcome = world.run()
     assert (outcome.success, outcome.returned) == (True, True), outcome
 
@@ -539,7 +539,7 @@ WAYS = ("done",) * 12 + ("failed", "retriable", "refused", "canceled", "lost", "
 
 
 def _drawn(draw: st.DataObject) -> Answer:
-    """Return somebody who answers each time as it is drawn."""
+    """Return a server whose answers are drawn at random."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
         way = draw.draw(st.sampled_from(WAYS))
@@ -570,7 +570,7 @@ def _drawn(draw: st.DataObject) -> Answer:
 def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     data: st.DataObject, cancel_at: int | None, drives: bool
 ) -> None:
-    """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, an honest `returned`."""
+    """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, a true `returned`."""
     world = quick(dict.fromkeys(Task, _drawn(data)), drives=drives)
     start = world.time
     world.machine.start(MissionGoal(TARGET if drives else None), world._observe(()))

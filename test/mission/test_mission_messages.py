@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What others tell the mission, as nobody should tell it: a refusal or nothing, and never a place without numbers."""
+"""Malformed data for the mission: it refuses or ignores them, and never gets a place that is not finite."""
 
 from __future__ import annotations
 

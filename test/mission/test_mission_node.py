@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """mission_node over real topics, actions and services: charged and home, or a code and home.
 
-What docking decides is tried over the real docking_node on mocks; what is about the errand around it over a node with
-docking_node's face alone. The laws themselves stand in test/mission/test_mission.py, in virtual time.
+Docking's decisions are tested with the real docking_node on mocks; the rest of a mission with a node that has only
+docking_node's interface. The laws are in test/mission/test_mission.py, in virtual time.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ STANDS = read_yaml(REAL)["parameters"]["mission_node"]["stands_max"]
 
 
 class Errand:
-    """A ChargeRobot goal on its way: its stages as they are told, and its result."""
+    """A running ChargeRobot goal: its stages as reported, and its result."""
 
     def __init__(self) -> None:
         self.stages: list[Stage] = []
@@ -96,7 +96,7 @@ class Errand:
 
 
 class Robot:
-    """The charging robot under test and a client of its mission; `docking` stands in for docking_node, or is None."""
+    """The charging robot under test and a client of its mission; `docking` replaces docking_node, or is None."""
 
     def __init__(self, scene: Scene, context: Any) -> None:
         self.namespace = new_namespace()
@@ -158,7 +158,7 @@ class Robot:
 
 
 def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:
-    """Return a scene of detector, navigator and mission alone; `change` may change it."""
+    """Return a scene of detector, navigator and mission only; `change` may change it."""
     content = read_yaml(REAL)
     content["nodes"] = ["mock_detector_node", "mock_navigator_node", "mission_node"]
     content["parameters"] = {name: content["parameters"].get(name, {}) for name in content["nodes"]}
@@ -169,7 +169,7 @@ def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:
 
 @pytest.fixture(scope="module")
 def shared(context: Any) -> Iterator[Callable[[bool], Robot]]:
-    """The robots of all scenarios, each made when it is first wanted: with the real docking_node, and with a mock."""
+    """The robots of all scenarios, each created on first use: with the real docking_node, and with a mock."""
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
     robots: dict[bool, Robot] = {}
 
@@ -255,7 +255,7 @@ def test_a_target_that_stays_out_of_reach_fails_with_a_suggested_base_pose(real:
 
 
 def test_a_target_that_stays_askew_fails_after_the_allowed_moves(real: Robot) -> None:
-    """The mock's electrodes travel along with the base, so that every stand leaves them as askew."""
+    """The mock's electrodes move with the base, so every move leaves them askew."""
     real.set("mock_detector_node", "leaning")
     arrived = real.node("mock_navigator_node").arrived
     arrived.clear()
@@ -339,7 +339,7 @@ def test_a_target_in_an_unknown_frame_is_refused(robot: Robot, frame: str) -> No
 
 
 def test_a_target_in_another_tf_frame_is_transformed_to_map(robot: Robot, context: Any, spin: Spin) -> None:
-    """A navigator that knows no frame but map is sent to the same place."""
+    """A navigator that knows only the frame map is sent to the same place."""
     broadcaster = spin(Broadcaster(context))
     errand = robot.send(stop_after=60.0)
     errand.reach(Stage.CHARGE)
@@ -427,7 +427,7 @@ def test_missing_nodes_are_named_and_nothing_moves(made: Callable[[Scene], Robot
 
 
 def standing(content: dict[str, Any]) -> None:
-    """Leave the navigator out: the charger stands still."""
+    """Remove the navigator: the charger is stationary."""
     content["nodes"].remove("mock_navigator_node")
     del content["parameters"]["mock_navigator_node"]
     content["parameters"]["mission_node"] |= {"navigation": "none", "undock_timeout": 1.0}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mission logs: a line for each stage and each failure, and none without a change."""
+"""A mission's log: a line for each stage and each failure, and none without a change."""
 
 from __future__ import annotations
 

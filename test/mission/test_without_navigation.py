@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where nav2_msgs is not installed, a node that needs it ends with one line and 2, as a process and in a charger."""
+"""Without nav2_msgs, a node that needs it ends with one line and 2, as a process and in a charger."""
 
 from __future__ import annotations
 
