@@ -288,7 +288,7 @@ def two_speak(observation: Observation) -> Observation:
 
 @pytest.mark.parametrize("begins", [slow(State.APPROACH), State.MEASURE, slow(State.ENERGISE)])
 def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) -> None:
-    """A second source at any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
+    """At any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
     run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is begins, 60.0)
