@@ -200,9 +200,9 @@ def weigh(context: Context) -> Script[None]:
     springs = context.springs
     end = context.time + context.parameters.weighing_timeout
     yield from context.read()
-    while not springs.is_felt and context.time < end:
+    while not springs.is_estimated and context.time < end:
         yield from context.read()
-    if springs.is_felt:
+    if springs.is_estimated:
         values = {"felt_Nm_per_rad": springs.stiffness, "told_Nm_per_rad": context.parameters.servo_stiffness}
         context.decide("stiffness", "the estimated stiffness of the servos", **values)
 

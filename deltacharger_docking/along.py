@@ -117,8 +117,8 @@ class AlongFilter:
         last = np.zeros_like(residual)
         last[:, -2:] = landing[:, -2:]
         of_bias = rows[:, :, 0]
-        told, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
-        square = (residual * told).sum(axis=1)
+        score, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
+        square = (residual * score).sum(axis=1)
         self._innovations = float(square.min())
         logs = -0.5 * (square + np.linalg.slogdet(joint)[1])
         if math.isfinite(self._foreseen):
@@ -127,11 +127,11 @@ class AlongFilter:
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
         variance = self._parameters.docking_jitter**2
-        self._means = places - look.platform + variance * (last * told).sum(axis=1)
+        self._means = places - look.platform + variance * (last * score).sum(axis=1)
         left = variance - variance**2 * (last * of_last).sum(axis=1)
         self._spread = math.sqrt(max(float(weights @ left), _LEAST))
         prior = self._prior[0]
-        bias, within = prior * (of_bias * told).sum(axis=1), prior - prior**2 * (of_bias * by_bias).sum(axis=1)
+        bias, within = prior * (of_bias * score).sum(axis=1), prior - prior**2 * (of_bias * by_bias).sum(axis=1)
         mean = float(weights @ bias)
         self.bias = self._bias + mean
         self.bias_stddev = math.sqrt(max(float(weights @ (within + (bias - mean) ** 2)), 0.0))
@@ -143,7 +143,7 @@ class AlongFilter:
         return Offset(mean, math.sqrt(self._spread**2 + float(self._weights @ (self._means - mean) ** 2)))
 
     @property
-    def felt_bias(self) -> Offset:
+    def measured_bias(self) -> Offset:
         """The load bias (m) from contacts alone, without the expectation; infinite error = no information."""
         before, after = 1.0 / self._prior[0], 1.0 / max(self.bias_stddev**2, _LEAST)
         gained = float(after - before)
@@ -187,8 +187,8 @@ class AlongFilter:
             for aside in way:
                 rows, noise, landing = self._foresee(aside)
                 after = after + rows.T @ np.linalg.solve(noise + np.outer(landing, landing), rows)
-            foreseen, told = self._landing(after)
-            plans.append(Plan(expected_gain(now, foreseen, told, limit), len(way) + 1, way[0] if way else 0.0))
+            foreseen, measured = self._landing(after)
+            plans.append(Plan(expected_gain(now, foreseen, measured, limit), len(way) + 1, way[0] if way else 0.0))
         return plans
 
     def _empties(self, aside: float) -> bool:

@@ -155,7 +155,7 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
                 raise _blind(reply, blind)
             continue
         blind = 0
-        context.status.estimate = target.told_later(estimate)
+        context.status.estimate = target.combined_later(estimate)
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:

@@ -63,10 +63,10 @@ class FeltPose:
     pitch_stddev: float = math.nan
 
     @classmethod
-    def of(cls, told: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
+    def of(cls, source: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
         """Return the values of an estimate or message; fields that it lacks keep their defaults."""
         names = (item.name for item in fields(cls) if item.name != "classes")
-        return cls(**{name: getattr(told, name) for name in names if hasattr(told, name)}, classes=classes)
+        return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)}, classes=classes)
 
     def __post_init__(self) -> None:
         """Calculate an unknown offset across the bars, as if both errors were independent.
@@ -92,10 +92,10 @@ class FeltPose:
     @property
     def numbers(self) -> dict[str, float]:
         """Its values, by names that end in the unit."""
-        told: dict[str, float] = {}
+        values: dict[str, float] = {}
         for name, unit in (("angle", "rad"), ("vertical", "m"), ("horizontal", "m"), ("across", "m")):
-            told |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
-        return told
+            values |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
+        return values
 
     @property
     def usable(self) -> bool:

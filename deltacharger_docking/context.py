@@ -196,7 +196,7 @@ class Context:
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
 
-    def tell(self, service: Service) -> None:
+    def send(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
         self._requests.append(Request(self._calls.number(awaited=False), service))
 
@@ -204,7 +204,7 @@ class Context:
         """Record a decision and the numbers behind it, for logs and recordings; names of numbers end in the unit."""
         self._decisions.append(Decision(self.observation.time, self.status.state, kind, text, tuple(values.items())))
 
-    def tell_piece(self, piece: Piece) -> None:
+    def send_piece(self, piece: Piece) -> None:
         """Send this piece in this tick, in place of the line under way."""
         self._override = piece
 
@@ -278,7 +278,7 @@ class Context:
         live = math.isfinite(self.goal_angles[0]) and not self.contact.stands_still
         if slow and live and not self._is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
-            self.springs.feel(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
+            self.springs.add_reading(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
             self.feed.lag = self.springs.lag
 
     def _is_bound(self, currents: Vector) -> bool:

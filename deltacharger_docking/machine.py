@@ -30,7 +30,7 @@ from deltacharger_docking.goals import GoalDesk, check_goal, check_id, unproven_
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.retract import let_go, retract
+from deltacharger_docking.retract import go_limp, retract
 from deltacharger_docking.visit import TargetVisit
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
@@ -316,7 +316,7 @@ class DockingMachine:
             held = status.docked or context.observation.tactile_contact
             status.docked = held and isinstance(error, Stuck)  # the magnets still hold it
             context.deadline = math.inf
-            yield from let_go(context)
+            yield from go_limp(context)
         finally:
             status.charging = False
         return False

@@ -26,7 +26,7 @@ class Offset:
         return 0.5 * (math.erfc((limit - self.mean) / scale) + math.erfc((limit + self.mean) / scale))
 
 
-def expected_gain(now: float, foreseen: float, told: float, limit: float) -> float:
+def expected_gain(now: float, foreseen: float, measured: float, limit: float) -> float:
     """Return the expected decrease of the risk to exceed `limit` by another contact at the target.
 
     The mean of its offset is distributed around zero, with the variance that the contact will resolve. A contact worse
@@ -35,10 +35,10 @@ def expected_gain(now: float, foreseen: float, told: float, limit: float) -> flo
     Args:
         now: risk of this contact.
         foreseen: variance of the other one's offset before it is measured, m².
-        told: variance after it is measured, m².
+        measured: variance after it is measured, m².
         limit: m.
     """
-    spread, stddev = math.sqrt(max(foreseen - told, 0.0)), math.sqrt(told)
+    spread, stddev = math.sqrt(max(foreseen - measured, 0.0)), math.sqrt(measured)
     risks = (Offset(spread * each, stddev).beyond(limit) for each in _QUANTILES)
     return sum(max(now - risk, 0.0) for risk in risks) / len(_QUANTILES)
 

@@ -28,7 +28,7 @@ from deltacharger_docking.clearance import FeltPose, MisalignmentClasses, Verdic
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned
 from deltacharger_docking.context import Context
 from deltacharger_docking.press import approach, contact, first_push, press_again
-from deltacharger_docking.touch import Target, measure, tell_verdict, too_tilted
+from deltacharger_docking.touch import Target, measure, record_verdict, too_tilted
 from deltacharger_kinematics.geometry import Vector
 
 
@@ -105,7 +105,7 @@ def _verdict(context: Context, target: Target, felt: FeltPose) -> Verdict:
         if math.isfinite(felt.angle) and abs(felt.angle) >= target.critical_angle:
             raise CriticalAngle(too_tilted(felt.angle))
         raise EstimateUnsure("the tactile estimate is unsure, so clearance is unknown; check pads and target")
-    return tell_verdict(context, felt, target.critical_angle)
+    return record_verdict(context, felt, target.critical_angle)
 
 
 def _classes_of(context: Context, felt: FeltPose) -> MisalignmentClasses:

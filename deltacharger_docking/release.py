@@ -91,7 +91,7 @@ def release(context: Context, travel: float) -> Script[None]:
         raise
     context.follow(line, retreats=True)
     if context.is_blind:
-        context.tell_piece((replace(line[-1], time=0.0),))  # ends the pull here also
+        context.send_piece((replace(line[-1], time=0.0),))  # ends the pull here also
     yield NEXT
 
 
@@ -120,7 +120,7 @@ def _pull(context: Context, goal: Vector, current: float, z: float, seconds: flo
         observation = context.observation
         known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
         if known:
-            context.tell_piece(pull(goal, bound, _standing(context), push))
+            context.send_piece(pull(goal, bound, _standing(context), push))
         yield NEXT
         left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # a pull lapses after PULL_HORIZON
         last = context.time

@@ -31,7 +31,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     observation = context.observation
     if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
         context.status.docked &= observation.tactile_contact  # the magnets still hold it
-        yield from let_go(context)
+        yield from go_limp(context)
         return
     if not math.isfinite(context.position[2]):
         raise ServoFailure("the arm's position is unknown, so it was not moved")
@@ -63,9 +63,9 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     context.decide("limp", "the servos' torque is off")
 
 
-def let_go(context: Context) -> Script[None]:
+def go_limp(context: Context) -> Script[None]:
     """Stop, and switch the torque off without waiting for an answer, only for the time that it takes."""
     context.hold()
     context.decide("limp", "the servos are ordered to switch their torque off where the arm is")
-    context.tell(Service.TORQUE_OFF)
+    context.send(Service.TORQUE_OFF)
     yield from context.wait(_OFF_TIME)

@@ -24,7 +24,7 @@ class Springs:
 
     Attributes:
         compliance: yield of a servo per ampere, rad/A.
-        is_felt: whether it was estimated, not only configured.
+        is_estimated: whether it was estimated, not only configured.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
@@ -33,7 +33,7 @@ class Springs:
         self._damping = parameters.servo_damping
         self._yields = self._squares = 0.0  # rad·A and A²
         self.compliance = self._constant / self._configured
-        self.is_felt = False
+        self.is_estimated = False
 
     @property
     def stiffness(self) -> float:
@@ -61,7 +61,7 @@ class Springs:
             "measure it with `deltacharger calibrate servos`"
         )
 
-    def feel(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
+    def add_reading(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
         """Use a reading with fixed goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
 
         Ignored are readings under a light load, and those that no common spring of the tested range explains, as of
@@ -84,4 +84,4 @@ class Springs:
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
         self._yields = kept * self._yields + share * yields
         self._squares = kept * self._squares + share * squares
-        self.compliance, self.is_felt = self._yields / self._squares, True
+        self.compliance, self.is_estimated = self._yields / self._squares, True

@@ -17,10 +17,10 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import AxisFilter, Offset
 from deltacharger_docking.yielding import RemainingShare
 
-_UNTOLD = 1e3  # N, standard deviation of an unknown force
+_UNKNOWN_FORCE = 1e3  # N, standard deviation of an unknown force
 _ON_PAD = 0.009  # m across, within which a ridge is completely on its pad
 _FAR = 0.02  # m along, where a ridge begins to leave its pad
-_DEARER = 1.5  # each further contact must gain this many times the gain required of the one before
+_PRICE_GROWTH = 1.5  # each further contact must gain this many times the gain required of the one before
 
 
 class TargetPlace:
@@ -52,7 +52,7 @@ class TargetPlace:
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def feel(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
+    def add(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
         """Add the estimate of a contact of the platform at (x, y), m, under the servos' push (N).
 
         `again`: replaces the earlier estimate of this contact.
@@ -67,7 +67,7 @@ class TargetPlace:
         force = felt.left_force + felt.right_force
         spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
         if not (force > 0.0 and math.isfinite(push)):
-            force, spread, push = 0.0, _UNTOLD, 0.0
+            force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
         self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle), again)
         self._load = felt.horizontal
         along, across = self._along.target - x, self._across.target - platform
@@ -92,7 +92,7 @@ class TargetPlace:
             reaches: whether the platform reaches a place at this offset (m, along x and y).
         """
         p = self._parameters
-        price, across = p.redocking_gain_min * _DEARER**moves, self._across.gain(p.landing_limit)
+        price, across = p.redocking_gain_min * _PRICE_GROWTH**moves, self._across.gain(p.landing_limit)
         plans = [
             replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
             for plan in self._along.plans(p.overlap_loss_max)
@@ -147,14 +147,14 @@ class TargetPlace:
 
     def learn(self) -> None:
         """Learn, once per target with a detected yaw, the share of the yaw that remains, from its contacts alone."""
-        bias, per_yaw = self._along.felt_bias, self._parameters.load_per_yaw
+        bias, per_yaw = self._along.measured_bias, self._parameters.load_per_yaw
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
     def settle(self, felt: FeltPose) -> FeltPose:
-        """Use the estimate made with the arm at ease, and return it as `told`."""
+        """Use the estimate made with the arm at ease, and return it as `combined`."""
         self._load = felt.horizontal
-        return self.told(felt)
+        return self.combined(felt)
 
     def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
         """Return the filter before contact: with the place if known, and the load bias expected from the yaw."""
@@ -163,7 +163,7 @@ class TargetPlace:
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def told(self, felt: FeltPose, later: bool = False) -> FeltPose:
+    def combined(self, felt: FeltPose, later: bool = False) -> FeltPose:
         """Return this contact's estimate combined with all contacts, including the yaw of the faces.
 
         `later`: this contact was estimated before; a change of its loads since then means that the target has slid.

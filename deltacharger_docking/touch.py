@@ -57,7 +57,7 @@ def with_pitch(context: Context, felt: FeltPose) -> FeltPose:
     return felt if seen is None else replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
 
 
-def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
+def record_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
     """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
     verdict = judge(felt, parameters, critical_angle)
@@ -119,9 +119,9 @@ class Target:
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._place.feel(felt, x, y, context.contact.force, again=self._felt_here)
+        self._place.add(felt, x, y, context.contact.force, again=self._felt_here)
         self._felt_here = True
-        context.status.estimate = self._place.told(felt)
+        context.status.estimate = self._place.combined(felt)
         if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=felt.horizontal)
             raise EstimateUnsure(
@@ -137,7 +137,7 @@ class Target:
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:  # the target has moved, so earlier contacts no longer count
             self._place = TargetPlace(parameters, context.share)
-            self._place.feel(felt, x, y, context.contact.force)
+            self._place.add(felt, x, y, context.contact.force)
             self._place.choose(self._moves, self._reaches)
         return settled and safe
 
@@ -149,9 +149,9 @@ class Target:
         self._passed, self._context.status.aligned = 0, False
         return False
 
-    def told_later(self, felt: FeltPose) -> FeltPose:
+    def combined_later(self, felt: FeltPose) -> FeltPose:
         """Return an estimate made while the electrodes rest, combined with all contacts."""
-        return self._place.told(felt, later=True)
+        return self._place.combined(felt, later=True)
 
     def rest(self) -> None:
         """Record that the electrodes rest here."""
@@ -212,7 +212,7 @@ class Target:
         """Judge this contact; after two contacts, also the mean angle."""
         parameters = self._context.parameters
         self._angles.append(felt.angle)
-        verdict = tell_verdict(self._context, felt, self.critical_angle)
+        verdict = record_verdict(self._context, felt, self.critical_angle)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
         centred = replace(felt, angle=mean, across=0.0)

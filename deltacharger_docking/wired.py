@@ -18,7 +18,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, wait_for_single_sources
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
-from deltacharger_docking.touch import Target, tell_verdict, too_tilted, with_pitch
+from deltacharger_docking.touch import Target, record_verdict, too_tilted, with_pitch
 
 _UNKNOWN = "this charger does not measure, limit or interrupt it"
 DOCKED = (
@@ -60,7 +60,7 @@ def look(context: Context, target: Target) -> Script[FeltPose | None]:
     if not felt.usable:
         limit = min(target.critical_angle, parameters.critical_angle)
         return felt if felt.contact and abs(felt.angle) >= limit else None
-    verdict = tell_verdict(context, felt, target.critical_angle)
+    verdict = record_verdict(context, felt, target.critical_angle)
     if verdict is Verdict.CRITICAL:
         raise CriticalAngle(too_tilted(felt.angle))
     return felt if verdict is Verdict.TOO_CLOSE else None

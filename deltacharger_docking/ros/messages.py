@@ -42,7 +42,7 @@ def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
     return FeltPose.of(message, _classes(message) if with_classes else None)
 
 
-def told(value: FeltPose, source: Misalignment) -> Misalignment:
+def refined(value: FeltPose, source: Misalignment) -> Misalignment:
     """Return the message of an estimate, with the values that docking has refined."""
     message = copy.deepcopy(source)
     for name in ("horizontal", "vertical", "across", "yaw", "pitch"):

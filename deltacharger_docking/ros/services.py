@@ -21,7 +21,7 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate, seen, told
+from deltacharger_docking.ros.messages import estimate, refined, seen
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
@@ -129,7 +129,7 @@ class Services:
         if value is None:
             return unknown_misalignment(self._end_effector)
         asked = (message for felt, message in list(self._felt) if felt.is_of(value))
-        return next((told(value, message) for message in asked), unknown_misalignment(self._end_effector))
+        return next((refined(value, message) for message in asked), unknown_misalignment(self._end_effector))
 
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when no longer wanted."""

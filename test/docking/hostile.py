@@ -46,9 +46,9 @@ class Relay(Node):
     def _passer(self, topic: str, publisher: Any) -> Callable[[Any], None]:
         def hand_on(message: Any) -> None:
             distort = self.distort.get(topic)
-            told = message if distort is None else distort(message)
-            if told is not None:
-                publisher.publish(told)
+            sent = message if distort is None else distort(message)
+            if sent is not None:
+                publisher.publish(sent)
 
         return hand_on
 
@@ -129,14 +129,14 @@ class Defects:
     """Collects what docking_node logs as its own defects."""
 
     def __init__(self, hostile: Hostile) -> None:
-        self.told: list[str] = []
+        self.texts: list[str] = []
         self._lock = threading.Lock()
         logger = hostile.docking.get_logger()
         error = logger.error
 
         def note(text: str, *words: Any, **options: Any) -> Any:
             with self._lock:
-                self.told.append(text)
+                self.texts.append(text)
             return error(text, *words, **options)
 
         logger.error = note  # type: ignore[method-assign]

@@ -93,9 +93,9 @@ class Faulty(VirtualCharger):
             if name in self.frozen:
                 values.update(kept)
         refused = "a close needs a probe younger than 2 s" if self._lapsed and self._energised else ""
-        told = replace(observation, contactor_refusal=refused, **values)
-        self._last = told
-        return told
+        changed = replace(observation, contactor_refusal=refused, **values)
+        self._last = changed
+        return changed
 
     def _serve(self) -> None:
         away = [each for each in self._pending if SERVED_BY[each.request.service] == self.silent]

@@ -65,15 +65,15 @@ class Target:
         self._pull = MagnetPull(DockingParameters(magnet_width=width, magnet_force=force))
         self.landed = math.nan
 
-    def look(self, platform: float, told: float = 0.0006) -> LookAlong:
-        """A contact of the platform commanded to a place (m); `told` is its own standard deviation, m."""
+    def look(self, platform: float, stddev: float = 0.0006) -> LookAlong:
+        """A contact of the platform commanded to a place (m); `stddev` is its own standard deviation, m."""
         random = self._random
         self.landed = x = self.place - platform + random.normal(0.0, PARAMETERS.docking_jitter)
-        load = x * (1.0 + self._gain) + self._bias + random.normal(0.0, told)
+        load = x * (1.0 + self._gain) + self._bias + random.normal(0.0, stddev)
         pressed = float(self._pull.at(np.array(x), 0.0, 0.0)[0]) + PUSH
         spread = PARAMETERS.force_repeatability * pressed / math.sqrt(2.0)
         force = self._scale * pressed + random.normal(0.0, spread)
-        return LookAlong(platform, load, told, force, spread, PUSH, 0.0, 0.0)
+        return LookAlong(platform, load, stddev, force, spread, PUSH, 0.0, 0.0)
 
 
 def known(bias_stddev: float = BIAS, place_stddev: float = PARAMETERS.place_stddev) -> AlongFilter:
@@ -120,16 +120,16 @@ def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> Non
     assert after < 0.5 * before
     biases = [(each.bias, each.bias_stddev) for _, each in three]
     truths = [target._bias for target, _ in three]
-    errors = [(told - true) / spread for (told, spread), true in zip(biases, truths, strict=True)]
+    errors = [(estimate - true) / spread for (estimate, spread), true in zip(biases, truths, strict=True)]
     assert 0.75 < math.sqrt(np.mean(np.square(errors))) < 1.25
 
 
 def test_the_risk_matches_the_observed_frequency() -> None:
     found = simulated(600, (0.0, 0.006, -0.006))
-    said = [each.risk(0.002) for _, each in found]
-    came = [abs(target.landed) > 0.002 for target, _ in found]
-    assert 0.05 < np.mean(came) < 0.95
-    assert np.mean(said) == pytest.approx(np.mean(came), abs=0.06)
+    predicted = [each.risk(0.002) for _, each in found]
+    observed = [abs(target.landed) > 0.002 for target, _ in found]
+    assert 0.05 < np.mean(observed) < 0.95
+    assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.06)
 
 
 def test_the_risk_matches_samples_of_the_mixture() -> None:
@@ -174,5 +174,5 @@ def test_another_contact_gains_nothing_at_a_known_place_and_much_if_a_lean_hides
     plans = hidden.plans(0.004)
     assert hidden.risk(0.004) > 0.1
     assert max(plan.gain for plan in plans if plan.aside) > 0.05
-    assert max(plans, key=lambda plan: plan.gain).contacts > 1, "magnets' force beside the target tells most"
+    assert max(plans, key=lambda plan: plan.gain).contacts > 1, "force beside the target informs most"
     assert all(0.0 <= plan.gain <= hidden.risk(0.004) for plan in plans)

@@ -137,7 +137,7 @@ def test_a_far_first_contact_does_not_outweigh_near_ones() -> None:
     assert tracker.target == pytest.approx(0.008, abs=3e-4)
 
 
-def contacts(count: int, told: float) -> list[tuple[float, AxisFilter]]:
+def contacts(count: int, reported: float) -> list[tuple[float, AxisFilter]]:
     """The true offset of the last of three contacts, and the filter, of `count` dockings."""
     random = np.random.default_rng(8)
     dockings = []
@@ -145,24 +145,24 @@ def contacts(count: int, told: float) -> list[tuple[float, AxisFilter]]:
         tracker, place, true = axis(), 0.0, 0.0
         for _ in range(3):
             true = 0.003 - place + random.normal(0.0, 0.00095)
-            tracker.update(place, true + random.normal(0.0, math.hypot(told, 0.15 * true)), told)
+            tracker.update(place, true + random.normal(0.0, math.hypot(reported, 0.15 * true)), reported)
             place = tracker.target
         dockings.append((true, tracker))
     return dockings
 
 
-@pytest.mark.parametrize("told", [2e-4, 1.3e-3])
-def test_the_offset_of_a_contact_has_its_true_error(told: float) -> None:
-    scores = [(true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, told)]
+@pytest.mark.parametrize("reported", [2e-4, 1.3e-3])
+def test_the_offset_of_a_contact_has_its_true_error(reported: float) -> None:
+    scores = [(true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, reported)]
     assert np.std(scores) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(scores)) < 0.12
 
 
 def test_the_risk_of_a_contact_matches_the_observed_frequency() -> None:
     dockings = contacts(2000, 1.3e-3)
-    said = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
-    came = [abs(true) > 0.0015 for true, _ in dockings]
-    assert np.mean(said) == pytest.approx(np.mean(came), abs=0.03)
+    predicted = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
+    observed = [abs(true) > 0.0015 for true, _ in dockings]
+    assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.03)
 
 
 def test_another_contact_pays_if_this_one_is_off() -> None:

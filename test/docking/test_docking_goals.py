@@ -39,8 +39,8 @@ states = st.sampled_from(list(State))
 def test_states_passed_between_two_reports_are_reported_once_each_in_order(
     before: State, passed: list[State], now: State
 ) -> None:
-    told = changes(before, passed, now)
-    assert [before, *told] == [state for state, _ in itertools.groupby([before, *passed, now])]
+    reported = changes(before, passed, now)
+    assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]
 
 
 @pytest.fixture(scope="module")

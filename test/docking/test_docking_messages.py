@@ -92,21 +92,21 @@ def goal(
 def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
     yaw: float, pitch: float, roll: float, mount: DockingNodeParameters
 ) -> None:
-    told = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
-    in_robot = product(mount.base_pose[3:], told)
-    for found in (goal(told, mount), goal(in_robot, mount, mount.base_pose)):
+    orientation = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
+    in_robot = product(mount.base_pose[3:], orientation)
+    for found in (goal(orientation, mount), goal(in_robot, mount, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
         assert found.yaw_stddev == found.pitch_stddev == mount.goal_lean_stddev
-        assert found.roll == pytest.approx(roll_of(told))
+        assert found.roll == pytest.approx(roll_of(orientation))
 
 
 @pytest.mark.parametrize("roll", [0.0, 7.0])
 @pytest.mark.parametrize("mount", [MOUNT, TURNED])
 def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
     """Also with rounded numbers: a fleet that sends a roll has not measured the lean."""
-    told = turned(roll=roll * DEGREE)
-    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], told))
-    for found in (goal(told, mount), goal(rounded, mount, mount.base_pose)):
+    orientation = turned(roll=roll * DEGREE)
+    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], orientation))
+    for found in (goal(orientation, mount), goal(rounded, mount, mount.base_pose)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
         assert found.sure_yaw(2.0) == 0.0
         assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
@@ -133,8 +133,8 @@ def test_a_detection_gives_its_lean_with_its_error() -> None:
     found = io.seen(detection(numbers, roll_of(numbers), (0.01**2, 0.02**2, 0.03**2)), 0.5)
     assert math.tan(found.pitch) == pytest.approx(math.tan(-2.0 * DEGREE) / math.cos(4.0 * DEGREE))
     assert found.yaw == pytest.approx(4.0 * DEGREE)
-    told = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
-    assert told == pytest.approx((0.01, 0.02, 0.03, 0.5))
+    stddevs = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
+    assert stddevs == pytest.approx((0.01, 0.02, 0.03, 0.5))
 
 
 @pytest.mark.parametrize("variance", [math.nan, 0.0])

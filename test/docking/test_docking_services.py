@@ -61,26 +61,26 @@ def test_a_service_that_never_appears_is_named(services: Services) -> None:
 
 
 def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node: Node) -> None:
-    heard = list[bool]()
+    received = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
+    node.create_service(SetBool, "set_torque", lambda request, answer: _receive(received, request, answer))
     client = services._clients[Service.TORQUE_ON]
     wait_until(client.service_is_ready, "the service")
     services.call(Request(2, Service.TORQUE_OFF))
-    wait_until(lambda: services.take() and len(heard) == 2, "both calls")
-    assert heard == [True, False]
+    wait_until(lambda: services.take() and len(received) == 2, "both calls")
+    assert received == [True, False]
 
 
 def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node) -> None:
-    heard = list[bool]()
+    received = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
     services.call(Request(2, Service.TORQUE_OFF))
     services.forget()
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
-    wait_until(lambda: services.take() and heard, "the call that makes safe")
-    assert heard == [False]
+    node.create_service(SetBool, "set_torque", lambda request, answer: _receive(received, request, answer))
+    wait_until(lambda: services.take() and received, "the call that makes safe")
+    assert received == [False]
 
 
 def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
@@ -95,8 +95,8 @@ def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: S
     assert "contradicts itself" in answer.message
 
 
-def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-    heard.append(request.data)
+def _receive(received: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+    received.append(request.data)
     answer.success = True
     return answer
 

@@ -16,7 +16,7 @@ from deltacharger_sim.parameters import ContactParameters, ServoParameters
 
 from .dockings import MILLIMETRE, assert_safe_at_home, charger
 
-STRIKE_MOST = 115.0  # N besides the magnets on electrodes of 1e5 N/m, impact included; the magnets' snap takes 40 to 60
+STRIKE_MOST = 115.0  # N without the magnets, on electrodes of 1e5 N/m, with impact; the magnets' snap takes 40 to 60
 
 
 def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:
@@ -36,7 +36,7 @@ def until_lifted(run: VirtualCharger) -> None:
 
 
 def pushed(run: VirtualCharger) -> float:
-    """Largest push (N) so far besides the magnets', impact included, as it would be on electrodes of 1e5 N/m.
+    """Largest push (N) so far without the magnets' force, with impact, converted to electrodes of 1e5 N/m.
 
     At a given speed the impact grows with the root of the stiffness. Soft electrodes bottom out at their stop.
     """
@@ -55,11 +55,11 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
         servo=ServoParameters(stiffness=servo),
         contact=ContactParameters(stiffness=contact, hard_stop=0.002),
     )
-    told: list[tuple[float, Command]] = []
+    commands: list[tuple[float, Command]] = []
     step = run.machine.step
 
     def watched(observation: Observation) -> Command:
-        told.append((run.now, command := step(observation)))
+        commands.append((run.now, command := step(observation)))
         return command
 
     run.machine.step = watched  # type: ignore[method-assign]
@@ -67,7 +67,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
     run.until(lambda: run.observe().tactile_contact, 60.0)
     touched = run.now
     run.run(2 * TICK)
-    after = [command.trajectory for time, command in told if time >= touched and command.trajectory is not None]
+    after = [command.trajectory for time, command in commands if time >= touched and command.trajectory is not None]
     assert after, "the line goes on"
     assert len(after[0]) <= 1, "the goal stands still, or goes back to where the arm is"
     run.finish(120.0)
@@ -112,9 +112,9 @@ def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
 @pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
 def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
     """Nearer than given by less than the standoff, or farther: the search finds it."""
-    told = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
+    given = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
     run = charger()
-    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0)))
+    outcome = run.dock(DockGoal(ElectrodePose(given, 0.0)))
     assert outcome.success or outcome.code is Code.NO_CONTACT
     assert pushed(run) < STRIKE_MOST
 

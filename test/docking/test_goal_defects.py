@@ -45,7 +45,7 @@ def test_a_defect_at_the_beginning_of_a_goal_ends_it_and_leaves_the_charger_free
         outcome = hostile.dock()
     assert (outcome.success, outcome.error_name) == (False, "INTERNAL"), outcome
     assert "a defect at the beginning" in outcome.error_message
-    assert not hostile.docking._machine.busy, "the machine works on for nobody"
+    assert not hostile.docking._machine.busy, "the machine continues without a client"
     wait_until(lambda: hostile.is_idle() and not hostile.servos.torque_enabled, "an arm at rest")
     assert not hostile.is_closed
     hostile.charge()

@@ -194,7 +194,7 @@ def test_fifty_wrong_goals_at_once_are_each_answered(charger: Charger) -> None:
 
 def test_a_request_id_of_ten_megabytes_is_refused_and_not_repeated(charger: Charger) -> None:
     states: list[DockingState] = []
-    heard = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
+    subscription = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
     for goal in (with_fields(request_id="x" * 10_000_000), Undock.Goal(request_id="x" * 10_000_000)):
         result = charger.result(goal)
         assert CODES[result.error_code] == "REJECTED"
@@ -204,7 +204,7 @@ def test_a_request_id_of_ten_megabytes_is_refused_and_not_repeated(charger: Char
     assert charger.client.undock(longest, deadline=DEADLINE).success
     wait_until(lambda: states and states[-1].request_id == longest, "the longest id that is taken")
     assert max(len(state.request_id) for state in states) == REQUEST_ID_MAX
-    charger.client.node.destroy_subscription(heard)
+    charger.client.node.destroy_subscription(subscription)
 
 
 def cancel_all(charger: Charger, action: str) -> Any:

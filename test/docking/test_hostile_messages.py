@@ -85,7 +85,7 @@ WRONG_SERVOS: dict[str, Distortion] = {
     "no currents": cut(0, "current"),
     "nothing at all": cut(0),
     "no validity": cut(0, "valid"),
-    "no torque told": cut(0, "torque_enabled"),
+    "no torque values": cut(0, "torque_enabled"),
     "four of each": lambda message: put(**{name: [*getattr(message, name)][:1] * 4 for name in COLUMNS})(message),
     "other names": put(name=["a", "b", "c"]),
     "one name twice": put(name=["limb_0_arm_joint", "limb_0_arm_joint", "limb_2_arm_joint"]),
@@ -118,7 +118,7 @@ def test_an_idle_charger_tolerates_every_message_and_then_docks(hostile: Hostile
             hostile.relay.distort[topic] = distortion
             time.sleep(0.05)
         hostile.relay.distort.clear()
-    assert defects.told == []
+    assert defects.texts == []
     hostile.charge()
 
 
@@ -152,7 +152,7 @@ def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
     assert not hostile.is_closed
 
 
-@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque told"), slow("other names")])
+@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque values"), slow("other names")])
 def test_invalid_servo_states_end_charging(hostile: Hostile, name: str) -> None:
     hostile.charge()
     hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
@@ -287,7 +287,7 @@ def test_refused_messages_are_counted_and_do_not_affect_valid_ones(
     wait_until(lambda: refused.count - before > 3 * len(wrong), "a count")
     assert hostile.is_closed
     assert refused.last.startswith(topic)
-    assert defects.told == []
+    assert defects.texts == []
 
 
 @pytest.mark.slow
@@ -298,5 +298,5 @@ def test_a_trajectory_with_an_invalid_stamp_ends_no_node(hostile: Hostile) -> No
     publisher.publish(stamped(-5, 0)(wrong))
     assert publisher.wait_for_all_acked()
     hostile.client.node.destroy_publisher(publisher)
-    wait_until(lambda: not hostile.states[-1].duplicate_sources, "nobody else")
+    wait_until(lambda: not hostile.states[-1].duplicate_sources, "no second source")
     hostile.charge()

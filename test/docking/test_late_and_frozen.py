@@ -81,8 +81,8 @@ def test_an_answer_that_arrives_in_the_next_goal_is_ignored(
     run._torque = False  # as after manual handling, so that it is requested again
     assert run.echoes
     late = run.echoes
-    run.distort = lambda observation, told=run.distort: replace(
-        told(observation), replies=(*late, *observation.replies, *late)
+    run.distort = lambda observation, base=run.distort: replace(
+        base(observation), replies=(*late, *observation.replies, *late)
     )
     run.answer[service] = lambda reply: replace(reply, message="out of order", **own)
     assert run.dock(goal).code is code
@@ -98,7 +98,7 @@ def test_every_answer_twice_and_then_in_every_tick_changes_nothing() -> None:
     assert once.states == often.states
     assert once.undock().success
     assert often.undock().success
-    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was asked anew"
+    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was repeated"
 
 
 NOT_NOTICED = None

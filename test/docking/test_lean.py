@@ -47,8 +47,8 @@ def test_a_large_yaw_is_refused_before_anything_moves_with_a_suggested_base_pose
     pose = leaning(yaw, 0.0)
     run, outcome = dock_at(pose, seen)
     assert (outcome.code, outcome.retriable) == (Code.LEANING, False)
-    for told in (f"yawed by {yaw:+.1f}°", "more than 5.0°", f"turn it by 6.5° to the {side}"):
-        assert told in outcome.message
+    for part in (f"yawed by {yaw:+.1f}°", "more than 5.0°", f"turn it by 6.5° to the {side}"):
+        assert part in outcome.message
     assert_nothing_was_moved(run)
     base = outcome.suggested_base
     assert base is not None
@@ -64,8 +64,8 @@ def test_a_large_yaw_is_refused_before_anything_moves_with_a_suggested_base_pose
 def test_a_large_pitch_is_refused_before_anything_moves_without_a_suggested_base_pose(yaw: float, seen: bool) -> None:
     run, outcome = dock_at(leaning(yaw, -6.5), seen)
     assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
-    for told in ("pitched by -6.5°", "more than 5.0°", "level the target or the charger", "floor", "suspension"):
-        assert told in outcome.message
+    for part in ("pitched by -6.5°", "more than 5.0°", "level the target or the charger", "floor", "suspension"):
+        assert part in outcome.message
     assert_nothing_was_moved(run)
 
 

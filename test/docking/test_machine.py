@@ -250,15 +250,15 @@ def test_a_refused_target_is_never_aligned(degrees: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("service", "told"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
+    ("service", "name"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
 )
-def test_docking_reports_what_it_waits_for(service: Service, told: str) -> None:
+def test_docking_reports_what_it_waits_for(service: Service, name: str) -> None:
     run = charger()
     run.answer[service] = lambda reply: None
     run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.waiting_for == told, 30.0)
+    run.until(lambda: run.machine.status.waiting_for == name, 30.0)
     run.run(1.0)
-    assert run.machine.status.waiting_for == told
+    assert run.machine.status.waiting_for == name
     run.machine.cancel()
     assert run.finish(30.0).code is Code.CANCELED
     assert run.machine.status.waiting_for == ""

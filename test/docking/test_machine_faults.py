@@ -58,7 +58,7 @@ def test_every_fault_in_every_phase_opens_the_contactor(state: State, fault: dic
     }
     if not watched.get(code, True):
         run.run(0.1)
-        assert run.machine.status.code is Code.NONE, "nobody asks for it in this phase"
+        assert run.machine.status.code is Code.NONE, "it is not called in this phase"
         return
     run.until(lambda: run.machine.status.code is not Code.NONE, 5.0)
     assert run.machine.status.code is code

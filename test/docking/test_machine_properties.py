@@ -68,7 +68,7 @@ class Model:
     now: float = 0.0
     goal: Vector = (0.0, 0.0, 0.0)
     way: tuple[Waypoint, ...] = ()
-    told: float = 0.0
+    commanded_at: float = 0.0
     torque: bool = False
     tared: bool = False
     closed: bool = False
@@ -83,7 +83,7 @@ class Model:
     def follow(self, command: Command) -> None:
         """Carry out a command."""
         if command.trajectory is not None and self.torque:
-            self.way, self.told = command.trajectory, self.now
+            self.way, self.commanded_at = command.trajectory, self.now
         for request in command.requests:
             self.pending.append((self.now + 0.1, request))
         self.wanted = command.energise
@@ -95,7 +95,7 @@ class Model:
             self.pending.remove(item)
             self.replies.append(self._serve(item[1]))
         self.closed = self.wanted
-        while self.way and self.torque and self.way[0].time <= self.now - self.told:
+        while self.way and self.torque and self.way[0].time <= self.now - self.commanded_at:
             self.goal, self.way = self.way[0].angles, self.way[1:]
         x, y, z = self.geometry.forward(*self.goal)
         touches = z >= DEPTH
@@ -151,24 +151,24 @@ class Judge:
         self.passed: list[Verdict] = []
         self.probed = False
 
-    def saw(self, observation: Observation) -> None:
+    def observe(self, observation: Observation) -> None:
         """Store the machine's observation."""
         for reply in observation.replies:
             service = self.asked.pop(reply.number, None)
             if service is Service.ESTIMATE:
-                self._felt(reply)
+                self._judge_estimate(reply)
             elif service is Service.PROBE:
                 low, high = LIMITS.target_voltage_min, LIMITS.target_voltage_max
                 good = reply.success and LIMITS.probe_resistance_min <= reply.resistance < math.inf
                 self.probed = good and low <= reply.target_voltage <= high
 
-    def _felt(self, reply: Reply) -> None:
+    def _judge_estimate(self, reply: Reply) -> None:
         estimate = reply.estimate if reply.success else None
         good = estimate is not None and estimate.complete and estimate.sure and estimate.in_range and estimate.contact
         verdict = judge(estimate, LIMITS) if good and estimate is not None else None
         self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
 
-    def heard(self, observation: Observation, command: Command, contact_current: float) -> None:
+    def check_command(self, observation: Observation, command: Command, contact_current: float) -> None:
         """Check the machine's command."""
         for state in command.states:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
@@ -304,9 +304,9 @@ class Run:
     def step(self) -> None:
         """One tick of everything."""
         observation = self._observe()
-        self.judge.saw(observation)
+        self.judge.observe(observation)
         command = self.machine.step(observation)
-        self.judge.heard(observation, command, self.machine.status.contact_current)
+        self.judge.check_command(observation, command, self.machine.status.contact_current)
         self.model.follow(command)
         outcome, self.machine.outcome = self.machine.outcome, None
         if outcome is not None:

@@ -91,13 +91,13 @@ class Watched(VirtualCharger):
     def __init__(self, geometry: DeltaGeometry, target: TargetParameters, **parameters: Any) -> None:
         super().__init__(WorldParameters(target=target), DockingParameters(**parameters))
         self.machine = DockingMachine(self.parameters, geometry)
-        self.told: list[tuple[State, tuple[Waypoint, ...]]] = []
+        self.commands: list[tuple[State, tuple[Waypoint, ...]]] = []
         step = self.machine.step
 
         def watched(observation: Any) -> Any:
             command = step(observation)
             if command.trajectory is not None:
-                self.told.append((self.machine.status.state, command.trajectory))
+                self.commands.append((self.machine.status.state, command.trajectory))
             return command
 
         self.machine.step = watched  # type: ignore[method-assign]
@@ -109,18 +109,18 @@ def test_an_arm_outside_its_limits_is_not_moved() -> None:
     outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0)))
     assert outcome.code is Code.UNREACHABLE
     assert "JOINT_LIMIT" in outcome.message
-    assert not any(trajectory for _, trajectory in run.told)
+    assert not any(trajectory for _, trajectory in run.commands)
     assert math.dist(run.world.snapshot().position, HOME) < 1e-3
     assert not run.observe().torque_enabled
 
 
 def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
     # The rods allow the given place, but not a place 6 mm farther, which touch requests.
-    told, real = (0.048, 0.0, 0.080), 0.054
+    given, real = (0.048, 0.0, 0.080), 0.054
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
     geometry = DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod))
     run = Watched(geometry, TargetParameters(x=real))
-    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0), start_charging=False))
+    outcome = run.dock(DockGoal(ElectrodePose(given, 0.0), start_charging=False))
     assert outcome.code is Code.UNREACHABLE, outcome.message
     assert "SWING_LIMIT" in outcome.message
     assert State.MEASURE in run.states

@@ -82,9 +82,9 @@ def test_with_our_clearance_rule_any_charger_is_accepted(quick_scene: Scene, con
 
 
 def message(**shares: Any) -> Misalignment:
-    told = {"angle": [0.1, 0.2, 0.7, 0, 0, 0], "vertical": [0, 0.6, 0.4, 0, 0], "horizontal": [0, 0, 0, 0, 1.0]}
+    base = {"angle": [0.1, 0.2, 0.7, 0, 0, 0], "vertical": [0, 0.6, 0.4, 0, 0], "horizontal": [0, 0, 0, 0, 1.0]}
     found = unknown_misalignment()
-    for axis, values in {**told, **shares}.items():
+    for axis, values in {**base, **shares}.items():
         setattr(found, f"{axis}_probability", values)
     return found
 
@@ -100,8 +100,8 @@ def test_the_most_probable_classes_are_given_by_their_centres() -> None:
 @pytest.mark.parametrize("shares", [[], [1.0, 0.0], [float("nan")] * 5, [1.0] * 7])
 def test_missing_or_nan_probabilities_give_no_class(axis: str, shares: list[float]) -> None:
     classes = estimate(message(**{axis: shares}), with_classes=True).classes
-    told: Mapping[str, float] = vars(classes or SimpleNamespace())
-    assert {name for name, value in told.items() if value != value} == {axis}
+    found: Mapping[str, float] = vars(classes or SimpleNamespace())
+    assert {name for name, value in found.items() if value != value} == {axis}
 
 
 class Owner(Node):

@@ -89,9 +89,9 @@ def named(hostile: Hostile) -> str:
 
 def test_every_second_source_is_named_until_it_is_gone(hostile: Hostile) -> None:
     node = Node("stranger", **options(hostile.context, hostile.namespace))
-    told: list[str] = []
+    texts: list[str] = []
     hostile.client.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: told.extend(status.message for status in array.status), 10
+        DiagnosticArray, "/diagnostics", lambda array: texts.extend(status.message for status in array.status), 10
     )
     for topic, (kind, qos) in TOPICS.items():
         node.create_publisher(kind, f"heard/{topic}", qos)
@@ -104,11 +104,11 @@ def test_every_second_source_is_named_until_it_is_gone(hostile: Hostile) -> None
     stranger, own = f"/{hostile.namespace}/stranger", f"/{hostile.namespace}/docking_node"
     assert named(hostile).count(stranger) == len(expected)
     assert named(hostile).count(own) == 1 + len(ACTIONS), "its own trajectories and goals"
-    wait_until(lambda: any("stranger" in text for text in told), "a warning in /diagnostics")
+    wait_until(lambda: any("stranger" in text for text in texts), "a warning in /diagnostics")
     for server in servers:
         server.destroy()
     node.destroy_node()
-    wait_until(lambda: not named(hostile), "nobody named any more")
+    wait_until(lambda: not named(hostile), "no second source")
 
 
 def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(hostile: Hostile) -> None:
@@ -144,7 +144,7 @@ def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(
     wait_until(lambda: "stranger" in named(hostile), "a second source while charging")
     assert hostile.is_closed
     second.destroy_node()
-    wait_until(lambda: not named(hostile), "nobody named any more")
+    wait_until(lambda: not named(hostile), "no second source")
     assert hostile.is_closed
     hostile.heal()
 

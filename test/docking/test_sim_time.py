@@ -163,10 +163,10 @@ def test_it_docks_at_half_and_at_double_rate(
 
 
 @pytest.mark.parametrize(
-    ("change", "says"), [("pause", "stood still"), ("stop", "stood still"), ("back", "went back by 60")]
+    ("change", "reason"), [("pause", "stood still"), ("stop", "stood still"), ("back", "went back by 60")]
 )
 def test_a_stopped_clock_is_tolerated_or_ends_charging_by_name(
-    charge: Callable[..., Charger], simulate: Callable[[], Simulator], change: str, says: str
+    charge: Callable[..., Charger], simulate: Callable[[], Simulator], change: str, reason: str
 ) -> None:
     simulator = simulate()
     charger = charge()
@@ -189,7 +189,7 @@ def test_a_stopped_clock_is_tolerated_or_ends_charging_by_name(
     wait_until(lambda: charger.states[-1].error_code, "a code")
     assert CODES[charger.states[-1].error_code] in ("SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
     assert "/clock, which use_sim_time follows" in charger.states[-1].error_message
-    assert says in charger.states[-1].error_message
+    assert reason in charger.states[-1].error_message
 
 
 @pytest.mark.parametrize("follows", ["docking_node", "mock_servo_node"])

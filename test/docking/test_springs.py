@@ -34,10 +34,10 @@ def feel(springs: Springs, stiffness: float, currents: Vector = PRESSED, rates: 
         (TORQUE_CONSTANT * current + SERVO_DAMPING * rate) / stiffness
         for current, rate in zip(currents, rates, strict=True)
     )
-    springs.feel((goals[0], goals[1], goals[2]), STILL, rates, currents)
+    springs.add_reading((goals[0], goals[1], goals[2]), STILL, rates, currents)
 
 
-def told(stiffness: float) -> Springs:
+def configured(stiffness: float) -> Springs:
     return Springs(DockingParameters(servo_stiffness=stiffness))
 
 
@@ -58,16 +58,16 @@ def decisions(run: VirtualCharger) -> list[Decision]:
 @pytest.mark.parametrize("true", [2.0, 15.0, 40.0])
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_the_estimated_stiffness_overrides_the_configured_one(true: float, factor: float) -> None:
-    springs = told(factor * true)
+    springs = configured(factor * true)
     feel(springs, true)
-    assert springs.is_felt
+    assert springs.is_estimated
     assert springs.stiffness == pytest.approx(true)
     assert springs.compliance == pytest.approx(TORQUE_CONSTANT / true)
     assert springs.lag == pytest.approx(SERVO_DAMPING / true)
 
 
 def test_a_moving_arm_gives_as_good_an_estimate_as_one_at_rest() -> None:
-    springs = told(40.0)
+    springs = configured(40.0)
     feel(springs, 4.0, rates=(-0.05, -0.08, 0.02))
     assert springs.stiffness == pytest.approx(4.0)
 
@@ -76,17 +76,17 @@ def test_encoder_resolution_costs_little_accuracy() -> None:
     source = random.Random(1)
     worst = 0.0
     for _ in range(200):
-        springs = told(20.0)
+        springs = configured(20.0)
         noise = [source.uniform(-0.5, 0.5) * TICK + source.uniform(-0.5, 0.5) * TICK for _ in range(3)]
         goals = [TORQUE_CONSTANT * current / 40.0 + each for current, each in zip(PRESSED, noise, strict=True)]
-        springs.feel((goals[0], goals[1], goals[2]), STILL, STILL, PRESSED)
+        springs.add_reading((goals[0], goals[1], goals[2]), STILL, STILL, PRESSED)
         worst = max(worst, abs(springs.stiffness / 40.0 - 1.0))
     assert worst < 0.08
 
 
 SILENT: dict[str, tuple[Vector, Vector]] = {
     "no load": ((0.02, 0.02, 0.02), (0.01, 0.0, -0.01)),
-    "less than encoders tell": ((0.001, 0.001, 0.001), PRESSED),
+    "less than encoders resolve": ((0.001, 0.001, 0.001), PRESSED),
     "driven the wrong way": ((-0.04, -0.06, -0.03), PRESSED),
     "no common spring": ((0.3, -0.2, 0.25), PRESSED),
     "softer than the parameter may be": ((9.0, 9.0, 9.0), PRESSED),
@@ -98,17 +98,17 @@ SILENT: dict[str, tuple[Vector, Vector]] = {
 
 @pytest.mark.parametrize(("lags", "currents"), SILENT.values(), ids=SILENT)
 def test_readings_that_no_spring_explains_are_ignored(lags: Vector, currents: Vector) -> None:
-    springs = told(15.0)
-    springs.feel(lags, STILL, STILL, currents)
-    assert not springs.is_felt
+    springs = configured(15.0)
+    springs.add_reading(lags, STILL, STILL, currents)
+    assert not springs.is_estimated
     assert springs.stiffness == pytest.approx(15.0)
     feel(springs, 5.0)
-    springs.feel(lags, STILL, STILL, currents)
+    springs.add_reading(lags, STILL, STILL, currents)
     assert springs.stiffness == pytest.approx(5.0), "what was felt stays"
 
 
 def test_new_readings_soon_outweigh_old_ones() -> None:
-    springs = told(15.0)
+    springs = configured(15.0)
     for _ in range(20):
         feel(springs, 30.0)
     for _ in range(3):
@@ -117,7 +117,7 @@ def test_new_readings_soon_outweigh_old_ones() -> None:
 
 
 def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
-    springs = told(15.0)
+    springs = configured(15.0)
     for wrong in (60.0, 1.5):
         feel(springs, wrong)
         feel(springs, 15.0, (0.1, 0.12, -0.05))
@@ -143,7 +143,7 @@ def test_a_repeated_servo_state_is_ignored(after: float) -> None:
 def test_a_wrong_stiffness_is_reported_with_the_command_that_measures_it(
     given: float, felt: float, named: bool
 ) -> None:
-    springs = told(given)
+    springs = configured(given)
     assert springs.contradiction == ""
     feel(springs, felt)
     assert ("calibrate servos" in springs.contradiction) is named

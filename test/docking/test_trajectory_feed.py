@@ -65,7 +65,7 @@ def drive(
     feed: TrajectoryFeed,
     listener: Listener,
     end: float,
-    heard: Callable[[float], bool] = lambda now: True,
+    received: Callable[[float], bool] = lambda now: True,
     held: Callable[[float], bool] = lambda now: False,
 ) -> np.ndarray:
     """Run sender and receiver for `end` s; rows of time, goal and arm angles."""
@@ -74,7 +74,7 @@ def drive(
         now = step * TICK
         listener.advance(now, TICK if step else 0.0)
         rows.append((now, *listener.goal, *listener.arm))
-        if heard(now):
+        if received(now):
             listener.hear(feed.piece(now, held(now)), now)
     return np.array(rows)
 
@@ -117,14 +117,14 @@ def test_late_ticks_within_the_horizon_neither_stop_nor_delay_the_goal(seed: int
     draw = random.Random(seed)
     due = [0.0]
 
-    def heard(now: float) -> bool:
+    def received(now: float) -> bool:
         if now < due[0]:
             return False
         due[0] = now + draw.uniform(0.0, HORIZON - 2 * TICK)
         return True
 
     rows, whole = drive(begun(), Listener(), END), checked(LINE)
-    late = drive(begun(), Listener(), END, heard)
+    late = drive(begun(), Listener(), END, received)
     goals = np.array([whole.goal_at(now, LINE[0].angles) for now in late[:, 0]])
     assert np.abs(late[:, 1:4] - goals).max() < 0.003, "chords of a curved way, in rad"
     assert np.abs(late[-1, 1:4] - rows[-1, 1:4]).max() < 1e-9
@@ -134,7 +134,7 @@ def test_late_ticks_within_the_horizon_neither_stop_nor_delay_the_goal(seed: int
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(share: float, lag: float) -> None:
     gone = share * END
-    rows = drive(begun(lag=lag), Listener(lag), END + 1.0, heard=lambda now: now < gone)
+    rows = drive(begun(lag=lag), Listener(lag), END + 1.0, received=lambda now: now < gone)
     stopped = rows[rows[:, 0] >= gone + HORIZON + TURN + TICK]
     assert np.ptp(stopped[:, 1:4], axis=0).max() == 0.0, "the goal rests"
     drift = np.abs(stopped[-1, 4:] - stopped[0, 4:]).max()
@@ -146,7 +146,7 @@ def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(sh
 @pytest.mark.parametrize("silence", [0.2, 3.0])
 def test_a_returning_sender_continues_from_where_it_left_the_arm(silence: float) -> None:
     gone = 0.4 * END
-    rows = drive(begun(), Listener(), END + silence + 0.2, heard=lambda now: not gone < now < gone + silence)
+    rows = drive(begun(), Listener(), END + silence + 0.2, received=lambda now: not gone < now < gone + silence)
     back = rows[:, 0] > gone + silence
     steps = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1)
     assert steps[back[1:]].max() < 1.1 * TICK * peak_speed(LINE), "nothing jumps to catch up"
@@ -164,7 +164,7 @@ def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
     steps = np.abs(np.diff(goal, axis=0)).max(axis=1)
     assert steps[time[1:] > until].max() < 1.1 * TICK * peak_speed(LINE)
     assert goal[-1] == pytest.approx(LINE[-1].angles, abs=1e-9)
-    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is said once"
+    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is sent once"
     arrival = time[np.abs(goal - LINE[-1].angles).max(axis=1) < 1e-9][0]
     assert arrival >= END + 0.5, "the time held is not made up for"
 
@@ -186,9 +186,9 @@ def test_velocities_match_the_line_and_a_piece_that_ends_early_ends_at_rest() ->
     assert max(map(abs, piece[0].velocities or ())) == pytest.approx(peak_speed(LINE), rel=0.1)
     assert piece[-1].velocities == (0.0, 0.0, 0.0)
     bare = tuple(Waypoint(point.time, point.angles, point.torque_bound) for point in LINE)
-    told = begun(bare).piece(0.0)
-    assert told is not None
-    assert {point.velocities for point in told} == {None}
+    piece = begun(bare).piece(0.0)
+    assert piece is not None
+    assert {point.velocities for point in piece} == {None}
 
 
 def test_a_line_that_is_stopped_or_replaced_is_no_longer_sent() -> None:

@@ -173,7 +173,7 @@ def test_a_first_touch_with_a_tilt_beyond_the_limit_is_never_pressed_even_if_uns
     spoil(watched.run, unsure(14.0), 10)
     outcome = watched.run.dock()
     assert outcome.code is Code.CRITICAL_ANGLE
-    assert watched.run.world.record.contacts == 2, "once made anew"
+    assert watched.run.world.record.contacts == 2, "one repeated contact"
     assert watched.pressed < PRESSED
     assert_home(watched.run)
 

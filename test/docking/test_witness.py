@@ -20,16 +20,16 @@ FELT = FeltPose(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:
     """A witness that received a second of frames before ASKED, and every n-th frame after it."""
-    heard = Witness()
+    found = Witness()
     for frame in before:
-        heard.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
+        found.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
     for frame in after[::every]:
-        heard.hear(frame, ASKED + (frame - after.start) * PERIOD)
-    return heard
+        found.hear(frame, ASKED + (frame - after.start) * PERIOD)
+    return found
 
 
-def is_believed(heard: Witness, *named: int) -> bool:
-    reply = heard.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
+def is_believed(found: Witness, *named: int) -> bool:
+    reply = found.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
     assert reply.number == 7
     assert reply.success == (reply.estimate is not None)
     assert reply.success or "not confirmed" in reply.message
@@ -52,8 +52,8 @@ def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() 
         (tuple(range(1000, 1024)), "of an earlier question"),
         (tuple(range(1108, 1132)), "half of them from before"),
         ((1119, *AFTER[1:]), "one from before"),
-        (tuple(range(5000, 5024)), "never heard"),
-        ((*AFTER[:11], *range(5000, 5013)), "less than half heard"),
+        (tuple(range(5000, 5024)), "never received"),
+        ((*AFTER[:11], *range(5000, 5013)), "less than half received"),
         ((2**64 - 1,), "the largest number"),
     ],
 )

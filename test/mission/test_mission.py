@@ -80,14 +80,14 @@ def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
     miss: tuple[float, float, float],
 ) -> None:
     """The target is not exactly at its given place, and the navigator stops near its goals and reports it."""
-    told = Place(2.0, 1.0, facing)
-    truth = Truth(told.at(*shift), offset[2], miss, level_mount(heading, *offset))
+    given = Place(2.0, 1.0, facing)
+    truth = Truth(given.at(*shift), offset[2], miss, level_mount(heading, *offset))
     world = quick(truth=truth)
-    outcome = world.run(MissionGoal(told))
+    outcome = world.run(MissionGoal(given))
     assert outcome.success, (outcome, world.stages)
     world.base, believed = world.bases[-1], world.believed[-1]
     assert believed is not None
-    assert believed.distance(world.base) < 1e-6, "it goes by where the navigator says that it stopped"
+    assert believed.distance(world.base) < 1e-6, "it uses the place reported by the navigator"
     x, y, z = world.seen().position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
@@ -255,7 +255,7 @@ def test_an_unsure_yaw_causes_no_turn() -> None:
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), lean_stddev=stddev))
     assert world.run().success
     world.base = world.bases[0]
-    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as that was told"
+    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as given"
 
 
 def leaning(base: BasePose | None) -> Answer:
