@@ -41,9 +41,7 @@ def assert_nothing_was_moved(run: VirtualCharger) -> None:
 
 @pytest.mark.parametrize("seen", [True, False])
 @pytest.mark.parametrize(("yaw", "side"), [(6.5, "left"), (-6.5, "right")])
-def test_a_large_yaw_is_refused_before_anything_moves_with_a_suggested_base_pose(
-    yaw: float, side: str, seen: bool
-) -> None:
+def test_a_large_yaw_is_refused_before_moving_with_a_suggested_base_pose(yaw: float, side: str, seen: bool) -> None:
     pose = leaning(yaw, 0.0)
     run, outcome = dock_at(pose, seen)
     assert (outcome.code, outcome.retriable) == (Code.LEANING, False)

@@ -150,9 +150,7 @@ def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(
 
 
 @pytest.mark.parametrize("beside", [True, slow(False)])
-def test_a_false_estimate_of_the_angle_never_closes_the_contactor(
-    quick_scene: Scene, context: Any, beside: bool
-) -> None:
+def test_a_false_angle_estimate_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
     """The target is tilted past the rule. Next to the true server it may name frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")
     mocks = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}
