@@ -313,11 +313,7 @@ class DockingNodeParameters(Bounded):
         math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
     )
     goal_lean_stddev: float = number(
-        math.radians(1.0),
-        0.0,
-        math.radians(10.0),
-        "rad",
-        "standard deviation of a goal's lean; goals have no field for it",
+        math.radians(1.0), 0.0, math.radians(10.0), "rad", "standard deviation of a goal's lean; goals do not give it"
     )
 
     def __post_init__(self) -> None:
