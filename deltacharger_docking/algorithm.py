@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Algorithm 1 of the paper, line by line.
 
-1 coordinates of the electrodes; 2 go there; 3 where that pushes too hard already, back off once; 4 press until the
-current lies in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15 times, move and press
-again; start charging. Whatever goes wrong is an exception, and the machine takes the arm back: the paper's line 7.
-What steps 5 and 6 have of ours is left out by `published`, the algorithm as printed.
+1 coordinates of the electrodes; 2 go there; 3 if that already pushes too hard, back off once; 4 press until the
+current is in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15 times, move and press
+again; start charging. Failures are exceptions, after which the machine retracts: the paper's line 7. `published` runs
+steps 5 and 6 without our additions.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from deltacharger_docking.press import Look, approach, contact, first_push, pres
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.touch import Target, measure
 
-_ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
+_ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with the detector's answer
 
 
 def dock(context: Context, target: Target, given: ElectrodePose | None, charges: bool) -> Script[None]:
-    """Lay the electrodes on a target, with clearance and the arm at ease.
+    """Bring the electrodes into contact, with clearance and the arm at ease.
 
     Args:
         context: of the docking.
-        target: what is known of it by touch.
-        given: where its electrodes are; None = the camera is asked.
-        charges: whether current is wanted there.
+        target: what touch has shown of it.
+        given: pose of its electrodes; None = ask the camera.
+        charges: whether current is wanted.
     """
     parameters = context.parameters
     context.known_contact = None
@@ -72,18 +72,18 @@ def _prepare(context: Context, charges: bool) -> Script[None]:
 
 
 def _look(context: Context, target: Target) -> Look | None:
-    """Return how to look before electrodes that are live already are pressed home; None where they are not."""
+    """Return how to measure at the first contact of live electrodes; None if they are not live."""
     return (lambda: wired.look(context, target)) if context.parameters.always_live else None
 
 
 def align(context: Context, target: Target, stay: bool = False, felt: FeltPose | None = None) -> Script[None]:
-    """Measure, move and press again until the electrodes may rest where they are and current may flow.
+    """Measure, move and press again until the electrodes may rest and current may flow.
 
     Args:
         context: of the docking.
         target: on which the electrodes rest.
         stay: they have been aligned before and may rest where they are, if they have clearance there.
-        felt: what kept them from being pressed home; None = they are.
+        felt: estimate that forbade pressing; None = they press.
     """
     target.begin()
     while True:
@@ -97,7 +97,7 @@ def align(context: Context, target: Target, stay: bool = False, felt: FeltPose |
 
 
 def stands_at_ease(context: Context, target: Target) -> Script[bool]:
-    """Put the arm at ease and return whether the electrodes still have clearance: it may have slipped."""
+    """Put the arm at ease; return whether the electrodes still have clearance, since the arm may have slipped."""
     if (yield from ease(context)) and not target.still_allows_rest((yield from measure(context))):
         return False
     target.rest()
@@ -120,10 +120,10 @@ def locate(context: Context) -> Script[ElectrodePose]:
 
 
 def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> None:
-    """Refuse electrodes that are rolled to the critical angle (`limit`, rad) already, or may be.
+    """Refuse electrodes whose given roll reaches or may reach the critical angle (`limit`, rad).
 
     Raises:
-        CriticalAngle: they are.
+        CriticalAngle: it does.
     """
     roll, stddev = electrodes.roll, electrodes.roll_stddev
     if abs(roll) + context.parameters.roll_sigmas * stddev < limit:
@@ -131,22 +131,21 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
     text = "the given roll is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
     raise CriticalAngle(
-        f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
-        "level the target or the charger"
+        f"the electrodes are rolled by {math.degrees(roll):.1f}° in the given pose; level the target or the charger"
     )
 
 
 def check_lean(context: Context, electrodes: ElectrodePose) -> None:
-    """Refuse electrodes whose faces surely lean too far; what is not known or not sure is left to the pads.
+    """Refuse electrodes whose faces surely lean too far; the pads check an unknown or unsure lean.
 
     Raises:
-        Leaning: they do. It names another stand for a yaw alone: no stand mends a pitch.
+        Leaning: they do. It suggests another pose of the robot for a yaw only: no pose corrects a pitch.
     """
     parameters, yaw, pitch = context.parameters, electrodes.yaw, electrodes.pitch
     if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, parameters.pitch_max):
         raise Leaning(
             f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base in the given "
-            f"pose, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: look at "
+            f"pose, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: check "
             "floor, tyres, suspension and load"
         )
     if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, parameters.yaw_max):
@@ -160,7 +159,7 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
 
 
 def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, limit: float) -> bool:
-    """Return, and tell, whether a lean (rad) lies beyond its limit; never where it or its error is unknown (NaN)."""
+    """Return and record whether a lean (rad) exceeds its limit; False if it or its error is unknown (NaN)."""
     if not abs(lean) - context.parameters.lean_sigmas * stddev > limit:
         return False
     values = {f"{axis}_rad": lean, f"{axis}_stddev_rad": stddev, "limit_rad": limit}
@@ -169,7 +168,7 @@ def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, l
 
 
 def prepare(context: Context) -> Script[None]:
-    """Switch the torque on and tare the pads, both in free air; nodes that have just started are waited for."""
+    """Switch the torque on and tare the pads, both in free air; wait for nodes that have just started."""
     parameters = context.parameters
     context.enter(State.APPROACH, parameters.approach_timeout)
     end = context.time + parameters.first_data_timeout
@@ -180,13 +179,13 @@ def prepare(context: Context) -> Script[None]:
         raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
     if _pads_silent(context):
         raise TactileStale("no tactile frames; check the board's cable and tactile_node")
-    yield from de_energise(context)  # nothing is pulled off a contactor that welded in an earlier goal
+    yield from de_energise(context)  # never pull off a contactor that welded in an earlier goal
     if not context.observation.torque_enabled:
         yield from context.torque_on()
         while not context.observation.torque_enabled:
             yield NEXT
     context.commanded = context.position
-    # After a restart nobody remembers having docked; the pads do.
+    # A restarted node does not know that it is docked; the pads show it.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
         yield from lift_off(context)
     reply = yield from context.ask(Service.TARE, TactileStale, parameters.service_timeout)
@@ -197,15 +196,15 @@ def prepare(context: Context) -> Script[None]:
 
 
 def weigh(context: Context) -> Script[None]:
-    """Let the arm's weight tell how far the servos yield, or bear out what was felt in an earlier docking."""
+    """Estimate the servo stiffness by the arm's weight, or confirm an earlier estimate."""
     springs = context.springs
     end = context.time + context.parameters.weighing_timeout
     yield from context.read()
-    while not springs.is_felt and context.time < end:
+    while not springs.is_estimated and context.time < end:
         yield from context.read()
-    if springs.is_felt:
+    if springs.is_estimated:
         values = {"felt_Nm_per_rad": springs.stiffness, "told_Nm_per_rad": context.parameters.servo_stiffness}
-        context.decide("stiffness", "as stiff as the servos are felt to be", **values)
+        context.decide("stiffness", "the estimated stiffness of the servos", **values)
 
 
 def _servos_silent(context: Context) -> bool:

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the target is along its bars, felt through a lean that loads the pads as an offset does.
+"""Place of the target along its bars, estimated although a lean loads the pads like an offset.
 
-In one contact an offset x along the bars and a lean of the faces cannot be told apart: the pads' loads tell h = x + L,
-with a load bias L that all contacts on one target share. What tells x alone is the contact force: the magnets' part of
-it falls with the distance of the centres. Contacts at different places of the platform therefore tell both.
+A single contact cannot distinguish an offset x along the bars from a lean of the faces. The pads' loads give h = x + L,
+with a load bias L that all contacts on one target share. The contact force depends on x alone, because the magnets'
+part of it decreases with the distance of the centres. So contacts at different places of the platform give both.
 
-Given the place of the target, everything else is taken as normal and linear: the load bias, the gain error of h, and
-the scale errors of the pads' force, of the magnets and of their width, shared by all contacts; and for each contact its
-landing beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is that
-of one normal vector. It is worked out on a grid of places, since it may have two peaks: the force is even in x.
+For a given place of the target, all else is normal and linear. All contacts share the load bias, the gain error of h,
+and the scale errors of the pads' force, of the magnets and of their width. Each contact has its own landing error
+beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is a normal
+density. It is calculated on a grid of places, since it can have two peaks: the force is even in x.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import Offset, contradicts, expected_gain
 
-_HALF_WIDTH, _POINTS = 0.024, 65  # m around the place foreseen, and places of the grid
+_HALF_WIDTH, _POINTS = 0.024, 65  # m around the expected place; number of places of the grid
 _NEGLIGIBLE = 1e-6  # weight of a place
 _LEAST = 1e-12  # m²
 
 
 @dataclass(frozen=True)
 class LookAlong:
-    """What one contact tells along the bars.
+    """Measurements of one contact along the bars.
 
     Attributes:
-        platform: its place along x as measured, m, charger_base.
-        load: offset as the loads tell it, m.
+        platform: its measured place along x, m, charger_base.
+        load: offset by the pads' loads, m.
         load_stddev: its own standard deviation, m.
         force: sum over both pads, N.
         force_stddev: N.
@@ -55,12 +55,12 @@ class LookAlong:
 
 @dataclass(frozen=True)
 class Plan:
-    """What another contact, or some of them, are expected to gain.
+    """Expected gain of one or more further contacts.
 
     Attributes:
-        gain: expected fall of the risk to lie beyond the limit.
-        contacts: how many it takes; the last one is made at the target and stays.
-        aside: where the first contact is to feel the target's centre, m along the bars; 0 = at the target.
+        gain: expected decrease of the risk to exceed the limit.
+        contacts: their number; the last one is made at the target and remains.
+        aside: offset of the target's centre in the first contact, m along the bars; 0 = at the target.
     """
 
     gain: float
@@ -69,7 +69,7 @@ class Plan:
 
 
 def empty_pad_offset(parameters: DockingParameters, force: float) -> float:
-    """Return the offset by load (m) from which a contact under so much force (N) leaves a pad with next to nothing."""
+    """Return the offset by load (m) from which a contact under this force (N) leaves a pad almost empty."""
     p = parameters
     return p.load_share_max * force * p.pad_distance / p.pad_yaw_stiffness * p.load_per_yaw
 
@@ -78,14 +78,14 @@ class AlongFilter:
     """Place of one target along x of charger_base, and the load bias of its lean.
 
     Args:
-        parameters: docking's.
-        place: where the target is foreseen to be, m; NaN = unknown.
+        parameters: of docking.
+        place: expected place of the target, m; NaN = unknown.
         place_stddev: m.
-        bias: load bias foreseen, m.
+        bias: expected load bias, m.
         bias_stddev: m.
 
     Attributes:
-        target: where the target is, m; NaN before the first look.
+        target: estimated place, m; NaN before the first contact.
         bias, bias_stddev: the load bias, m.
     """
 
@@ -109,7 +109,7 @@ class AlongFilter:
         self.bias, self.bias_stddev = bias, shared
 
     def update(self, look: LookAlong, again: bool = False) -> None:
-        """Take what one contact tells; `again`: in place of what it told before."""
+        """Add the measurements of one contact; `again`: they replace the last ones."""
         self._looks[-1 if again else len(self._looks) :] = [look]
         places = self._grid()
         rows, residual, noise, landing = self._rows(places)
@@ -117,8 +117,8 @@ class AlongFilter:
         last = np.zeros_like(residual)
         last[:, -2:] = landing[:, -2:]
         of_bias = rows[:, :, 0]
-        told, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
-        square = (residual * told).sum(axis=1)
+        score, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
+        square = (residual * score).sum(axis=1)
         self._innovations = float(square.min())
         logs = -0.5 * (square + np.linalg.slogdet(joint)[1])
         if math.isfinite(self._foreseen):
@@ -127,24 +127,24 @@ class AlongFilter:
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
         variance = self._parameters.docking_jitter**2
-        self._means = places - look.platform + variance * (last * told).sum(axis=1)
+        self._means = places - look.platform + variance * (last * score).sum(axis=1)
         left = variance - variance**2 * (last * of_last).sum(axis=1)
         self._spread = math.sqrt(max(float(weights @ left), _LEAST))
         prior = self._prior[0]
-        bias, within = prior * (of_bias * told).sum(axis=1), prior - prior**2 * (of_bias * by_bias).sum(axis=1)
+        bias, within = prior * (of_bias * score).sum(axis=1), prior - prior**2 * (of_bias * by_bias).sum(axis=1)
         mean = float(weights @ bias)
         self.bias = self._bias + mean
         self.bias_stddev = math.sqrt(max(float(weights @ (within + (bias - mean) ** 2)), 0.0))
 
     @property
     def contact(self) -> Offset:
-        """How far (m) this contact lies off: mean and standard deviation."""
+        """Offset (m) of this contact: mean and standard deviation."""
         mean = float(self._weights @ self._means)
         return Offset(mean, math.sqrt(self._spread**2 + float(self._weights @ (self._means - mean) ** 2)))
 
     @property
-    def felt_bias(self) -> Offset:
-        """The load bias (m) by the contacts alone, without what was foreseen of it; infinite error = they tell none."""
+    def measured_bias(self) -> Offset:
+        """The load bias (m) from contacts alone, without the expectation; infinite error = no information."""
         before, after = 1.0 / self._prior[0], 1.0 / max(self.bias_stddev**2, _LEAST)
         gained = float(after - before)
         if not gained > 1e-9 * before:
@@ -153,15 +153,15 @@ class AlongFilter:
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether the looks differ by more than their errors allow."""
+        """Whether the contacts differ by more than their errors allow."""
         return contradicts(self._parameters, self._innovations, 2 * len(self._looks))
 
     def parts(self, load: float, platform: float) -> tuple[float, float]:
-        """Return how much of an offset by load (m) the target's place makes and how much its lean, as foreseen.
+        """Return the parts of an offset by load (m) that the target's place and its lean cause, as expected.
 
         Args:
-            load: as felt, or where a pad is empty the least that empties it, m.
-            platform: where the platform is, m, charger_base.
+            load: as measured; if a pad is empty, the least that empties it, m.
+            platform: its place, m, charger_base.
         """
         if not math.isfinite(self._foreseen):
             return load, 0.0
@@ -171,12 +171,12 @@ class AlongFilter:
         return aside + excess * place, self._bias + excess * lean
 
     def risk(self, limit: float) -> float:
-        """Return the probability that this contact lies farther off than `limit` (m), either way."""
+        """Return the probability that the offset of this contact exceeds `limit` (m), either way."""
         parts = zip(self._weights.tolist(), self._means.tolist(), strict=True)
         return sum(weight * Offset(mean, self._spread).beyond(limit) for weight, mean in parts if weight > _NEGLIGIBLE)
 
     def plans(self, limit: float) -> list[Plan]:
-        """Return what a contact at the target is expected to gain, and what probes beside it before that one."""
+        """Return the expected gains of a contact at the target, alone or after probes beside it."""
         now, known = self.risk(limit), self._information()
         far, near = self._parameters.probe_offset, 0.5 * self._parameters.probe_offset
         plans = []
@@ -187,23 +187,23 @@ class AlongFilter:
             for aside in way:
                 rows, noise, landing = self._foresee(aside)
                 after = after + rows.T @ np.linalg.solve(noise + np.outer(landing, landing), rows)
-            foreseen, told = self._landing(after)
-            plans.append(Plan(expected_gain(now, foreseen, told, limit), len(way) + 1, way[0] if way else 0.0))
+            foreseen, measured = self._landing(after)
+            plans.append(Plan(expected_gain(now, foreseen, measured, limit), len(way) + 1, way[0] if way else 0.0))
         return plans
 
     def _empties(self, aside: float) -> bool:
-        """Return whether a contact that feels the target's centre `aside` m off would leave a pad nearly empty."""
+        """Return whether a contact with the target's centre `aside` m off would leave a pad almost empty."""
         pull, _, _ = self._pull.at(np.array(aside), 0.0, self._looks[-1].angle)
         return abs(self.bias + aside) > empty_pad_offset(self._parameters, float(pull) + self._looks[-1].push)
 
     def _grid(self) -> Array:
-        """Return the places (G,) that come into question, m."""
+        """Return the places (G,) of the grid, m."""
         first = self._looks[0]
         middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
     def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
-        """Return, for each place, the rows (G, 2N, 5) of all looks, residuals, noise and the landing's part (G, 2N)."""
+        """Return rows (G, 2N, 5) of all contacts, residuals, noise, and the landing's part (G, 2N) for each place."""
         count, jitter = len(self._looks), self._parameters.docking_jitter
         rows = np.zeros((len(places), 2 * count, 5))
         residual, landing = np.zeros((2, len(places), 2 * count))
@@ -225,7 +225,7 @@ class AlongFilter:
         return rows, residual, noise, landing
 
     def _information(self) -> Array:
-        """Return the inverse covariance (6, 6) of place and shared errors, linear about where the target is."""
+        """Return the inverse covariance (6, 6) of place and shared errors, linearized at the estimated place."""
         place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
         rows, _, noise, landing = self._rows(np.array([self.target]))
@@ -236,7 +236,7 @@ class AlongFilter:
         return known
 
     def _foresee(self, aside: float) -> tuple[Array, Array, Array]:
-        """Return rows (2, 6) of a contact that feels the target's centre `aside` m off, its noise and its landing's."""
+        """Return rows (2, 6) of a contact with the target's centre `aside` m off, its noise and its landing's."""
         last = self._looks[-1]
         pull, slope, by_width = (float(each) for each in self._pull.at(np.array(aside), 0.0, last.angle))
         landing = np.array([1.0, slope])
@@ -245,7 +245,7 @@ class AlongFilter:
         return np.column_stack([landing, shared]), noise, landing * self._parameters.docking_jitter
 
     def _landing(self, known: Array) -> tuple[float, float]:
-        """Return the variance (m²) of a contact made at the target before it is felt, and after."""
+        """Return the variance (m²) of the offset of a contact at the target, before and after it is measured."""
         rows, noise, _ = self._foresee(0.0)
         covariance = np.zeros((7, 7))
         covariance[:6, :6] = np.linalg.inv(known)

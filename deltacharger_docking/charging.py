@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charging under supervision: watched until it is wanted no longer, the target is full, or something is wrong."""
+"""Charging under supervision, until it is no longer wanted, the target is full, or a check fails."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from deltacharger_docking.touch import Target, with_pitch
 
 @dataclass
 class Order:
-    """What the present client wants of the docked target, and since when (s); the limit for its angle (rad)."""
+    """The present client's request for the docked target, its start (s), and the limit of the angle (rad)."""
 
     goal: DockGoal
     critical_angle: float
     since: float
 
     def is_met(self, context: Context) -> str:
-        """Return which stop condition is met, '' = none."""
+        """Return the stop condition that is met; '' = none."""
         goal = self.goal
         if goal.stop_energy and context.energy >= goal.stop_energy:
             return f"the stop condition was met: {context.energy:.0f} J"
@@ -44,7 +44,7 @@ class Order:
 
 
 class Flow(Enum):
-    """What the charge current says about the target."""
+    """What the charge current shows about the target."""
 
     FLOWS = "current flows"
     FULL = "current has tapered off: the target is full"
@@ -52,12 +52,12 @@ class Flow(Enum):
 
 
 class Taper:
-    """Tells a full target from a current that was cut off.
+    """Distinguishes a full target from a current that was cut off.
 
-    At constant voltage a battery's current falls over minutes. A cut takes it away between two samples. So current
-    below the least is taken for a full target where it has never been less than `taper_share` of its own mean over the
-    last `taper_time`, and stays below for `full_time`; at a falling current with time constant T that mean is ahead by
-    taper_time / T, so at half and 2 s everything slower than T = 4 s is a taper.
+    At constant voltage a battery's current falls over minutes; a cut ends it between two samples. A current below the
+    minimum means a full target if it was never less than `taper_share` of its mean over the last `taper_time`, and
+    stays below the minimum for `full_time`. For a current that falls with time constant T, the mean is ahead by
+    taper_time / T. At a share of one half and 2 s, everything slower than T = 4 s is a taper.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
@@ -67,7 +67,7 @@ class Taper:
         self.mean = math.nan
 
     def judge(self, time: float, current: float) -> Flow:
-        """Take the charge current (A) at `time` (s); NaN, which others look after, changes nothing."""
+        """Use the charge current (A) at `time` (s); NaN, which other checks handle, changes nothing."""
         if math.isnan(current):
             return Flow.FLOWS
         if math.isnan(self.mean):
@@ -85,13 +85,13 @@ class Taper:
 
 
 class Counter:
-    """Knows whether the energy can be counted: current and voltage are measured, but for a moment."""
+    """Checks that energy can be counted: current and voltage are measured, with short gaps allowed."""
 
     def __init__(self) -> None:
         self._since = math.inf
 
     def is_lost(self, context: Context) -> bool:
-        """Return whether it could not be for longer than a message of the power stage may be old."""
+        """Return whether the gap is longer than the allowed age of charger_power."""
         observation = context.observation
         if math.isfinite(observation.charge_current * observation.target_voltage):
             self._since = math.inf
@@ -101,10 +101,10 @@ class Counter:
 
 
 def charge(context: Context, order: Order, target: Target) -> Script[str]:
-    """Watch over charging until the order is met, wants no current, or the target is full; return which.
+    """Supervise charging until a stop condition, a goal without charging, or a full target; return the reason.
 
     Raises:
-        DockingError: what ended charging; the caller opens and retracts.
+        DockingError: why charging ended; the caller opens the contactor and retracts.
     """
     watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
     checks = clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
@@ -112,7 +112,7 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
         if problem is None and order.goal.stop_energy and counter.is_lost(context):
-            problem = PowerStale("the target's voltage is not measured any more, so its energy cannot be counted")
+            problem = PowerStale("the target's voltage is no longer measured, so energy cannot be counted")
         if problem is None and flow is Flow.LOST and not watch.refused:
             problem = NoChargeCurrent(no_current(context))
         if problem is not None:
@@ -129,17 +129,17 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
 
 
 def _touch_checks(context: Context) -> Script[None]:
-    """Look as often whether the pads feel anything: as printed, frames that are all zero end charging, and no more."""
+    """Check periodically that the pads measure contact: as published, only all-zero frames end charging."""
     while True:
         yield from context.wait(context.parameters.clearance_period)
         if context.observation.tactile_age > context.parameters.tactile_age_max:
             raise TactileStale("tactile frames stopped while charging; check the board's cable and tactile_node")
         if not context.observation.tactile_contact:
-            raise NoTactileContact("the pads feel nothing any more while charging")
+            raise NoTactileContact("the pads lost contact while charging")
 
 
 def clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:
-    """Feel the misalignment every few seconds; end charging when clearance is gone or unknown too often in a row."""
+    """Check the clearance periodically; end charging after too many checks in a row that find none or are unsure."""
     parameters = context.parameters
     unsafe = blind = 0
     while True:
@@ -150,12 +150,12 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
         estimate = None if reply.estimate is None else with_pitch(context, reply.estimate)
         if estimate is None or not estimate.usable:
             blind += 1
-            context.decide("blind", "the clearance was not felt", times=blind)
+            context.decide("blind", "the clearance could not be measured", times=blind)
             if blind >= parameters.blind_max:
                 raise _blind(reply, blind)
             continue
         blind = 0
-        context.status.estimate = target.told_later(estimate)
+        context.status.estimate = target.combined_later(estimate)
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:

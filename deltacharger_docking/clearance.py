@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When may current flow: the distance between a charger bar and the wrong bar of the target.
+"""Condition for current: the distance between a charger bar and the wrong bar of the target.
 
-Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Turned by an angle about the midpoint
-and shifted by v across the target's bars, the nearest corner of a charger bar keeps a distance of
-c(angle, v) = g (1 + cos angle) − h |sin angle| − |v| from the opposite bar. With g = 3.7 mm and h = 35 mm it vanishes
-at 12.07° for v = 0 and already at 3.9° for v = 5 mm; the sizes were chosen for the paper's critical angle, 12°.
+Both terminals have two parallel bars, 2h long, with a gap of 2g between them. For a rotation by an angle about the
+midpoint and a shift by v across the target's bars, the nearest corner of a charger bar has a distance of
+c(angle, v) = g (1 + cos angle) − h |sin angle| − |v| from the opposite bar. With g = 3.7 mm and h = 35 mm it is zero
+at 12.07° for v = 0, and at 3.9° for v = 5 mm. The sizes were chosen for the paper's critical angle, 12°.
 
-v = y cos angle − x sin angle is what the pads feel best: a lean of the faces, which they take for an offset along the
-bars, leaks into y but not into v.
+The pads measure v = y cos angle − x sin angle best. They mistake a lean of the faces for an offset along the bars,
+which changes y but not v.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from deltacharger_docking.parameters import DockingParameters
 
 @dataclass(frozen=True)
 class MisalignmentClasses:
-    """Centres of the paper's most probable classes; NaN where an axis has none.
+    """Centres of the paper's most probable classes; NaN if an axis has none.
 
     Attributes:
-        angle: rad, of the size of the angle: 0, 1, … 5°, so that nothing above 5° is ever told.
+        angle: rad, absolute: 0, 1, … 5°, so an angle above 5° is never reported.
         vertical: m along y: −10, −5, 0, 5 or 10 mm.
-        horizontal: m along x, likewise.
+        horizontal: m along x: the same values.
     """
 
     angle: float
@@ -37,11 +37,10 @@ class MisalignmentClasses:
 
 @dataclass(frozen=True)
 class FeltPose:
-    """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m).
+    """Estimated misalignment: pose of the target in end_effector with standard deviations (rad, m).
 
-    Beside the pose, where they were asked for, stand the paper's classes; None = not told. `across` is the offset
-    across the target's bars (m), forces are sums over each pad (N), yaw and pitch lean the target's faces; NaN = not
-    told.
+    `classes` are the paper's, if requested; else None. `across` is the offset across the target's bars (m), forces are
+    sums over each pad (N), yaw and pitch are leans of the target's faces; NaN = unknown.
     """
 
     angle: float
@@ -64,15 +63,15 @@ class FeltPose:
     pitch_stddev: float = math.nan
 
     @classmethod
-    def of(cls, told: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
-        """Return the values of an estimate or message; what it does not have is not told."""
+    def of(cls, source: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
+        """Return the values of an estimate or message; fields that it lacks keep their defaults."""
         names = (item.name for item in fields(cls) if item.name != "classes")
-        return cls(**{name: getattr(told, name) for name in names if hasattr(told, name)}, classes=classes)
+        return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)}, classes=classes)
 
     def __post_init__(self) -> None:
-        """Work out the offset across the bars where nobody told it, as if both errors were independent.
+        """Calculate an unknown offset across the bars, as if both errors were independent.
 
-        One without an error is what a publisher leaves that does not know the field: it must not pass for exact.
+        An offset with error 0 comes from a publisher that does not know the field, so it is also calculated.
         """
         if math.isnan(self.across) or not self.across_stddev > 0.0:
             cosine, sine = math.cos(self.angle), math.sin(self.angle)
@@ -81,9 +80,9 @@ class FeltPose:
             object.__setattr__(self, "across_stddev", spread)
 
     def is_of(self, other: FeltPose) -> bool:
-        """Return whether both are of the same frames, by values that docking never changes."""
+        """Return whether both come from the same frames, by values that docking never changes."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in ("angle", "across", "left_force", "sure"))
-        return all(one == two or (one != one and two != two) for one, two in pairs)  # NaN is of the same frames, too
+        return all(one == two or (one != one and two != two) for one, two in pairs)  # NaN equals NaN
 
     @property
     def stddevs(self) -> tuple[float, float, float]:
@@ -92,15 +91,15 @@ class FeltPose:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What was felt, by names that end in the unit."""
-        told: dict[str, float] = {}
+        """Its values, by names that end in the unit."""
+        values: dict[str, float] = {}
         for name, unit in (("angle", "rad"), ("vertical", "m"), ("horizontal", "m"), ("across", "m")):
-            told |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
-        return told
+            values |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
+        return values
 
     @property
     def usable(self) -> bool:
-        """Whether clearance may be judged by it."""
+        """Whether clearance can be judged by it."""
         return self.contact and self.sure and self.in_range and self.complete and min(self.stddevs) >= 0.0
 
     @property
@@ -120,32 +119,32 @@ class Verdict(Enum):
 
     @property
     def leaves_clearance(self) -> bool:
-        """Whether `clearance_sigmas` standard deviations do."""
+        """Whether it leaves clearance at `clearance_sigmas` standard deviations."""
         return self in (Verdict.SAFE, Verdict.PROBABLY_SAFE)
 
 
 def clearance(angle: float, across: float, half_gap: float, half_length: float) -> float:
-    """Return the clearance (m); negative where a charger bar touches the wrong target bar."""
+    """Return the clearance (m); negative if a charger bar touches the wrong target bar."""
     return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(across)
 
 
 def clearance_stddev(estimate: FeltPose, half_gap: float, half_length: float) -> float:
-    """Return the standard deviation (m) of the clearance to first order in the errors of angle and offset across."""
+    """Return the clearance's standard deviation (m), to first order in the errors of angle and offset across."""
     slope = half_gap * abs(math.sin(estimate.angle)) + half_length * math.cos(estimate.angle)
     return math.hypot(slope * estimate.angle_stddev, estimate.across_stddev)
 
 
 def pitch_shift(estimate: FeltPose, parameters: DockingParameters) -> float:
-    """Return by how much (m) a pitch that is known may shift what the pads feel across the bars; 0 where unknown.
+    """Return the shift (m) that a known pitch may cause in the measured offset across the bars; 0 if unknown.
 
-    An unknown one is in the estimate's own error: its model has learnt from contacts that lean.
+    An unknown pitch is part of the estimate's own error: its model was trained with leaning contacts.
     """
     pitch = abs(estimate.pitch) + parameters.lean_sigmas * estimate.pitch_stddev
     return parameters.pitch_shift * pitch if math.isfinite(pitch) else 0.0
 
 
 def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
-    """Decide what `estimate` allows.
+    """Return what `estimate` allows.
 
     Args:
         estimate: complete and sure.

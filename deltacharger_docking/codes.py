@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States and error codes of docking, one exception per code, and what a person does about each.
+"""States and error codes of docking, one exception per code, and the remedy for each.
 
 The numbers are those of the constants in Dock.action, Undock.action and DockingState.msg.
 """
@@ -61,10 +61,10 @@ class Code(IntEnum):
 
 
 class DockingError(Picklable):
-    """Root of every way a goal can fail.
+    """Base class of all reasons why a goal can fail.
 
-    `code` names it, `retriable` says whether the same goal may succeed later, `mended_by_docking` whether docking again
-    at once may mend it.
+    `code` identifies it. `retriable`: the same goal may succeed later. `mended_by_docking`: docking again at once may
+    help.
     """
 
     code: Code = Code.INTERNAL
@@ -74,7 +74,7 @@ class DockingError(Picklable):
     def __init_subclass__(
         cls, code: Code | None = None, retriable: bool | None = None, mended_by_docking: bool | None = None
     ) -> None:
-        """Take what the class statement says; what it leaves out is inherited."""
+        """Set what the class statement gives; the rest is inherited."""
         given = {"code": code, "retriable": retriable, "mended_by_docking": mended_by_docking}
         for name, value in given.items():
             if value is not None:
@@ -90,27 +90,27 @@ class Busy(Rejected, retriable=True):
 
 
 class Unplaced(Rejected, retriable=True):
-    """Where the goal's frame is, is not known now. Example: localization has stopped."""
+    """The pose of the goal's frame is unknown at present. Example: localization has stopped."""
 
 
 class Canceled(DockingError, code=Code.CANCELED, retriable=True):
-    """The client took its wish back."""
+    """The client cancelled the goal."""
 
 
 class NoTime(Rejected, retriable=True):
-    """The clock that stamps messages has no time yet. Example: use_sim_time is set before anything publishes /clock."""
+    """The clock of message stamps has no time yet. Example: use_sim_time is set before anything publishes /clock."""
 
 
 class PhaseTimeout(DockingError, TimeoutError, code=Code.TIMEOUT, retriable=True):
-    """A phase or the whole docking took longer than its limit."""
+    """A phase or the docking took longer than its limit."""
 
 
 class DuplicateSource(DockingError, code=Code.DUPLICATE_SOURCE, retriable=True):
-    """A second node publishes or serves what docking works with. Example: another charger runs in this namespace."""
+    """A second node publishes or serves an input of docking. Example: another charger runs in this namespace."""
 
 
 class ElectrodesNotFound(DockingError, code=Code.ELECTRODES_NOT_FOUND, retriable=True):
-    """The camera sees no electrodes, or nobody looks."""
+    """The camera sees no electrodes, or no detector runs."""
 
 
 class DetectionStale(DockingError, code=Code.DETECTION_STALE, retriable=True):
@@ -118,11 +118,11 @@ class DetectionStale(DockingError, code=Code.DETECTION_STALE, retriable=True):
 
 
 class Misplaced(DockingError):
-    """Another stand of the robot would help. The result says which.
+    """Another position of the robot would help. The result names it.
 
     Attributes:
-        electrodes: where they are (m, charger_base), None where no stand is known to be better.
-        yaw: rotation of their faces about +y (rad, charger_base), 0 where it is unknown.
+        electrodes: their position (m, charger_base); None if no better position of the robot is known.
+        yaw: rotation of their faces about +y (rad, charger_base); 0 if unknown.
     """
 
     def __init__(self, message: str, electrodes: Vector | None = None, yaw: float = 0.0) -> None:
@@ -132,11 +132,11 @@ class Misplaced(DockingError):
 
 
 class Unreachable(Misplaced, code=Code.UNREACHABLE):
-    """The target lies outside the arm's workspace; `electrodes` is None where the arm's own motion does."""
+    """The target, or if `electrodes` is None the arm's own motion, leaves the workspace."""
 
 
 class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, mended_by_docking=True):
-    """The arm went as far as it may and met nothing."""
+    """The arm reached its limit without contact."""
 
 
 class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, mended_by_docking=True):
@@ -144,7 +144,7 @@ class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, mended_by
 
 
 class ChargeOvercurrent(Overcurrent, retriable=False, mended_by_docking=False):
-    """More charge current flowed than the power stage allows. Example: its current limiter failed."""
+    """More charge current flowed than allowed. Example: the power stage's current limiter failed."""
 
 
 class ServoFailure(DockingError, code=Code.SERVO_FAULT):
@@ -152,11 +152,11 @@ class ServoFailure(DockingError, code=Code.SERVO_FAULT):
 
 
 class Stuck(DockingError, code=Code.STUCK, retriable=True):
-    """The magnets did not let go within the allowed pull."""
+    """The magnets did not release within the allowed pull."""
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, mended_by_docking=True):
-    """The servos push but no taxel feels anything: the pads missed the target's ridges."""
+    """The servos push but no taxel measures a force: the pads missed the target's ridges."""
 
 
 class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
@@ -172,7 +172,7 @@ class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, me
 
 
 class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, mended_by_docking=True):
-    """The electrodes could not be brought far enough from the wrong neighbour."""
+    """The electrodes could not be moved far enough from the wrong bars."""
 
 
 class Leaning(Misplaced, code=Code.LEANING):
@@ -180,7 +180,7 @@ class Leaning(Misplaced, code=Code.LEANING):
 
 
 class NoChargeCurrent(DockingError, code=Code.NO_CHARGE_CURRENT, retriable=True):
-    """The contactor is closed, or would be, and no current flows."""
+    """No current flows, although the contactor is closed or could be."""
 
 
 class ShortCircuit(DockingError, code=Code.SHORT_CIRCUIT):
@@ -188,7 +188,7 @@ class ShortCircuit(DockingError, code=Code.SHORT_CIRCUIT):
 
 
 class PowerStale(DockingError, code=Code.POWER_STALE, retriable=True):
-    """The power stage stopped answering."""
+    """The power stage stopped publishing or answering."""
 
 
 class ReversePolarity(DockingError, code=Code.REVERSE_POLARITY):
@@ -196,7 +196,7 @@ class ReversePolarity(DockingError, code=Code.REVERSE_POLARITY):
 
 
 class VoltageOutOfRange(DockingError, code=Code.VOLTAGE_OUT_OF_RANGE):
-    """The target's voltage is outside what the charger may feed, or its own battery outside what may feed."""
+    """The voltage of the target, or of the charger's own battery, is outside its limits."""
 
 
 class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
@@ -204,11 +204,11 @@ class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
 
 
 class ContactorWelded(DockingError, code=Code.CONTACTOR_WELDED):
-    """The contactor was told to open and current still flows."""
+    """Current still flows after the order to open the contactor."""
 
 
-# ChargerPower.fault to the error that docking reports, and in words: 1 to 7 are the codes 50x less 500. 8 means that
-# the power stage heard nobody; 9 is no short, which the stage tells apart, and bears the name of what it is.
+# ChargerPower.fault to docking's error and its text. 1 to 7 are the codes 50x less 500. 8: the power stage received no
+# heartbeat. 9: an over-current, which the stage distinguishes from a short.
 POWER_FAULTS: dict[int, tuple[type[DockingError], str]] = {
     1: (NoChargeCurrent, "no charge current"),
     2: (ShortCircuit, "short circuit"),
@@ -230,25 +230,24 @@ REMEDIES: dict[Code, str] = {
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
     Code.DETECTION_STALE: "check the camera's rate and clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
-    Code.NO_CONTACT: "the target is not where it was said to be, or it moved",
-    Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` does not fit, as the message says; "
-    "charge current: have the limiter of the power stage looked at",
+    Code.NO_CONTACT: "the target is not at the given place, or it moved",
+    Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` is wrong, as the message states; "
+    "charge current: have the power stage's limiter checked",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
     Code.NO_TACTILE_CONTACT: "the pads missed the target's ridges",
     Code.TACTILE_STALE: "check the board's cable, tactile_node and misalignment_node",
     Code.CRITICAL_ANGLE: "level the target or the charger",
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",
-    Code.MISALIGNED: "send the goal again; if it comes back, calibrate the pads",
+    Code.MISALIGNED: "send the goal again; if the error returns, calibrate the pads",
     Code.LEANING: "yaw: turn the robot to `suggested_base_pose`; pitch: level the target or the charger",
     Code.NO_CHARGE_CURRENT: "target full or its input off; electrodes dirty",
-    Code.SHORT_CIRCUIT: "look for what lies between them; clean or realign them",
+    Code.SHORT_CIRCUIT: "check what lies between them; clean or realign them",
     Code.POWER_STALE: "check the board's cable and tactile_node",
     Code.REVERSE_POLARITY: "rewire the target",
-    Code.VOLTAGE_OUT_OF_RANGE: "as the message says: the target needs another charger, or charge the charger's own "
-    "battery",
-    Code.REVERSE_CURRENT: "have the target's charging input looked at",
+    Code.VOLTAGE_OUT_OF_RANGE: "as the message states: use another charger, or charge the charger's own battery",
+    Code.REVERSE_CURRENT: "have the target's charging input checked",
     Code.CONTACTOR_WELDED: "switch the battery off, replace the contactor",
     Code.INTERNAL: "send the log",
 }
-"""What a person does about each, as the table of docs/errors.md begins; empty where there is nothing to do."""
+"""The remedy for each code, with which its row in docs/errors.md begins; empty if nothing needs to be done."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From servo currents to one signed number that says how hard the electrodes are pushed."""
+"""Contact current: one signed number for the force of the electrodes, from the servos' currents."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deltacharger_kinematics.scalar import ScalarDelta
 class ContactCurrent:
     """Contact current I_c = f_z J_z / Kt, with f_z from J⁻ᵀ (τ − τ_hold(p)) less its reading in free air.
 
-    It is the current that each servo spends on pushing along +z: positive when pushing, negative when the magnets pull
-    the servos back. The arm's weight and the friction of free motion are removed; the raw maximum or sum of the servos,
-    which contain both, stay selectable for comparison.
+    It is each servo's current for pushing along +z: positive for a push, negative if the magnets pull. The arm's weight
+    and the friction of free motion are removed. The raw maximum or sum of the servos' currents contain both; they can
+    be selected for comparison.
 
     Attributes:
         position: of the platform, m in charger_base.
-        per_force: contact current for each newton of force, A/N.
+        per_force: contact current per force, A/N.
     """
 
     def __init__(self, kinematics: ScalarDelta, parameters: DockingParameters) -> None:
@@ -61,10 +61,10 @@ class ContactCurrent:
         self._median = math.nan
 
     def _move(self, angles: Vector) -> None:
-        """Take over arm angles (rad): where the platform is, and what the servos' torques do there.
+        """Set arm angles (rad): calculate the platform's position and the servos' effect there.
 
-        The force along z is the last column of J⁻¹ times the torques, less its reading of those that hold the arm,
-        τ_hold = Jᵀ(−m g) − rods: with them its own weight comes back, −m g_z, and what the rods' elbow halves add.
+        The force along z is the last column of J⁻¹ times the torques, less the same product with the holding torques
+        τ_hold = Jᵀ(−m g) − rods. That product is the weight, −m g_z, and the part of the rods' elbow halves.
         """
         self._angles = angles
         self.position = x, y, z = self._kinematics.forward(*angles)
@@ -72,14 +72,14 @@ class ContactCurrent:
         self.per_force = (g + h + i) / (3.0 * self._constant)
         p, q, r = b * f - c * e, c * d - a * f, a * e - b * d
         determinant = g * p + h * q + i * r
-        if determinant == 0.0 or not math.isfinite(determinant):  # a limb at its edge, or angles that are none
+        if determinant == 0.0 or not math.isfinite(determinant):  # a limb at its edge, or invalid angles
             self._along_z, self._weight = NAN3, math.nan
             return
         self._along_z = p / determinant, q / determinant, r / determinant
         self._weight = self._rods_along_z() - self._platform * self._gravity[2]
 
     def _rods_along_z(self) -> float:
-        """Return the force (N) along z that the torques bear which hold the rods' elbow halves."""
+        """Return the force (N) along z of the torques that hold the rods' elbow halves."""
         gx, gy, gz = self._gravity
         force = 0.0
         for share, limb, angle in zip(self._along_z, self._limbs, self._angles, strict=True):
@@ -89,12 +89,12 @@ class ContactCurrent:
         return force
 
     def clear(self) -> None:
-        """Forget what was read before, so that the next value holds only what follows."""
+        """Clear the window, so that the next value holds only later readings."""
         self._window.clear()
         self._median = math.nan
 
     def tare(self) -> None:
-        """Take the present force as zero (free air, at rest after a motion along +z); raw signals have no zero."""
+        """Use the present force as zero (free air, at rest after a motion along +z); raw signals have no zero."""
         if self._window and self._signal == "contact":
             self._tare += self.force
 
@@ -125,7 +125,7 @@ class ContactCurrent:
 
     @property
     def stands_still(self) -> bool:
-        """Whether all currents of the window are the same, as those of a servo_state that only repeats itself are."""
+        """Whether all currents of the window are equal, as when servo_state repeats itself."""
         return all(reading[2] == self._window[0][2] for reading in self._window)
 
     @property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the scripts of docking share: the latest observation, this tick's commands, and the ways to wait."""
+"""State that docking's scripts share: the latest observation, this tick's commands, and the ways to wait."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between
 
-_READING = 0.01  # s between two of them, the servos' cycle
+_READING = 0.01  # s between two readings: the servos' cycle
 _SLOW = 0.01  # rad within the contact current's window
 _NEARLY = 0.95  # of a servo's current bound
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
@@ -38,7 +38,7 @@ _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, St
 
 @dataclass(frozen=True)
 class KnownContact:
-    """Where the electrodes rested last: commanded and measured z (m, charger_base), and the contact current (A)."""
+    """Last contact on the target: commanded and measured z (m, charger_base), contact current (A)."""
 
     commanded: float
     measured: float
@@ -46,7 +46,7 @@ class KnownContact:
 
 
 class Context:
-    """State shared by the scripts; the machine fills `observation` before and reads the commands after each tick."""
+    """State shared by the scripts; the machine sets `observation` before each tick and reads the commands after it."""
 
     def __init__(
         self,
@@ -63,30 +63,30 @@ class Context:
         self.feed = feed or TrajectoryFeed(self.springs.lag)
         self.status = DockingStatus()
         self.observation = Observation(time=0.0)
-        self.time = 0.0  # s, the observations' clock; stands still where that is set back
+        self.time = 0.0  # s, the observations' clock; stands still if that is set back
         self.slept = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
-        self.live = False  # the contactor was told to close and has not been seen open since
-        self.doubtful = False  # there was a second source since the last estimate was asked for
+        self.live = False  # the contactor was ordered to close and has not been seen open since
+        self.doubtful = False  # there was a second source since the last estimate was requested
         self.energy = 0.0
         self.commanded: Vector = NAN3
         self.share = RemainingShare(parameters)
-        self.electrodes: ElectrodePose | None = None  # of the present target, as seen or said before contact
+        self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
-        self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known
+        self.goal_angles: Vector = NAN3  # final goals of the servos, if known
         self.deadline = math.inf
-        self.waits = NEXT  # what the script waited for when it was stepped last
+        self.waits = NEXT  # what the script waited for in its last step
         self._retreats = False  # the line under way leads away from the target
         self._calls: Calls[Reply] = Calls()
-        self._told: Piece | None = None  # in place of the line under way
+        self._override: Piece | None = None  # in place of the line under way
         self._set_back = 0.0
-        self._valid_at = -math.inf
+        self._last_valid = -math.inf
         self._states: list[State] = []
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
 
     def decide_by(self, parameters: DockingParameters) -> None:
-        """Go by other parameters, which differ from the present ones in none that describes the machine."""
+        """Use other parameters; those that describe the machine must be unchanged."""
         self.parameters = self.planner.parameters = parameters
 
     @property
@@ -104,10 +104,10 @@ class Context:
         for reading in observation.earlier:
             self.contact.update(*reading)
         if observation.servos_valid:
-            self._valid_at = self.time - observation.servo_age
+            self._last_valid = self.time - observation.servo_age
             self.contact.update(self.time, observation.angles, observation.currents)
-        else:  # what was valid last is as old as it is, whatever has been heard since
-            observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._valid_at))
+        else:  # invalid data does not renew the age of the last valid data
+            observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
         self.observation = observation
         self._calls.hear(observation.replies)
         power = observation.charge_current * observation.target_voltage
@@ -119,21 +119,21 @@ class Context:
         self.status.contact_current, self.status.contact_force = self.contact.value, self.contact.force
 
     def command(self) -> Command:
-        """Return and forget what the scripts asked for in this tick."""
+        """Return what the scripts requested in this tick, and clear it."""
         trajectory = self.feed.piece(self.time, held=self.is_blind)
-        if self._told is not None:
-            trajectory = self._told
+        if self._override is not None:
+            trajectory = self._override
         if trajectory and not self.observation.torque_enabled:
             trajectory = None  # limp servos refuse it
         states, decisions = tuple(self._states), tuple(self._decisions)
         command = Command(trajectory, tuple(self._requests), self.energise, states, decisions, self.waits)
-        self._told = None
+        self._override = None
         self._requests, self._states, self._decisions = [], [], []
         return command
 
     @property
     def is_blind(self) -> bool:
-        """Whether what the arm does, or on its way to the target what it touches, is too old for it to move on."""
+        """Whether servo data, or on the way to the target tactile data, is too old for the arm to move on."""
         oldest, observation = self.parameters.press_age_max, self.observation
         reaches_out = self.status.state in _REACHES_OUT and not self._retreats
         return observation.servo_age > oldest or (reaches_out and observation.tactile_age > oldest)
@@ -149,11 +149,11 @@ class Context:
         """Return the error of a phase that lasted too long, if it did."""
         if self.time <= self.deadline:
             return None
-        return PhaseTimeout(f"{self.status.state.name} took longer than allowed; see the parameter for this phase")
+        return PhaseTimeout(f"{self.status.state.name} took longer than allowed; check the parameter of this phase")
 
     @contextmanager
     def waiting_for(self, what: str) -> Iterator[None]:
-        """Tell whoever follows this docking what its script waits for."""
+        """Report in the status what the script waits for."""
         self.status.waiting_for = what
         try:
             yield
@@ -161,7 +161,7 @@ class Context:
             self.status.waiting_for = ""
 
     def wait(self, seconds: float, reads: bool = False) -> Script[None]:
-        """Let `seconds` pass; `reads` where the contact current is judged by the readings of this time."""
+        """Let `seconds` pass; `reads`: readings of this time decide about the contact current."""
         end = self.time + seconds
         while self.time < end:
             yield Wait(end, reads)
@@ -172,9 +172,9 @@ class Context:
         """Call a service and return its reply, successful or not.
 
         Raises:
-            DockingError: of the given class, where no reply comes within `timeout` seconds.
+            DockingError: of the given class, if no reply arrives within `timeout` seconds.
         """
-        self._calls.forget()  # nobody waits for an earlier one any more
+        self._calls.forget()  # earlier replies are no longer awaited
         number = self._calls.number()
         self._requests.append(Request(number, service, frames, timeout, model))
         end = self.time + timeout
@@ -186,7 +186,7 @@ class Context:
         return reply
 
     def torque_on(self) -> Script[None]:
-        """Enable the servos where they are.
+        """Enable the servos at their present position.
 
         Raises:
             ServoFailure: they were not enabled.
@@ -196,27 +196,27 @@ class Context:
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
 
-    def tell(self, service: Service) -> None:
+    def send(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
         self._requests.append(Request(self._calls.number(awaited=False), service))
 
     def decide(self, kind: str, text: str, **values: float) -> None:
-        """Tell whoever reads this docking later what was decided, by which numbers; their names end in the unit."""
+        """Record a decision and the numbers behind it, for logs and recordings; names of numbers end in the unit."""
         self._decisions.append(Decision(self.observation.time, self.status.state, kind, text, tuple(values.items())))
 
-    def tell_piece(self, piece: Piece) -> None:
-        """Send a piece of one's own in this tick, in place of the line under way."""
-        self._told = piece
+    def send_piece(self, piece: Piece) -> None:
+        """Send this piece in this tick, in place of the line under way."""
+        self._override = piece
 
     def hold(self) -> None:
         """Stop where the arm is."""
-        self._told = self.feed.hold(self.time)
+        self._override = self.feed.hold(self.time)
         self.feed.stop()
         self.commanded, self.goal_angles = self.position, NAN3
 
     def follow(self, line: Piece, retreats: bool = False) -> None:
         """Begin a line; `retreats` = it leads away from the target."""
-        self._retreats, self._told = retreats, None  # it begins even in the tick of a hold
+        self._retreats, self._override = retreats, None  # it begins even in the tick of a hold
         self.feed.start(line, self.time)
         self.goal_angles = line[-1].angles
 
@@ -233,22 +233,21 @@ class Context:
         until: Callable[[], bool] | None = None,
         spare: Callable[[], float] | None = None,
     ) -> Script[bool]:
-        """Move on a straight line from the last commanded position to `goal` (m, charger_base); stand still on it while
-        `is_blind`.
+        """Move on a straight line from the last commanded position to `goal` (m, charger_base); pause while `is_blind`.
 
         Args:
-            goal: where the line ends.
+            goal: end of the line.
             speed: peak, m/s.
-            settle: come to rest at its end.
-            until: ends the line, and the command, where it is then; looked at in every tick.
-            spare: s in which `until` cannot come true; None = it cannot before the electrodes touch.
+            settle: come to rest at the end.
+            until: checked in every tick; if true, the line and the command end there.
+            spare: s in which `until` cannot become true; None = it cannot before the electrodes touch.
 
         Returns:
-            Whether `until` ended the line; the arm has not come to rest then.
+            Whether `until` ended the line; then the arm is not yet at rest.
 
         Raises:
             Unreachable: the line leaves the arm's reach; nothing was moved.
-            ServoFailure: it is not known where the arm is; nothing was moved.
+            ServoFailure: the arm's position is unknown; nothing was moved.
         """
         start = self.commanded if math.isfinite(self.commanded[0]) else self.measured()
         self.follow(self.planner.line(start, goal, speed), retreats=goal[2] < start[2])
@@ -256,7 +255,7 @@ class Context:
         while self.feed.is_under_way(self.time):
             if until is not None and until():
                 self.commanded = between(start, goal, way_done(self.feed.share(self.time)))
-                self._told, self.goal_angles = self.feed.hold(self.time), NAN3
+                self._override, self.goal_angles = self.feed.hold(self.time), NAN3
                 self.feed.stop()
                 return True
             if until is None:
@@ -270,7 +269,7 @@ class Context:
         return False
 
     def read(self) -> Script[None]:
-        """Fill the contact current's window anew, and feel the servos' springs where the arm hardly moves meanwhile."""
+        """Refill the contact current's window; if the arm hardly moves, also estimate the servos' springs."""
         before, began = self.observation.angles, self.time
         self.contact.clear()
         yield from self.wait(self.parameters.contact_window + _READING, reads=True)
@@ -279,30 +278,30 @@ class Context:
         live = math.isfinite(self.goal_angles[0]) and not self.contact.stands_still
         if slow and live and not self._is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
-            self.springs.feel(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
+            self.springs.add_reading(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
             self.feed.lag = self.springs.lag
 
     def _is_bound(self, currents: Vector) -> bool:
-        """Return whether some current (A) is at its bound, so that it no longer tells how far the servo yields."""
+        """Return whether a current (A) is at its bound and so no longer shows how far the servo yields."""
         parameters = self.parameters
         held = self.kinematics.holding_torque(*self.position, parameters.gravity)
         bounds = (abs(torque) / parameters.torque_constant + parameters.push_current for torque in held)
         return not all(abs(now) < _NEARLY * bound for now, bound in zip(currents, bounds, strict=True))
 
     def check_way(self, *places: Vector) -> None:
-        """Refuse a way from the measured position through `places` before its first leg moves anything.
+        """Check the way from the measured position through `places` before the arm moves.
 
         Raises:
-            Unreachable: some leg leaves the arm's reach.
-            ServoFailure: it is not known where the arm is.
+            Unreachable: a leg leaves the arm's reach.
+            ServoFailure: the arm's position is unknown.
         """
         self.planner.check_way(self.parameters.travel_speed, self.measured(), *places)
 
     def measured(self) -> Vector:
-        """Return where the platform is (m, charger_base).
+        """Return the platform's measured position (m, charger_base).
 
         Raises:
-            ServoFailure: it is not known.
+            ServoFailure: it is unknown.
         """
         if not all(map(math.isfinite, self.position)):
             raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
@@ -311,7 +310,7 @@ class Context:
     def rest(self) -> Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.
 
-        Electrodes that touch settle sooner than the arm does in free air; a current that still drifts is waited for.
+        Electrodes in contact settle sooner than the arm in free air. While the current drifts, the wait continues.
 
         Raises:
             ServoFailure: no current was measured within the age allowed for servo_state.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm at ease on the target: the servos' currents are led to a common one, as far as friction holds."""
+"""The arm at ease on the target: the servos' currents approach a common value, as far as friction holds."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from deltacharger_docking.context import Context
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
-_POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
+_POINTS = 16  # of the line in joint angles; receivers interpolate linearly, so more would not help
 
 
 def ease(context: Context) -> Script[bool]:
     """Bring each servo to the common current that presses in the middle of the band, as far as friction holds.
 
-    Return whether it was tried: the paper's approach, and raw currents as the signal, stay as published.
+    Return whether it was tried: not with the paper's approach or raw currents, which stay as published.
     """
     parameters = context.parameters
     if parameters.approach != "guarded" or parameters.current_signal != "contact":
@@ -32,7 +32,7 @@ def ease(context: Context) -> Script[bool]:
         known = all(map(math.isfinite, (*asked, *context.goal_angles)))
         if not known or max(map(abs, asked)) <= parameters.ease_tolerance:
             break
-        slipped = yield from _lead(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
+        slipped = yield from _adjust(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
         yield from context.rest()
         if slipped:
             fades = False
@@ -56,7 +56,7 @@ def _hottest(context: Context) -> float:
 
 
 def _wanted(context: Context, fades: bool) -> Vector:
-    """Return the currents (A) that press in the middle of the band: all alike, or with what bears the weight now."""
+    """Return currents (A) that press in the middle of the band: equal ones, or with what carries the weight now."""
     x, y, z = context.position
     contact, kinematics, parameters = context.contact, context.kinematics, context.parameters
     constant = parameters.torque_constant
@@ -72,8 +72,8 @@ def _wanted(context: Context, fades: bool) -> Vector:
     return now[0] + d / constant, now[1] + e / constant, now[2] + f / constant
 
 
-def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
-    """Lead the goal angles by `change` (rad), back by a part once the platform slips from `place`; return whether."""
+def _adjust(context: Context, change: Vector, place: Vector) -> Script[bool]:
+    """Move the goal angles by `change` (rad); on a slip from `place` undo a part; return whether it slipped."""
     parameters = context.parameters
     duration = max(parameters.ease_time_min, parameters.ease_lags * context.springs.lag)
     start, began = context.goal_angles, context.time
@@ -84,7 +84,7 @@ def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
             done = min((context.time - began) / duration, 1.0)
             back, lasts = -parameters.slip_taken_back * done, parameters.slip_back_time * duration
             here = _shifted(start, change, done)
-            context.decide("slipped", "friction carries no more", share=done, slip_m=slip)
+            context.decide("slipped", "friction no longer holds the platform", share=done, slip_m=slip)
             context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))
             yield from context.wait(lasts)
             return True
@@ -93,7 +93,7 @@ def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
 
 
 def _ramp(context: Context, start: Vector, change: Vector, duration: float) -> tuple[Waypoint, ...]:
-    """Return a line of joint angles (rad) from `start` by `change`, inside the joint limits, under the last bound."""
+    """Return a line of joint angles (rad) from `start` by `change`, inside the joint limits, with the push bound."""
     x, y, z = context.position
     geometry, parameters = context.kinematics.geometry, context.parameters
     held = context.kinematics.holding_torque(x, y, z, parameters.gravity)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Energy under watch: probe, close, look at what must stay true, and open before anything else goes wrong."""
+"""Energising: probe the target, close the contactor, monitor the conditions, and open it as soon as one fails."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.goals import unproven_hardware
 from deltacharger_docking.observation import Reply, Service
 
-_LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
+_LAST_WORD = 0.2  # s before the phase ends: time to report why no current flows
 
 
 def wait_for_single_sources(context: Context, state: State = State.MEASURE) -> Script[None]:
-    """Wait until nobody publishes or serves any more beside another what docking works with.
+    """Wait until each topic and service that docking uses has only one source.
 
     Args:
         context: of the docking.
-        state: in which it waits; its checks stay on meanwhile.
+        state: during the wait; its checks stay active.
 
     Raises:
-        DuplicateSource: somebody still does after duplicate_source_timeout.
+        DuplicateSource: there is still a second source after duplicate_source_timeout.
     """
     limit = context.parameters.duplicate_source_timeout
     context.enter(state, math.inf)
     begun = context.time
     if names := context.observation.duplicate_sources:
-        context.decide("wait", f"nothing is energised beside a second source: {names}", limit_s=limit)
-    with context.waiting_for("a second source to go"):
+        context.decide("wait", f"nothing is energised while there is a second source: {names}", limit_s=limit)
+    with context.waiting_for("a second source to disappear"):
         while names := context.observation.duplicate_sources:
             if context.time - begun > limit:
                 raise _duplicate(names)
@@ -57,15 +57,15 @@ def wait_for_single_sources(context: Context, state: State = State.MEASURE) -> S
 
 def _duplicate(names: str) -> DuplicateSource:
     return DuplicateSource(
-        f"nothing may be energised, because there is a second source: {names}; stop the second node, or give it its "
+        f"energising is refused because there is a second source: {names}; stop the second node, or give it its "
         "own namespace or ROS_DOMAIN_ID"
     )
 
 
 def check_battery(context: Context) -> None:
-    """Refuse, before anything touches, a battery that is heard of and unfit; one not heard of is judged at closing.
+    """Refuse an unfit battery before anything touches; an unmeasured one is judged at closing.
 
-    Electrodes that were wired to a battery which nobody measures would be live from the first touch on.
+    This protects the case of electrodes wired to an unmeasured battery: they would be live from the first contact.
 
     Raises:
         DockingError: as `energise`.
@@ -80,8 +80,8 @@ def energise(context: Context) -> Script[None]:
     """Probe, close the contactor and wait until charge current has been stable.
 
     Raises:
-        DockingError: of the code of what was found: short, polarity, voltage, a bar that a pitch lifts, no current, a
-            fault of the power stage.
+        DockingError: with the code of the finding: short, polarity, voltage, a bar lifted by pitch, no current, or
+            a fault of the power stage.
     """
     parameters = context.parameters
     context.enter(State.ENERGISE, parameters.energise_timeout)
@@ -96,10 +96,10 @@ def energise(context: Context) -> Script[None]:
     )
     _check_probe(context, reply)
     watch = Watch(context)
-    problem = watch.speaks_against_closing()
+    problem = watch.reason_not_to_close()
     if problem is not None:
         raise problem
-    context.decide("close", "nothing speaks against current: the contactor is told to close")
+    context.decide("close", "all checks passed: the contactor is ordered to close")
     context.energise = context.live = True
     with context.waiting_for(f"{parameters.charge_stable_time:g} s of charge current"):
         yield from _current_flows(context, watch)
@@ -127,7 +127,7 @@ def _current_flows(context: Context, watch: Watch) -> Script[None]:
 
 
 def _clear_fault(context: Context) -> Script[None]:
-    """Open once, which clears a fault that the stage latched before this docking; one that comes back ends it."""
+    """Open once to clear a fault that was latched before this docking; if it returns, docking ends."""
     yield from context.ask(Service.OPEN, PowerStale, context.parameters.probe_timeout)
     end = context.time + context.parameters.open_timeout
     while context.observation.power_fault and context.time < end:
@@ -138,43 +138,43 @@ def de_energise(context: Context) -> Script[None]:
     """Open the contactor and confirm that no current flows.
 
     Raises:
-        ContactorWelded: current still flows, or the power stage no longer says so.
+        ContactorWelded: current still flows, or the power stage does not confirm that it stopped.
     """
     context.energise = context.status.charging = False
     if not (context.live or _is_closed(context)):
         return
     current = context.observation.charge_current
-    context.decide("open", "the contactor is told to open", charge_current_A=current)
+    context.decide("open", "the contactor is ordered to open", charge_current_A=current)
     begun, parameters = context.time, context.parameters
     while _is_closed(context) or not context.time - context.observation.power_age >= begun + parameters.opening_time:
         if context.time > begun + parameters.open_timeout:
             raise _welded(context)
         yield NEXT
     current = context.observation.charge_current
-    context.decide("opened", "no current flows any more", charge_current_A=current, time_s=context.time - begun)
+    context.decide("opened", "no current flows", charge_current_A=current, time_s=context.time - begun)
     context.live = False
 
 
 def _welded(context: Context) -> ContactorWelded:
     if context.observation.power_age > context.parameters.power_age_max:
-        return ContactorWelded("charger_power is silent, so nothing shows that the contactor opened; the arm stays")
+        return ContactorWelded("charger_power is silent, so the contactor may still be closed; the arm stays")
     return ContactorWelded(
-        f"{context.observation.charge_current:.1f} A still flow after the contactor was told to open; switch the "
+        f"{context.observation.charge_current:.1f} A still flow after the order to open the contactor; switch the "
         "charger's battery off and replace the contactor"
     )
 
 
 def _is_closed(context: Context) -> bool:
-    """Return whether the contactor is, or current flows, as was measured last."""
+    """Return whether the last measurement shows a closed contactor or current."""
     observation = context.observation
     return observation.contactor_closed or abs(observation.charge_current) >= context.parameters.zero_current
 
 
 class Watch:
-    """What must stay true while the contactor is closed.
+    """Conditions that must hold while the contactor is closed.
 
     Attributes:
-        refused: why a renewal of the lease was refused; '' = it was not.
+        refused: why a renewal of the lease was refused; '' if none was.
     """
 
     def __init__(self, context: Context) -> None:
@@ -184,8 +184,8 @@ class Watch:
         self._refused_at = math.inf
         self.refused = ""
 
-    def speaks_against_closing(self) -> DockingError | None:
-        """Return what must not be so at the instant of closing; from then on it is `problem` that looks."""
+    def reason_not_to_close(self) -> DockingError | None:
+        """Return why the contactor must not close now; after closing, `problem` checks."""
         context, observation = self._context, self._context.observation
         if (unproven := unproven_hardware(observation, context.parameters)) is not None:
             return unproven
@@ -202,9 +202,9 @@ class Watch:
         return self._servo_problem() or self._contact_problem()
 
     def problem(self) -> DockingError | None:
-        """Return what went wrong, if anything did; the cause before what it brings about.
+        """Return the present problem, if any; a cause is checked before its consequences.
 
-        A servo that fails makes servo_node open the contactor, so the servos are looked at before the contactor.
+        servo_node opens the contactor if a servo fails, so the servos are checked before the contactor.
         """
         observation = self._context.observation
         self._was_closed |= observation.contactor_closed
@@ -216,13 +216,13 @@ class Watch:
         return self._servo_problem() or self._power_problem() or self._contact_problem()
 
     def problem_unmeasured(self) -> DockingError | None:
-        """Return what went wrong as `problem` does, where nothing measures what flows: by arm and pads alone."""
+        """Return the present problem without measurements of the current: by arm and pads alone."""
         observation, parameters = self._context.observation, self._context.parameters
         if (slept := self._slept()) is not None:
             return slept
         if observation.tactile_age > parameters.tactile_age_max:
             return TactileStale(
-                "tactile frames stopped beside live electrodes; check the board's cable and tactile_node"
+                "tactile frames stopped while the electrodes were live; check the board's cable and tactile_node"
             )
         return self._servo_problem() or self._contact_problem()
 
@@ -230,15 +230,15 @@ class Watch:
         slept = self._context.slept
         if not slept > self._context.parameters.slept_max:
             return None
-        return PowerStale(f"docking itself stood still for {slept:.1f} s while the electrodes were live")
+        return PowerStale(f"docking itself was suspended for {slept:.1f} s while the electrodes were live")
 
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation
         if observation.servo_age > context.parameters.live_servo_age_max:
             return ServoFailure(f"servo_state stopped while the electrodes were live; {SILENT_SERVOS}")
-        measured = (context.contact.value, *observation.angles, *observation.currents)  # the first is a median: it lags
+        measured = (context.contact.value, *observation.angles, *observation.currents)  # contact.value lags: a median
         if not all(map(math.isfinite, measured)):
-            return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
+            return ServoFailure("the servos' currents or angles are no longer measured; check the servo bus")
         if not observation.torque_enabled:
             return ServoFailure("the servos lost their torque while the electrodes were live")
         if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
@@ -257,7 +257,7 @@ class Watch:
         if self._was_closed and not observation.contactor_closed:
             return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
         if self._was_closed and not math.isfinite(observation.charge_current):
-            return PowerStale("the charge current is not measured any more; check the power stage")
+            return PowerStale("the charge current is no longer measured; check the power stage")
         if observation.charge_current < -parameters.zero_current:
             return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
         if observation.charge_current > parameters.charge_current_max:
@@ -267,7 +267,7 @@ class Watch:
         return None
 
     def _refusal(self, refusal: str) -> DockingError | None:
-        """Open at once, and give charger_power time to name the fault that a refused renewal may come from."""
+        """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
         context = self._context
         if not self.refused:
             self.refused, self._refused_at = refusal, context.time
@@ -287,31 +287,31 @@ class Watch:
 
 
 def _open_circuit(context: Context) -> DockingError:
-    """Return why electrodes that touch do not conduct: a pitch that was seen lifts a bar, else they may be dirty."""
+    """Return why touching electrodes do not conduct: if a known pitch lifts a bar, that; else dirt."""
     seen, found = context.electrodes, "the probe found an open circuit: the electrodes touch but do not conduct"
     if seen is not None and abs(seen.pitch) > context.parameters.lean_sigmas * seen.pitch_stddev:
         return Leaning(
-            f"{found}; their faces are pitched by {math.degrees(seen.pitch):+.1f}° about x of charger_base, so that a "
-            "bar does not press: level the target or the charger"
+            f"{found}; their faces are pitched by {math.degrees(seen.pitch):+.1f}° about x of charger_base, so one bar "
+            "does not press: level the target or the charger"
         )
-    return NoChargeCurrent(f"{found}; clean them, and see that no pitch of the faces lifts a bar")
+    return NoChargeCurrent(f"{found}; clean them, and check that no pitch of the faces lifts a bar")
 
 
 def _battery_problem(context: Context) -> DockingError | None:
-    """Return why the charger's own battery may not be let onto the electrodes, if anything speaks against it."""
+    """Return why the charger's own battery must not be connected to the electrodes, if anything."""
     low, high = context.parameters.battery_voltage_min, context.parameters.battery_voltage_max
     voltage = context.observation.battery_voltage
     if not math.isfinite(voltage):
         return PowerStale(
-            "the voltage of the charger's own battery is not measured, so nothing is energised; look at the power "
-            "stage's plug and at the voltage's divider, or set power to none where the electrodes hang on the battery"
+            "the voltage of the charger's own battery is not measured, so nothing is energised; check the power "
+            "stage's plug and voltage divider, or set power to none if the electrodes are wired to the battery"
         )
     if low <= voltage <= high:
         return None
-    cure = "charge it" if voltage < low else "look at it and at its charger"
+    cure = "charge it" if voltage < low else "check it and its charger"
     return VoltageOutOfRange(
-        f"the charger's own battery shows {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or look at the "
-        "voltage's divider"
+        f"the charger's own battery has {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or check the voltage "
+        "divider"
     )
 
 
@@ -327,13 +327,13 @@ def _check_probe(context: Context, reply: Reply) -> None:
         raise ReversePolarity(f"the probe found {reply.target_voltage:.1f} V: the target's electrodes are swapped")
     if not parameters.target_voltage_min <= reply.target_voltage <= parameters.target_voltage_max:
         raise VoltageOutOfRange(
-            f"the target shows {reply.target_voltage:.1f} V; allowed are {parameters.target_voltage_min} to "
+            f"the target has {reply.target_voltage:.1f} V; allowed are {parameters.target_voltage_min} to "
             f"{parameters.target_voltage_max} V"
         )
 
 
 def no_current(context: Context) -> str:
-    """Return in words that no charge current flows."""
+    """Return the message that no charge current flows."""
     contactor = "closed" if context.observation.contactor_closed else "open"
     return (
         f"charge current is {context.observation.charge_current:.2f} A with the contactor {contactor}; the target may "

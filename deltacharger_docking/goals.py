@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals: which can be served, where the robot should stand for those that cannot, and the one that is being served."""
+"""Goals: checks, the suggested position of the robot for unreachable goals, and the goal that is being served."""
 
 from __future__ import annotations
 
@@ -35,35 +35,35 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
 
 
 def _check_live(goal: DockGoal) -> None:
-    """Refuse what electrodes that hang on the battery cannot do.
+    """Refuse requests that are impossible with electrodes wired to the battery.
 
     Raises:
-        Rejected: the goal wants contact without current, or energy counted.
+        Rejected: the goal asks for contact without current, or for counted energy.
     """
     if not goal.start_charging:
         raise Rejected(
-            "power: none: the electrodes hang on the battery, so there is no contact without current: send the goal "
-            "with start_charging true, or undock to end the current"
+            "power: none: the electrodes are wired to the battery, so contact without current is impossible: send the "
+            "goal with start_charging true, or undock to end the current"
         )
     if goal.stop_energy:
         raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
 
 
 def unproven_hardware(seen: Observation, parameters: DockingParameters) -> Rejected | None:
-    """Return why no current may flow as printed: only a charger that is known to be simulated may do without clearance.
+    """Return why current is refused with `published`: only a simulated charger may do without clearance.
 
-    None where nothing speaks against it. The shell must know it; what is not known is real hardware.
+    None if nothing forbids it. Hardware counts as real unless the shell knows that it is simulated.
     """
     if parameters.keeps_clearance or seen.simulated:
         return None
     return Rejected(
-        "approach published closes the contactor without our clearance rule, and nothing proves that servos and board "
-        "are simulated: set published_clearance_rule, take approach guarded, or send the goal with start_charging false"
+        "approach published closes the contactor without checking clearance, and servos and board are not known to be "
+        "simulated: set published_clearance_rule, use approach guarded, or send the goal with start_charging false"
     )
 
 
 def check_id(request_id: str) -> None:
-    """Refuse a request_id that is too long to be repeated.
+    """Refuse a request_id that is too long.
 
     Raises:
         Rejected: it is.
@@ -73,7 +73,7 @@ def check_id(request_id: str) -> None:
 
 
 def check_stops(stop_energy: float, stop_after: float) -> None:
-    """Refuse stop conditions (J, s) that are none.
+    """Refuse invalid stop conditions (J, s).
 
     Raises:
         Rejected: one is not finite or negative.
@@ -84,10 +84,10 @@ def check_stops(stop_energy: float, stop_after: float) -> None:
 
 
 def check_place(electrodes: ElectrodePose, planner: Planner, parameters: DockingParameters) -> None:
-    """Refuse electrodes (charger_base) that are not finite or out of reach; errors as in `check_goal`."""
+    """Refuse electrodes (charger_base) that are not finite or out of reach; errors as for `check_goal`."""
     x, y, z = electrodes.position
-    told = x, y, z, electrodes.roll
-    if not all(map(math.isfinite, told)) or any(map(math.isinf, (electrodes.yaw, electrodes.pitch))):
+    pose = x, y, z, electrodes.roll
+    if not all(map(math.isfinite, pose)) or any(map(math.isinf, (electrodes.yaw, electrodes.pitch))):
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     wrong = planner.reachable((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
@@ -108,20 +108,20 @@ def in_words(yaw: float) -> str:
 
 
 def suggested_base(error: Exception) -> BasePose | None:
-    """Return where charger_base should stand for this not to happen again; None where no stand is known to help."""
+    """Return where charger_base should stand to avoid this error; None if no such pose is known."""
     if not isinstance(error, Misplaced) or error.electrodes is None:
         return None
     return BasePose.before(error.electrodes, error.yaw)
 
 
 class GoalDesk:
-    """Takes one goal at a time and hands out its outcome.
+    """Accepts one goal at a time and provides its outcome.
 
     Attributes:
         is_open: whether a goal is being served.
-        started: when it began, s.
-        deadline: when it must have ended, s.
-        wants_back: whether its client has taken it back.
+        started: time of its start, s.
+        deadline: time by which it must end, s.
+        wants_back: whether its client has cancelled it.
         outcome: of the last goal, until the shell has taken it.
     """
 
@@ -134,7 +134,7 @@ class GoalDesk:
         self.outcome: DockingOutcome | None = None
 
     def begin(self, request_id: str, observation: Observation) -> None:
-        """Take a goal."""
+        """Accept a goal."""
         context = self._context
         context.observe(observation)
         self.is_open, self.wants_back, self.outcome = True, False, None
@@ -146,11 +146,11 @@ class GoalDesk:
         context.status.code, context.status.message = Code.NONE, ""
 
     def renew(self) -> None:
-        """Give the whole of `goal_timeout` from now on."""
+        """Restart `goal_timeout`."""
         self.deadline = self._context.time + self._context.parameters.goal_timeout
 
     def succeed(self, message: str, notice: str = "") -> None:
-        """End the goal with success, if there is one; `notice` is what its client must know besides."""
+        """End the goal with success, if there is one; `notice` is further information for its client."""
         self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notice))
 
     def fail(self, error: DockingError) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The docking state machine: Algorithm 1 of the paper and its reverse.
 
-`step` takes an observation and returns a command; it reads no clock, opens no port and never blocks. The node around it
-calls it at the servo state's rate and carries the commands out.
+`step` takes an observation and returns a command. It reads no clock, opens no port and never blocks. docking_node calls
+it at the rate of servo_state and executes the commands.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from deltacharger_docking.goals import GoalDesk, check_goal, check_id, unproven_
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.retract import let_go, retract
+from deltacharger_docking.retract import go_limp, retract
 from deltacharger_docking.visit import TargetVisit
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
-_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in the last, `prepare` waits before anything moves
+_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
 
 
 class DockingMachine:
-    """Serves one goal at a time; `status` and `outcome` tell the shell how it stands.
+    """Serves one goal at a time; `status` and `outcome` report its progress and result.
 
     Args:
-        parameters: what it decides by.
+        parameters: of docking.
         geometry: the delta's dimensions.
-        planner: of lines; None = the usual one.
-        feed: that tells lines to the servos; None = piece by piece.
+        planner: of lines; None = the default one.
+        feed: that sends lines to the servos; None = piece by piece.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class DockingMachine:
         self._runner = Runner()
         self._interruptible = False
         self._docking: TargetVisit | None = None
-        self._refusal: DockingError | None = None  # what a further goal brings to an end
+        self._refusal: DockingError | None = None  # that ends the goal after another goal arrived
 
     @property
     def parameters(self) -> DockingParameters:
-        """What it decides by."""
+        """Its parameters."""
         return self._context.parameters
 
     @property
@@ -76,12 +76,12 @@ class DockingMachine:
 
     @property
     def planner(self) -> Planner:
-        """Of the lines that the arm goes."""
+        """Planner of the arm's lines."""
         return self._context.planner
 
     @property
     def outcome(self) -> DockingOutcome | None:
-        """How the last goal ended; the shell takes it by setting None."""
+        """Result of the last goal; the shell takes it and sets None."""
         return self._desk.outcome
 
     @outcome.setter
@@ -90,25 +90,25 @@ class DockingMachine:
 
     @property
     def busy(self) -> bool:
-        """Whether no further Dock goal can be taken; supervision after success leaves the machine free for it."""
+        """Whether no further Dock goal can be accepted; one can during supervision after success."""
         return self._desk.is_open or (self._runner.is_running and not self._is_supervising)
 
     @property
     def _is_supervising(self) -> bool:
-        """Whether the electrodes rest on the target, watched over, with a goal that holds or without one."""
+        """Whether the electrodes rest on the target under supervision, with a holding goal or without a goal."""
         return self._interruptible and self._docking is not None and self._docking.supervising
 
     def check_free(self) -> None:
-        """Refuse what a busy machine cannot take.
+        """Refuse a goal while the machine is busy.
 
         Raises:
             Busy: a goal is being served, or the arm is on its way back.
         """
         if self.busy:
-            raise Busy(self._what_goes_on())
+            raise Busy(self._activity())
 
     def start_dock(self, goal: DockGoal, observation: Observation) -> None:
-        """Begin to dock, or where the electrodes rest on the target, do what is missing of the goal.
+        """Begin to dock; if already docked, do what the goal still needs.
 
         Raises:
             Rejected: the goal cannot be served; nothing moved.
@@ -119,7 +119,7 @@ class DockingMachine:
         if goal.start_charging and (refusal := unproven_hardware(observation, self.parameters)) is not None:
             raise refusal
         self._desk.begin(goal.request_id, observation)
-        self._tell_goal(goal)
+        self._record_goal(goal)
         if self._is_supervising and self._docking is not None:
             self._refusal = self._docking.take(goal)
             return
@@ -134,23 +134,23 @@ class DockingMachine:
             Rejected: the request_id is too long.
         """
         if self._desk.is_open or (self._runner.is_running and not self._interruptible):
-            raise Busy(self._what_goes_on())
+            raise Busy(self._activity())
         check_id(request_id)
         self._begin(_undock, observation, request_id)
 
     def tune(self, parameters: DockingParameters) -> str:
-        """Decide by other values of the live parameters from the next goal on; return why not where that is refused."""
+        """Use other values of the live parameters from the next goal on; return why not if that is refused."""
         if self._is_supervising and not self._desk.is_open:
-            return "the electrodes rest on the target, watched over; undock first"
+            return "the electrodes rest on the target under supervision; undock first"
         if self._desk.is_open or self._runner.is_running:
-            return f"a goal is running: {self._what_goes_on()}"
+            return f"a goal is running: {self._activity()}"
         self._context.decide_by(parameters)
         return ""
 
     def start(self, script: Callable[[Context], Script[str]], observation: Observation) -> None:
-        """Begin a script of somebody else's, however long it takes; the text that it returns tells its success.
+        """Begin another module's script, however long it takes; the text that it returns is the success message.
 
-        What interrupts a docking interrupts it, too, and the arm is taken back as after a docking.
+        It is interrupted for the same reasons as a docking, and the arm then retracts in the same way.
 
         Raises:
             Busy: a goal is being served.
@@ -159,13 +159,13 @@ class DockingMachine:
         self._begin(script, observation)
         self._desk.deadline = math.inf
 
-    def _what_goes_on(self) -> str:
+    def _activity(self) -> str:
         if self._desk.is_open:
             return "another goal is being served; cancel it or wait for its result"
-        return "the arm is on its way back by itself; wait until docking_state says IDLE"
+        return "the arm is retracting; wait until docking_state reports IDLE"
 
     def cancel(self) -> None:
-        """Let the goal end with CANCELED as soon as it can; the arm still retracts. Without a goal nothing happens."""
+        """End the goal with CANCELED as soon as possible; the arm still retracts. Without a goal nothing happens."""
         self._desk.wants_back = self._desk.is_open
 
     def step(self, observation: Observation) -> Command:
@@ -179,7 +179,7 @@ class DockingMachine:
         return context.command()
 
     def emergency(self) -> Command:
-        """Return the command that leaves everything safe at once, and forget the goal: for a shell that must end."""
+        """Return the command that makes everything safe at once, and forget the goal: for a shell that must end."""
         self._forget_script()
         self._desk.is_open = False
         self._context.energise = False
@@ -192,7 +192,7 @@ class DockingMachine:
         return self._context.command()
 
     def _begin(self, script: Callable[[Context], Script[str]], observation: Observation, request_id: str = "") -> None:
-        """Take a goal and begin its script, in place of supervision; the contactor stays as it is."""
+        """Accept a goal and begin its script in place of supervision; the contactor stays as it is."""
 
         def run() -> Script[None]:
             text = yield from script(self._context)
@@ -209,18 +209,18 @@ class DockingMachine:
         self._docking = self._refusal = None
         self._interruptible = False
 
-    def _tell_goal(self, goal: DockGoal) -> None:
+    def _record_goal(self, goal: DockGoal) -> None:
         place = {} if goal.electrodes is None else goal.electrodes.numbers
-        text = "electrodes as given" if place else "the camera is to find the electrodes"
-        wishes = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
+        text = "electrodes as given" if place else "the camera will locate the electrodes"
+        options = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
         limit = goal.critical_angle or self.parameters.critical_angle
-        self._context.decide("accepted", text, **place, critical_angle_rad=limit, **wishes)
+        self._context.decide("accepted", text, **place, critical_angle_rad=limit, **options)
 
     def _problem(self) -> DockingError | None:
-        """Return what must interrupt the script now."""
+        """Return the reason to interrupt the script now, if any."""
         context, observation, parameters = self._context, self._context.observation, self.parameters
         if not self._interruptible:
-            return context.expired()  # even the way back ends
+            return context.expired()  # even retracting has a limit
         if self._desk.wants_back:
             return Canceled("cancelled by the client")
         refusal, self._refusal = self._refusal, None
@@ -243,24 +243,24 @@ class DockingMachine:
             return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
         moving = context.status.state is State.APPROACH and context.feed.is_under_way(context.time)
         if (moving or context.status.state in _NEEDS_TORQUE) and not observation.torque_enabled:
-            return ServoFailure("the servos lost their torque; look at the diagnostics of servo_node")
+            return ServoFailure("the servos lost their torque; check the diagnostics of servo_node")
         if not self._is_supervising and context.time > self._desk.deadline:
             return PhaseTimeout(f"docking took longer than goal_timeout, {parameters.goal_timeout:.0f} s")
         return context.expired()
 
     def _is_missing(self, age: float, oldest: float) -> bool:
-        """Return whether data of this age (s) end the goal; nodes that have just started are waited for.
+        """Return whether data of this age (s) end the goal; nodes that have just started get `first_data_timeout`.
 
-        A node counts as starting where nothing of it was measured since the goal began, even if it was heard before.
+        A node counts as starting if none of its data was measured since the goal began, even if earlier data arrived.
         """
         since = self._context.time - self._desk.started
-        coming = age > since and self._context.status.state in _BEFORE_MOVING
-        return age > oldest and not (coming and since < self.parameters.first_data_timeout)
+        starting = age > since and self._context.status.state in _BEFORE_MOVING
+        return age > oldest and not (starting and since < self.parameters.first_data_timeout)
 
     def _serve(self, script: Callable[[], Script[None]], restarts: int = 0) -> Script[None]:
-        """Run a goal's script; whatever ends it, open the contactor and take the arm back, keeping the first error.
+        """Run a goal's script. However it ends, open the contactor and retract the arm; keep the first error.
 
-        Where a new docking may mend what went wrong, it begins again, at most `restarts` times.
+        If docking again may help, it restarts, at most `restarts` times.
         """
         context, desk = self._context, self._desk
         first: DockingError | None = None
@@ -274,9 +274,9 @@ class DockingMachine:
             finally:
                 self._interruptible = False
             if self._docking is not None and self._docking.supervising:
-                first = None  # what happened before has been mended since
-            first = self._blame(first, last)
-            home = yield from self._take_back()
+                first = None  # the restart succeeded, so the earlier error no longer counts
+            first = self._report(first, last)
+            home = yield from self._retract()
             if not (home and restarts and last.mended_by_docking) or desk.wants_back:
                 break
             restarts -= 1
@@ -286,28 +286,28 @@ class DockingMachine:
         context.enter(State.IDLE, math.inf)
         desk.fail(first)
 
-    def _blame(self, first: DockingError | None, last: DockingError) -> DockingError:
-        """Return and tell the error that counts: the first one, unless the client has taken the goal back."""
+    def _report(self, first: DockingError | None, last: DockingError) -> DockingError:
+        """Return and report the error that counts: the first one, unless the client has cancelled."""
         status = self._context.status
         blamed = last if first is None or isinstance(last, Canceled) else first
         status.code, status.message = blamed.code, str(blamed)
         if first is not None:
             status.message = f"{first}; then, docking again: {last}"
         problem = self._context.observation.clock_problem
-        if problem and not isinstance(blamed, Canceled):  # where ages cannot be judged, data seem stale
+        if problem and not isinstance(blamed, Canceled):  # without a valid clock, data seem stale
             status.message = f"{status.message}; {problem}"
         self._context.decide("interrupted", f"{last.code.name}: {last}", code=last.code)
         return blamed
 
-    def _take_back(self) -> Script[bool]:
-        """Open, take the arm home and switch it off; return whether that went well."""
+    def _retract(self) -> Script[bool]:
+        """Open the contactor, move the arm home and switch the torque off; return whether that succeeded."""
         context, status = self._context, self._context.status
         context.interrupt()
         try:
             yield from retract(context)
             return not context.observation.hardware_error
         except ContactorWelded as error:
-            # Torque stays on: pulling or letting go of live electrodes would draw an arc.
+            # Torque stays on: moving live electrodes off the target would draw an arc.
             if status.code is not Code.CONTACTOR_WELDED:
                 status.message = f"{status.message}; then {error}"
             context.hold()
@@ -316,7 +316,7 @@ class DockingMachine:
             held = status.docked or context.observation.tactile_contact
             status.docked = held and isinstance(error, Stuck)  # the magnets still hold it
             context.deadline = math.inf
-            yield from let_go(context)
+            yield from go_limp(context)
         finally:
             status.charging = False
         return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the magnets pull with where the target's centre lies off: 60 N at most, half of it 8 mm away."""
+"""Pull of the magnets by the offset of the target's centre: 60 N at most, half of it at 8 mm."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class MagnetPull:
 
         Args:
             x: of the target's centre in end_effector, m.
-            across: of the same across the bars, m.
+            across: its offset across the bars, m.
             angle: of the bars, rad.
         """
         lean = np.tan(angle)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight lines of the platform as joint trajectories: planned whole, checked whole, then moved or not at all."""
+"""Straight lines of the platform as joint trajectories, planned and checked completely before the arm moves."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Planner:
     """Plans lines in ``charger_base`` (m) under speed limits, with the weight of the arm fed forward.
 
     Attributes:
-        parameters: which may be replaced where only what is not of the machine differs.
-        springs: what the servos yield by.
+        parameters: may be replaced if those of the machine stay equal.
+        springs: the servos' yielding.
     """
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
@@ -32,9 +32,9 @@ class Planner:
     def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, without the start itself.
 
-        The commanded angles lead the wanted ones by what the servo spring yields under the arm's own weight. Pressing
-        against a target puts the goal beyond it, so a goal outside the workspace box is allowed; outside the reach, the
-        joint limits or the rod swing it is not.
+        The commanded angles lead the desired ones by the servos' yield under the arm's weight. The goal may be outside
+        the workspace box, since pressing puts it beyond the target. It must be within reach, joint limits and rod
+        swing.
 
         Args:
             start: present commanded position.
@@ -43,14 +43,14 @@ class Planner:
             push: current bound (A) above each servo's free-motion current; None = the parameter.
 
         Raises:
-            Unreachable: some point of the line has no good solution; nothing was moved.
+            Unreachable: a point of the line has no good solution; nothing was moved.
         """
         try:
             line = plan_line(self._delta, start, goal, speed)
         except LineRefused as error:
             if error.share == 0.0:
                 raise Unreachable(
-                    f"the arm stands where it cannot be moved from: {error}; push it back by hand, with its torque off"
+                    f"the arm cannot move from its present position: {error}; push it back by hand, with its torque off"
                 ) from error
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
         held = self._delta.holding_torque(line.positions, self.parameters.gravity)
@@ -63,7 +63,7 @@ class Planner:
         )
 
     def check_way(self, speed: float, *places: Vector) -> None:
-        """Refuse a way through `places` of which any leg would be refused, so that no leg before it is driven.
+        """Check every leg of a way through `places` before the arm moves.
 
         Raises:
             Unreachable: as for `line`.
@@ -72,7 +72,7 @@ class Planner:
             self.line(start, goal, speed)
 
     def reachable(self, *points: Vector) -> str:
-        """Return '' where every point lies in the workspace with good angles, else what is wrong with the first."""
+        """Return '' if every point is in the workspace with good angles, else the problem of the first bad one."""
         solved = self._delta.inverse(np.array(points))
         for point, status in zip(points, np.atleast_1d(np.asarray(solved.status)), strict=True):
             if status:
@@ -81,7 +81,7 @@ class Planner:
         return ""
 
     def _command(self, line: Line, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the commanded angles and velocities: those of the line with the lead, inside the joint limits."""
+        """Return the commanded angles and velocities: the line's with the lead, inside the joint limits."""
         geometry = self._delta.geometry
         wanted = line.angles + lead
         angles = np.clip(wanted, geometry.joint_min, geometry.joint_max)

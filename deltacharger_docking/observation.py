@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the state machine sees and what it says, once per tick."""
+"""Inputs and outputs of the state machine in each tick."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ NAN3: Vector = (math.nan, math.nan, math.nan)
 
 
 Reading = tuple[float, Vector, Vector]
-"""Of the servos: when (s), angles (rad), currents (A)."""
+"""Reading of the servos: time (s), angles (rad), currents (A)."""
 
 
 class Service(Enum):
-    """What the machine may ask the shell to do on its behalf; each is answered by a `Reply`."""
+    """Services that the machine may ask the shell to call; each call is answered by a `Reply`."""
 
     TORQUE_ON = "set_torque true"
     TORQUE_OFF = "set_torque false"
@@ -38,9 +38,9 @@ class Service(Enum):
 
 @dataclass(frozen=True)
 class Request:
-    """One call of a service; `number` comes back in the reply.
+    """One call of a service; the reply repeats its `number`.
 
-    An estimate averages `frames` and has besides the classes of the packaged `model`, '' = none.
+    An estimate averages `frames`; it also has the classes of the packaged `model`, '' = none.
     """
 
     number: int
@@ -54,8 +54,8 @@ class Request:
 class ElectrodePose:
     """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s).
 
-    `yaw` and `pitch` (rad): how far the electrodes' z axis is turned about +y and about +x of charger_base, and the
-    standard deviations of these; NaN = unknown.
+    `yaw` and `pitch` (rad): rotations of the electrodes' z axis about +y and about +x of charger_base, with their
+    standard deviations; NaN = unknown.
     """
 
     position: Vector
@@ -69,20 +69,20 @@ class ElectrodePose:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What decisions tell of it, by name and unit; of a lean what is known."""
+        """Its values for decisions, by name and unit; the lean only if known."""
         x, y, z = self.position
         leans = {"yaw_rad": self.yaw, "pitch_rad": self.pitch}
         known = {name: lean for name, lean in leans.items() if not math.isnan(lean)}
         return {"x_m": x, "y_m": y, "z_m": z, "roll_rad": self.roll, **known}
 
     def sure_yaw(self, sigmas: float) -> float:
-        """Return the yaw (rad) where it is surely not 0, by so many standard deviations; else 0."""
+        """Return the yaw (rad) if it differs from 0 by at least this many standard deviations; else 0."""
         return self.yaw if abs(self.yaw) > sigmas * self.yaw_stddev else 0.0
 
 
 @dataclass(frozen=True)
 class BasePose:
-    """Where charger_base should stand: x, y, z (m) and the turn about +y (rad), in the present charger_base."""
+    """Pose for charger_base: x, y, z (m) and the rotation about +y (rad), in the present charger_base."""
 
     x: float
     y: float
@@ -91,10 +91,10 @@ class BasePose:
 
     @classmethod
     def before(cls, electrodes: Vector, yaw: float = 0.0) -> BasePose:
-        """Return the stand that faces electrodes (m) squarely: it has them at (0, 0, DOCK_DISTANCE), without yaw.
+        """Return the pose that faces electrodes (m) squarely: they are then at (0, 0, DOCK_DISTANCE), without yaw.
 
         Args:
-            electrodes: where they are, m in the present charger_base.
+            electrodes: their position, m in the present charger_base.
             yaw: rotation of their faces about +y, rad.
         """
         x, y, z = electrodes
@@ -102,16 +102,16 @@ class BasePose:
 
     @property
     def electrodes(self) -> Vector:
-        """The electrodes (m, the present charger_base) that this stand faces."""
+        """The electrodes (m, the present charger_base) that this pose faces."""
         x, z = self.x + DOCK_DISTANCE * math.sin(self.yaw), self.z + DOCK_DISTANCE * math.cos(self.yaw)
         return x, self.y, z
 
 
 @dataclass(frozen=True)
 class Reply:
-    """Answer to the request of the same number; the payload that its service has, else None.
+    """Answer to the request with this number; only the fields of its service are set.
 
-    An estimate names the `sequences` of the tactile frames it was made of, and was `asked` for at that time (s).
+    An estimate names the `sequences` of its tactile frames; it was requested at `asked` (s).
     """
 
     number: int
@@ -129,10 +129,9 @@ class Reply:
 class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
-    `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody. `earlier` are
-    readings of the servos made since the last observation, where there were more than this one. `simulated` only where
-    servos and board are known to be a simulated charger's. `clock_problem` says what is wrong with the clock by which
-    ages are judged; '' = nothing.
+    `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds readings
+    of the servos since the last observation, before this one. `simulated` is set only if servos and board are known to
+    be a simulated charger's. `clock_problem` describes a problem of the clock that ages are measured by; '' = none.
     """
 
     time: float
@@ -162,8 +161,8 @@ class Observation:
 
 @dataclass(frozen=True)
 class Decision:
-    """What was decided at `time` (s, the observation's clock), in one word of docs/dock-goals.md, in a sentence, and by
-    which numbers; each name ends in its unit."""
+    """A decision at `time` (s, the observation's clock): its kind in docs/dock-goals.md, a sentence, and its numbers,
+    whose names end in the unit."""
 
     time: float
     state: State
@@ -174,13 +173,14 @@ class Decision:
 
 @dataclass(frozen=True)
 class Command:
-    """What to do now. The contactor is wanted only while `energise`.
+    """What to do now. The contactor is to be closed only while `energise`.
 
-    A trajectory replaces what the arm follows; its times count from the observation's, and its last point holds. It is
-    only a piece of the way (see `trajectory_feed`): None = go on with the last one, empty = hold. `states` are those
-    entered since the last command, in their order: each is to be published, though some last no tick. `waits` says
-    until when nothing is decided: a shell in virtual time may take longer steps until then. It must only take them
-    before the pieces of a line run out, and give the readings between them with the next observation where they count.
+    A trajectory replaces the one that the arm follows. Its times count from the observation's, and its last point
+    holds. It is only a piece of the way (see `trajectory_feed`): None = continue with the last one, empty = hold.
+    `states` are those entered since the last command, in order. Each is to be published, even if it lasted no tick.
+    `waits` gives the time until which nothing is decided, so a shell in virtual time may take longer steps. Such steps
+    must end before the pieces of a line run out, and the next observation must hold the readings between them if the
+    wait needs readings.
     """
 
     trajectory: tuple[Waypoint, ...] | None = None
@@ -193,7 +193,7 @@ class Command:
 
 @dataclass(frozen=True)
 class DockGoal:
-    """What a client wants; `electrodes` None = ask the camera."""
+    """A client's request; `electrodes` None = ask the camera."""
 
     electrodes: ElectrodePose | None
     critical_angle: float = 0.0
@@ -206,7 +206,7 @@ class DockGoal:
 
 @dataclass(frozen=True)
 class GoalOutcome:
-    """How a goal ended, after `elapsed` s; `notice` is what its client must know of a success."""
+    """Result of a goal, after `elapsed` s; `notice` is further information for the client after success."""
 
     success: bool = False
     code: Code = Code.INTERNAL
@@ -217,12 +217,12 @@ class GoalOutcome:
 
     @property
     def canceled(self) -> bool:
-        """Whether it ended because its client wished so."""
+        """Whether its client cancelled it."""
         return self.code is Code.CANCELED
 
     @classmethod
     def refused(cls: type[T], error: Exception) -> T:
-        """Return how a goal ended that this kept from beginning; a defect where it is none of docking's errors."""
+        """Return the result of a goal that `error` prevented; other classes than DockingError are defects."""
         if not isinstance(error, DockingError):
             return cls(message=f"internal error: {error}; see the log")
         return cls(code=error.code, message=str(error), retriable=error.retriable)
@@ -230,9 +230,9 @@ class GoalOutcome:
 
 @dataclass(frozen=True)
 class DockingOutcome(GoalOutcome):
-    """How a goal of docking ended. NaN = not measured; `suggested_base` only where another stand would help.
+    """Result of a Dock goal. NaN = not measured; `suggested_base` only if another pose of the robot would help.
 
-    `alignments` are the lateral corrections, `redockings` the contacts made anew without one.
+    `alignments` counts corrections, `redockings` repeated contacts without correction.
     """
 
     aligned: bool = False
@@ -248,9 +248,9 @@ class DockingOutcome(GoalOutcome):
 
 @dataclass
 class DockingStatus:
-    """What the machine tells about itself between commands.
+    """The machine's state between commands.
 
-    `aligned`: this contact has clearance, another one would not pay, and the told risk is at most `aligned_risk_max`.
+    `aligned`: this contact has clearance, another would not pay, and the estimated risk is at most `aligned_risk_max`.
     """
 
     state: State = State.IDLE

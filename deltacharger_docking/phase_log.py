@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the log says while the machine works: a line for each phase, each failure, and each switch of the contactor."""
+"""Log lines of docking: one for each phase, each failure, and each switching of the contactor."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from deltacharger_docking.observation import DockingStatus, Observation
 
 
 def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
-    """Return the states to tell after `before`: those passed through within one tick, then the present one."""
+    """Return the states to report after `before`: those passed through within one tick, then the present one."""
     return [state for last, state in pairwise((before, *passed, now)) if state is not last]
 
 
 class PhaseLog:
-    """Turns what the machine tells into lines; without a change there is none.
+    """Turns changes of the machine into log lines.
 
-    Every line begins with the title of the goal that was taken last: what happens after its end, such as the end of
-    charging, belongs to it.
+    Every line begins with the title of the last goal. Later events, such as the end of charging, belong to that goal.
     """
 
     def __init__(self) -> None:
@@ -32,23 +31,23 @@ class PhaseLog:
         self._closed, self._closed_since = False, math.nan
 
     def begin(self, title: str) -> None:
-        """Take the title of a goal that begins."""
+        """Set the title of a goal that begins."""
         self._title, self._code = title, Code.NONE
 
     def lines(self, status: DockingStatus, passed: Sequence[State], seen: Observation) -> list[str]:
-        """Return what is new.
+        """Return the lines for what changed.
 
         Args:
             status: of the machine.
             passed: states entered since the last call, in their order.
             seen: the observation that the machine was stepped with.
         """
-        told = []
+        lines = []
         if seen.contactor_closed is not self._closed:
-            told.append(self._switched(seen))
+            lines.append(self._switched(seen))
         if passed or status.state is not self._state or status.code is not self._code:
-            told += self._passages(status, changes(self._state, passed, status.state), seen)
-        return told
+            lines += self._passages(status, changes(self._state, passed, status.state), seen)
+        return lines
 
     def _switched(self, seen: Observation) -> str:
         self._closed = seen.contactor_closed
@@ -59,19 +58,19 @@ class PhaseLog:
 
     def _passages(self, status: DockingStatus, entered: Sequence[State], seen: Observation) -> list[str]:
         news = self._news(status)
-        back = entered.index(State.RETRACT) if State.RETRACT in entered else len(entered) - 1  # where a failure leads
-        told = []
+        back = entered.index(State.RETRACT) if State.RETRACT in entered else len(entered) - 1  # a failure leads there
+        lines = []
         for index, state in enumerate(entered):
             lasted = math.nan if self._state is State.IDLE else seen.time - self._since
             about = news if index == back else []
-            told.append(passage(self._title, self._state.name, state.name, lasted, *about, *_figures(status, seen)))
+            lines.append(passage(self._title, self._state.name, state.name, lasted, *about, *_figures(status, seen)))
             self._state, self._since = state, seen.time
         if news and not entered:
-            told.append(f"{self._title}: {self._state.name.lower()}, {news[0]}")
-        return told
+            lines.append(f"{self._title}: {self._state.name.lower()}, {news[0]}")
+        return lines
 
     def _news(self, status: DockingStatus) -> list[str]:
-        """Return in words that a code has come or gone."""
+        """Return the message that a code was set or cleared."""
         before, self._code = self._code, status.code
         if status.code is before:
             return []
@@ -79,7 +78,7 @@ class PhaseLog:
 
 
 def _figures(status: DockingStatus, seen: Observation) -> list[str]:
-    """Return what is measured now, in words; nothing of what is not."""
+    """Return the present measurements as text, without unknown ones."""
     values = (
         ("z", 1e3 * status.position[2], "mm", 1),
         ("contact current", status.contact_current, "A", 3),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the target is along one axis, how far this contact lies off, and whether another one would pay."""
+"""Estimate of the target along one axis, the offset of this contact, and whether another contact would pay."""
 
 from __future__ import annotations
 
@@ -9,59 +9,59 @@ from statistics import NormalDist
 
 from deltacharger_docking.parameters import DockingParameters
 
-_LEAST = 1e-12  # m²; below it a variance would divide by nothing
+_LEAST = 1e-12  # m²; avoids division by zero
 _QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
 
 
 @dataclass(frozen=True)
 class Offset:
-    """How far (m) a contact lies off along one axis, normally distributed."""
+    """Offset (m) of a contact along one axis, normally distributed."""
 
     mean: float
     stddev: float
 
     def beyond(self, limit: float) -> float:
-        """Return the probability that it lies farther off than `limit` (m), either way."""
+        """Return the probability that it exceeds `limit` (m), either way."""
         scale = math.sqrt(2.0) * max(self.stddev, math.sqrt(_LEAST))
         return 0.5 * (math.erfc((limit - self.mean) / scale) + math.erfc((limit + self.mean) / scale))
 
 
-def expected_gain(now: float, foreseen: float, told: float, limit: float) -> float:
-    """Return by how much another contact, made at the target, is expected to lower the risk to lie beyond `limit`.
+def expected_gain(now: float, foreseen: float, measured: float, limit: float) -> float:
+    """Return the expected decrease of the risk to exceed `limit` by another contact at the target.
 
-    Its mean will lie around zero, by what is foreseen less what it will tell; where it turns out worse than this one it
-    has gained nothing, for it can be made again.
+    The mean of its offset is distributed around zero, with the variance that the contact will resolve. A contact worse
+    than this one gains nothing, since it can be repeated.
 
     Args:
         now: risk of this contact.
-        foreseen: variance of the other one's offset before it is felt, m².
-        told: and after, m².
+        foreseen: variance of the other one's offset before it is measured, m².
+        measured: variance after it is measured, m².
         limit: m.
     """
-    spread, stddev = math.sqrt(max(foreseen - told, 0.0)), math.sqrt(told)
+    spread, stddev = math.sqrt(max(foreseen - measured, 0.0)), math.sqrt(measured)
     risks = (Offset(spread * each, stddev).beyond(limit) for each in _QUANTILES)
     return sum(max(now - risk, 0.0) for risk in risks) / len(_QUANTILES)
 
 
 def contradicts(parameters: DockingParameters, innovations: float, values: int) -> bool:
-    """Return whether so many values differ by more than their errors allow: the pads do not feel where the arm went.
+    """Return whether these values differ by more than their errors allow: they do not follow the arm's moves.
 
     Args:
         parameters: docking's.
-        innovations: sum of squares, each over its variance.
-        values: how many were felt.
+        innovations: sum of squares, each divided by its variance.
+        values: how many were measured.
     """
     return innovations > parameters.contradiction_start + parameters.contradiction_each * values
 
 
 class AxisFilter:
-    """Kalman filter of the target's place along one axis, as contacts feel it.
+    """Kalman filter of the target's place along one axis, as measured by contacts.
 
-    The axis may be any that stays as it is in charger_base; docking takes the one across the bars.
+    The axis may have any direction that is fixed in charger_base; docking uses the one across the bars.
 
-    A contact lies beside its commanded place by `docking_jitter` (standard deviation, m), which encoders do not see.
+    A contact differs from its commanded place by `docking_jitter` (standard deviation, m), which encoders do not see.
     The error of an estimate has two parts: one of this contact alone, and one that grows with the offset by
-    `gain_error`, so that a first look from 8 mm away weighs little once the platform stands close.
+    `gain_error`, so that a first contact 8 mm away has little weight once the platform is close.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
@@ -70,12 +70,12 @@ class AxisFilter:
         self._innovations = 0.0
         self._looks = 0
         self.target = math.nan
-        """Where the target is, m; NaN before the first look."""
+        """Estimated place of the target, m; NaN before the first contact."""
         self.contact = Offset(math.nan, math.nan)
-        """How far this contact lies off."""
+        """Offset of this contact."""
 
     def update(self, platform: float, offset: float, stddev: float) -> None:
-        """Take what one contact felt: platform and offset (m), and the standard deviation (m) that it tells."""
+        """Add one contact: platform and offset (m), and the offset's reported standard deviation (m)."""
         parameters = self._parameters
         own = max(stddev**2, _LEAST) + (parameters.gain_error * offset) ** 2
         variance, place, weight = parameters.docking_jitter**2 + own, platform + offset, 1.0 / own
@@ -94,14 +94,14 @@ class AxisFilter:
 
     @property
     def _ahead(self) -> float:
-        """Variance (m²) with which the filter foresees the offset of a contact."""
+        """Variance (m²) with which the filter predicts the offset of a contact."""
         return self._parameters.docking_jitter**2 + 1.0 / self._information + _LEAST
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether the looks differ by more than their errors allow."""
+        """Whether the contacts differ by more than their errors allow."""
         return contradicts(self._parameters, self._innovations, self._looks)
 
     def gain(self, limit: float) -> float:
-        """Return by how much another contact is expected to lower the risk to lie beyond `limit` (m)."""
+        """Return the expected decrease of the risk to exceed `limit` (m) by another contact."""
         return expected_gain(self.contact.beyond(limit), self._ahead, self.contact.stddev**2, limit)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps 2 to 4 of Algorithm 1: go there, back off after too hard a push, press until the current lies in its band."""
+"""Steps 2 to 4 of Algorithm 1: go there, back off after too hard a push, press until the current is in its band."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from deltacharger_docking.release import take_off
 from deltacharger_kinematics.geometry import Vector
 
 Look = Callable[[], Script[FeltPose | None]]
-"""Looks where the electrodes have just met the target; returns what was felt where that forbids to press home."""
+"""Measures at the first contact; returns the estimate if it forbids to press further."""
 
 
 def approach(context: Context, target: Vector) -> Script[None]:
     """Move to the standoff before `target` (m, charger_base) and tare the contact current there.
 
-    The tare is taken at rest after a motion along +z, so that the servos' friction has the sign it has when pushing.
+    The tare is taken at rest after a motion along +z, so that the servos' friction has the sign of pushing.
     """
     parameters = context.parameters
     context.enter(State.APPROACH, parameters.approach_timeout)
@@ -38,16 +38,16 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
 
     Args:
         context: shared state; the platform stands before the target.
-        depth: largest z (m, charger_base) at which contact is still looked for.
-        look: how to look before pressing home (guarded only); None = it is not looked.
+        depth: largest z (m, charger_base) at which contact is searched.
+        look: measures before pressing further (guarded only); None = press without.
 
     Returns:
-        What was felt where it was not pressed home, else None.
+        The estimate that forbade pressing further, else None.
 
     Raises:
-        NoContact: nothing was met up to `depth`.
-        NoTactileContact: the servos push but the pads feel nothing.
-        Overcurrent: the band was overshot again and again.
+        NoContact: there was no contact up to `depth`.
+        NoTactileContact: the servos push but the pads measure no force.
+        Overcurrent: the band was overshot too often.
     """
     context.enter(State.CONTACT, context.parameters.contact_timeout)
     if context.parameters.approach == "guarded":
@@ -63,8 +63,8 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
         raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
     if not observation.tactile_contact:
         raise NoTactileContact(
-            f"the servos push with {context.contact.value:.2f} A but no taxel feels 1 N: the pads missed the target's "
-            "ridges, or something else is in the way"
+            f"the servos push with {context.contact.value:.2f} A but no taxel measures 1 N: the pads missed the "
+            "target's ridges, or there is an obstacle"
         )
     context.decide(
         "contact",
@@ -79,10 +79,10 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
 def press_again(
     context: Context, depth: float, x: float, y: float, look: Look | None = None
 ) -> Script[FeltPose | None]:
-    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base); return as `contact`.
+    """Lift off, move the command by (x, y) m and press down to `depth` (m, charger_base); return as `contact`.
 
-    The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
-    short of its command, are corrected as well.
+    The command moves by the error of the measured pose. This also corrects friction and soft servos, which keep the
+    platform short of its command.
 
     Raises:
         Unreachable: the way there leaves the arm's reach; the platform was not lifted.
@@ -99,7 +99,7 @@ def press_again(
 
 
 def first_push(context: Context, target: Vector) -> Script[None]:
-    """The paper's first push: go to the given place itself and back off once where that is already too far."""
+    """The paper's first push: go to the given place, and back off once if that pushes too hard."""
     yield from step_to(context, target[2])
     if context.contact.value > context.parameters.current_max:
         yield from back_off(context)
@@ -121,10 +121,10 @@ def back_off(context: Context) -> Script[None]:
 
 
 def step_to(context: Context, z: float) -> Script[None]:
-    """Put the commanded z (m) somewhere else and come to rest; waits while servo_state is too old to press.
+    """Set the commanded z (m) and come to rest; wait while servo_state is too old to press.
 
     Raises:
-        NoContact: that command lies beyond the arm's reach.
+        NoContact: the command is beyond the arm's reach.
     """
     while context.observation.servo_age > context.parameters.press_age_max:
         yield NEXT
@@ -132,11 +132,11 @@ def step_to(context: Context, z: float) -> Script[None]:
     try:
         yield from context.move((x, y, z), context.parameters.press_speed)
     except Unreachable as error:
-        raise NoContact(f"nothing was met before the arm's limit: {error}") from error
+        raise NoContact(f"no contact before the arm's limit: {error}") from error
 
 
 def slope_expected(context: Context) -> float:
-    """Return the contact current per metre of command (A/m) that the servos' stiffness gives against a rigid target.
+    """Return the contact current per metre of command (A/m) for a rigid target and the servos' stiffness.
 
     dI/dz = k / (J_z Kt · 3 J_z) · J_z: 0.006 A/mm for each N·m/rad of servo stiffness at the dock.
     """
@@ -153,10 +153,10 @@ def _paper(context: Context, depth: float) -> Script[None]:
 
 
 def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose | None]:
-    """Press on the target, near the band: straight to where it is known to be, else searching for it.
+    """Press on the target, near the band: at a known place directly, else after a search.
 
-    The way there is fast where nothing can be struck; a known place that turns out wrong is searched from there on. Who
-    looks searches each time: what presses straight on has no time to look.
+    The arm moves fast where it cannot strike anything. If a known place is wrong, the search starts there. With `look`
+    it always searches, because a direct press leaves no time to measure.
     """
     parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
     while context.observation.servo_age > parameters.press_age_max:
@@ -166,8 +166,8 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose 
         if known is None or look is not None:
             return (yield from _search(context, depth, look))
         before = max(known.measured - parameters.near, z)
-        met = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _feels(context))
-        if met and context.position[2] < before:
+        touched = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _touches(context))
+        if touched and context.position[2] < before:
             return (yield from _press_on(context))
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
@@ -179,31 +179,31 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose 
         )
         if too_hard:
             yield from context.rest()
-        elif not _feels(context):
+        elif not _touches(context):
             yield from _search(context, depth)
     except Unreachable:
-        pass  # the steps that follow tell whether the arm's limit comes before the target
+        pass  # the steps that follow show whether the arm's limit is before the target
     return None
 
 
 def _search(context: Context, depth: float, look: Look | None = None) -> Script[FeltPose | None]:
-    """Move along z to where the target may begin, then slowly up to `depth` (m), until it is felt; press on there."""
+    """Move along z to the start of the search, then slowly up to `depth` (m) until contact; press on there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     free = depth - parameters.search_depth - parameters.search_from
     for end, speed in ((free, parameters.travel_speed), (depth, parameters.search_speed)):
         if z < end and (
-            yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _feels(context))
+            yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _touches(context))
         ):
             return (yield from _press_on(context, look))
     return None
 
 
-def _feels(context: Context) -> bool:
+def _touches(context: Context) -> bool:
     return context.observation.tactile_contact or context.contact.value > context.parameters.felt_current
 
 
 def _press_on(context: Context, look: Look | None = None) -> Script[FeltPose | None]:
-    """Press on at once from where the platform comes to lie, to a share of the band that a rigid target bears."""
+    """Press on from where the platform stops, to a share of the band that is safe on a rigid target."""
     parameters, end = context.parameters, context.time + context.parameters.settle_touching
     highest = -math.inf
     while context.time < end and context.position[2] > highest:
@@ -218,7 +218,7 @@ def _press_on(context: Context, look: Look | None = None) -> Script[FeltPose | N
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:
-    """Step coarsely until the current leaves its baseline, then by what is missing; enter the band from below."""
+    """Step coarsely until the current leaves its baseline, then by the missing current; enter the band from below."""
     parameters = context.parameters
     low, high = parameters.current_min + parameters.band_margin, parameters.current_max - parameters.band_margin
     response, overshoots = 1.0, 0  # response: the slope's share of the expected one
@@ -231,7 +231,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
         if before > high:
             overshoots += 1
             context.decide(
-                "overshoot", "the push is above its band and is given back", contact_current_A=before, times=overshoots
+                "overshoot", "the push is above its band and is reduced", contact_current_A=before, times=overshoots
             )
             if overshoots > parameters.overshoots_max:
                 raise Overcurrent(
@@ -259,6 +259,6 @@ def _guarded(context: Context, depth: float) -> Script[None]:
 def _check_depth(context: Context, depth: float) -> None:
     if context.position[2] > depth:
         raise NoContact(
-            f"no contact up to z = {1000 * depth:.0f} mm (charger_base); is the target there, and are its coordinates "
-            "right?"
+            f"no contact up to z = {1000 * depth:.0f} mm (charger_base); check that the target is there and that its "
+            "coordinates are right"
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Off the magnets: pulled, seen to come, and pulled again where it did not."""
+"""Release from the magnets: pull, check that the platform follows, and pull again if not."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from deltacharger_kinematics.trajectory_feed import PULL_HORIZON, pull
 def take_off(context: Context, z: float) -> Script[None]:
     """Pull the electrodes off the magnets and go straight back to `z` (m, charger_base).
 
-    Soft electrodes follow the pull while the pads feel nothing any more; whether the magnets let go shows on the way
-    back. Where the platform does not come, it is pulled again, and farther.
+    Soft electrodes follow the pull after the pads have lost contact, so only the way back shows whether the magnets
+    have released. If the platform does not follow, it is pulled again, and farther.
 
     Raises:
-        Stuck: the platform did not come within the time allowed.
-        Unreachable: it came off where the arm has no way back; it holds there.
-        ServoFailure: it is not known where it came off; it holds there.
+        Stuck: the platform did not move within the allowed time.
+        Unreachable: it was released where the arm has no way back; it holds there.
+        ServoFailure: the position after release is unknown; it holds there.
     """
     parameters = context.parameters
     lacks = max((1.0 - parameters.came_share) * (context.measured()[2] - z), parameters.came_lack)
@@ -41,7 +41,7 @@ def take_off(context: Context, z: float) -> Script[None]:
 
 
 def lift_off(context: Context, pull: bool = False) -> Script[None]:
-    """Pull off the magnets where there is contact or `pull` says so, then go straight back, to move sideways."""
+    """Pull off the magnets if there is contact or `pull` is set, then go straight back, to allow sideways moves."""
     parameters = context.parameters
     x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
@@ -54,10 +54,10 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
 
 
 def release(context: Context, travel: float) -> Script[None]:
-    """Pull the electrodes off the magnets, until the platform has come `travel` m back.
+    """Pull the electrodes off the magnets until the platform has moved back by `travel` m.
 
-    The goal is put behind the measured position while the push bound still holds, because a servo whose bound rises
-    while it is clipped jumps; only then may it pull. The bound drops as soon as the platform has moved.
+    A servo jumps if its bound rises while its current is clipped. So the goal first moves behind the measured position
+    under the push bound; only then may it pull. The bound drops as soon as the platform has moved.
 
     Raises:
         DockingError: as for `take_off`.
@@ -77,7 +77,7 @@ def release(context: Context, travel: float) -> Script[None]:
         raise _stuck(context)
     context.decide(
         "released",
-        "the electrodes have come off",
+        "the electrodes are released",
         contact_current_A=pushed,
         pull_bound_A=parameters.release_current,
         time_s=context.time - begun,
@@ -87,31 +87,31 @@ def release(context: Context, travel: float) -> Script[None]:
         context.commanded = (x, y, free[2] - _softness(context) * parameters.release_behind)
         line = context.planner.line(free, context.commanded, parameters.travel_speed)
     except DockingError:
-        context.hold()  # nothing goes on pulling
+        context.hold()  # ends the pull
         raise
     context.follow(line, retreats=True)
     if context.is_blind:
-        context.tell_piece((replace(line[-1], time=0.0),))  # here neither
+        context.send_piece((replace(line[-1], time=0.0),))  # ends the pull here also
     yield NEXT
 
 
 def _softness(context: Context) -> float:
-    """Return how many times softer than usual the servos are, at least 1: magnets draw a soft arm back from farther."""
+    """Return how much softer than usual the servos are, at least 1: magnets pull a soft arm back from farther away."""
     return max(SERVO_STIFFNESS / context.springs.stiffness, 1.0)
 
 
 def _is_off(context: Context, z: float) -> bool:
-    """Return whether the platform has come back to `z` m, and where the pads still feel something, a spring farther."""
+    """Return whether the platform is back at `z` m; with contact at the pads, farther by the travel of springs."""
     observation, parameters = context.observation, context.parameters
     held = observation.tactile_contact and observation.tactile_age <= parameters.tactile_age_max
     return context.position[2] <= (z - (parameters.spring_travel - parameters.release_travel) if held else z)
 
 
 def _pull(context: Context, goal: Vector, current: float, z: float, seconds: float) -> Script[None]:
-    """Pull toward the angles `goal` for so long, or until the platform has come off at `z` m.
+    """Pull toward the angles `goal` for this time, or until the platform is off at `z` m.
 
-    It is told in every tick and lapses by itself: whoever stops telling it, and servos that are not heard any more,
-    pull no longer. Time without a pull does not count; the phase's does.
+    The pull is sent in every tick and lapses by itself, so it ends if docking stops or servo_state is missing. Time
+    without a pull does not count here; it counts for the phase.
     """
     constant = context.parameters.torque_constant
     bound, push = ((each * constant,) * 3 for each in (current, context.parameters.push_current))
@@ -120,14 +120,14 @@ def _pull(context: Context, goal: Vector, current: float, z: float, seconds: flo
         observation = context.observation
         known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
         if known:
-            context.tell_piece(pull(goal, bound, _standing(context), push))
+            context.send_piece(pull(goal, bound, _standing(context), push))
         yield NEXT
-        left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # untold, servos pull no longer than that
+        left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # a pull lapses after PULL_HORIZON
         last = context.time
 
 
 def _standing(context: Context) -> Vector:
-    """Return the angles (rad) under which the arm stays where it is, its weight carried."""
+    """Return the angles (rad) that keep the arm in place, with its weight compensated."""
     geometry, stiffness = context.kinematics.geometry, context.springs.stiffness
     held = context.kinematics.holding_torque(*context.position, context.parameters.gravity)
     wanted = (angle + torque / stiffness for angle, torque in zip(context.observation.angles, held, strict=True))
@@ -137,7 +137,7 @@ def _standing(context: Context) -> Vector:
 
 def _stuck(context: Context) -> Stuck:
     context.hold()
-    context.decide("stuck", "the magnets do not let go", contact_current_A=context.contact.value)
+    context.decide("stuck", "the magnets do not release", contact_current_A=context.contact.value)
     parameters = context.parameters
     return Stuck(
         f"the magnets held against {parameters.release_current:.1f} A per servo for "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safe way out: open, confirm, off the magnets, home, torque off."""
+"""Retracting: open the contactor, confirm it, release the magnets, go home, switch the torque off."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from deltacharger_docking.energy import de_energise
 from deltacharger_docking.observation import Service
 from deltacharger_docking.release import lift_off
 
-_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles
+_OFF_TIME = 0.1  # s: servo_node switches the torque off within some cycles
 
 
 def retract(context: Context, wanted: bool = False) -> Script[None]:
-    """Open, confirm, release the magnets, go home and switch the torque off.
+    """Open the contactor, confirm it, release the magnets, go home and switch the torque off.
 
     Args:
         context: shared state.
-        wanted: whether a client asked for it; then a limp arm away from home is switched on too.
+        wanted: a client requested it; then the torque is also switched on for a limp arm away from home.
     """
     parameters = context.parameters
     context.enter(State.RETRACT, math.inf)
-    yield from de_energise(context)  # has its own limit: no time runs out while electrodes may be live
+    yield from de_energise(context)  # has its own limit: the phase must not expire while electrodes may be live
     context.deadline = context.time + parameters.retract_timeout
     while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
         yield NEXT
     observation = context.observation
     if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
         context.status.docked &= observation.tactile_contact  # the magnets still hold it
-        yield from let_go(context)
+        yield from go_limp(context)
         return
     if not math.isfinite(context.position[2]):
         raise ServoFailure("the arm's position is unknown, so it was not moved")
@@ -54,20 +54,18 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, parameters.service_timeout)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
-    # A goal that follows at once would else take an older servo_state at its word, and send limp servos a trajectory.
+    # Otherwise the next goal could read an old servo_state and send a trajectory to limp servos.
     end = context.time + parameters.servo_age_max
     while context.observation.torque_enabled:
         if context.time > end:
-            raise ServoFailure(
-                "servo_state still tells that the torque is on; look at servo_node, or cut the servos' power"
-            )
+            raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
         yield NEXT
     context.decide("limp", "the servos' torque is off")
 
 
-def let_go(context: Context) -> Script[None]:
-    """Stop, and switch the torque off without insisting on an answer; IDLE follows when it should be off."""
+def go_limp(context: Context) -> Script[None]:
+    """Stop, and switch the torque off without waiting for an answer, only for the time that it takes."""
     context.hold()
-    context.decide("limp", "the servos are told to let go where the arm is")
-    context.tell(Service.TORQUE_OFF)
+    context.decide("limp", "the servos are ordered to switch their torque off where the arm is")
+    context.send(Service.TORQUE_OFF)
     yield from context.wait(_OFF_TIME)

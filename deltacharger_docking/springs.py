@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servos' position loop as docking takes it: a spring as stiff as it was told, until the arm has felt it."""
+"""Docking's model of the servos' position loop: a spring of the configured stiffness until it is estimated."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
 _LEAST_LOAD, _LEAST_YIELD = 0.02, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
-_REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
-_UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play, and how encoders round
-_SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are believed: what docking was tried with, 2 to 40, and a margin
-_FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
+_REMEMBERED = 1.0  # A² of readings after which older ones fade: about two readings in the band
+_UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play and encoder resolution
+_SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are accepted: the tested range, 2 to 40, and a margin
+_FITS = 1.5  # ratio of configured and estimated stiffness that is not reported
 
 
 class Springs:
-    """How far the servos yield under load.
+    """Yield of the servos under load.
 
-    While its goal stands a servo's torque is k (goal − angle) − d ω = Kt I, whatever friction holds besides. So every
-    such reading tells the compliance Kt/k, by least squares through zero over what was read lately; play counts as
-    compliance. It is kept from docking to docking: the arm stays the same.
+    While its goal is fixed a servo's torque is k (goal − angle) − d ω = Kt I, independent of friction. So each such
+    reading gives the compliance Kt/k, by least squares through zero over recent readings. Play counts as compliance.
+    The estimate is kept between dockings, since the arm is the same.
 
     Attributes:
-        compliance: how far a servo yields for each ampere, rad/A.
-        is_felt: whether it was felt, or only told.
+        compliance: yield of a servo per ampere, rad/A.
+        is_estimated: whether it was estimated, not only configured.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
-        self._told = parameters.servo_stiffness
+        self._configured = parameters.servo_stiffness
         self._constant = parameters.torque_constant
         self._damping = parameters.servo_damping
         self._yields = self._squares = 0.0  # rad·A and A²
-        self.compliance = self._constant / self._told
-        self.is_felt = False
+        self.compliance = self._constant / self._configured
+        self.is_estimated = False
 
     @property
     def stiffness(self) -> float:
@@ -42,30 +42,30 @@ class Springs:
 
     @property
     def lag(self) -> float:
-        """By how much a servo follows its goal late, s."""
+        """Delay with which a servo follows its goal, s."""
         return self._damping / self.stiffness
 
     @property
     def settle_time(self) -> float:
-        """How long the arm needs in free air to come to rest after a step: four time constants of the servo, s."""
+        """Time for the arm in free air to come to rest after a step: four time constants of the servo, s."""
         return max(4.0 * self.lag, 0.1)
 
     @property
     def contradiction(self) -> str:
-        """What to say where the servos yield otherwise than told; '' = they do not, or nothing was felt."""
-        ratio = self.stiffness / self._told
+        """Warning if estimated and configured stiffness differ; '' = they agree, or there is no estimate."""
+        ratio = self.stiffness / self._configured
         if 1.0 / _FITS <= ratio <= _FITS:
             return ""
         return (
-            f"; the servos yield as with {self.stiffness:.1f} N·m/rad where servo_stiffness says {self._told:g}: "
+            f"; the servos yield as with {self.stiffness:.1f} N·m/rad, but servo_stiffness is {self._configured:g}: "
             "measure it with `deltacharger calibrate servos`"
         )
 
-    def feel(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
-        """Take a reading under standing goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
+    def add_reading(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
+        """Use a reading with fixed goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
 
-        One under a light load tells nothing, nor one that no common spring explains with which docking was tried, as of
-        servos that are held. One that contradicts what was felt before counts alone: other gains, or an error then.
+        Ignored are readings under a light load, and those that no common spring of the tested range explains, as of
+        held servos. A reading that contradicts earlier ones replaces them: gains changed, or the earlier were wrong.
         """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
         braked = self._damping / self._constant
@@ -84,4 +84,4 @@ class Springs:
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
         self._yields = kept * self._yields + share * yields
         self._squares = kept * self._squares + share * squares
-        self.compliance, self.is_felt = self._yields / self._squares, True
+        self.compliance, self.is_estimated = self._yields / self._squares, True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a target is by all contacts on it, along and across its bars, and which contact is worth its time next."""
+"""Place of the target estimated from all contacts, along and across its bars, and the choice of the next contact."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import AxisFilter, Offset
 from deltacharger_docking.yielding import RemainingShare
 
-_UNTOLD = 1e3  # N, standard deviation of a force that nobody told
-_ON_PAD = 0.009  # m across, within which a ridge is all on its pad
+_UNKNOWN_FORCE = 1e3  # N, standard deviation of an unknown force
+_ON_PAD = 0.009  # m across, within which a ridge is completely on its pad
 _FAR = 0.02  # m along, where a ridge begins to leave its pad
-_DEARER = 1.5  # a further contact has to gain so many times what the one before had to
+_PRICE_GROWTH = 1.5  # each further contact must gain this many times the gain required of the one before
 
 
 class TargetPlace:
-    """The place of one target, felt by contact after contact.
+    """Place of one target, estimated contact by contact.
 
     Args:
-        parameters: docking's.
-        share: of a yaw that is left in contact; taught by targets whose yaw was seen.
-        electrodes: where they were seen or said to be; None = unknown.
+        parameters: of docking.
+        share: of a yaw that remains in contact; learns from targets whose yaw was detected.
+        electrodes: pose as detected or given; None = unknown.
 
     Attributes:
-        off: how far the target lies from the platform as measured in this contact, m, along x and y.
-        plan: the way on that is expected to gain most; the price of its contacts is taken off its gain.
+        off: measured offset of the target from the platform in this contact, m, along x and y.
+        plan: the next contacts with the largest expected gain, less the price of each contact.
     """
 
     def __init__(
         self, parameters: DockingParameters, share: RemainingShare, electrodes: ElectrodePose | None = None
     ) -> None:
         self._parameters, self._share = parameters, share
-        # Its yaw along the ridges: among usual targets, and by itself.
+        # Its yaw along the ridges: combined with the usual spread of targets, and as detected alone.
         self._yaw, self._seen = (0.0, parameters.yaw_stddev), (math.nan, math.nan)
         if electrodes is not None:
             usual = parameters.yaw_stddev
@@ -48,14 +48,14 @@ class TargetPlace:
         self._along = self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
         self._load = math.nan  # m, offset by load in this contact, before the arm was put at ease
-        self._turn = math.nan  # rad, of the bars in the first contact; places across the bars are told by it
+        self._turn = math.nan  # rad, of the bars in the first contact; defines the axis across the bars
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def feel(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
-        """Take what a contact of the platform at (x, y), m, tells under the servos' push (N).
+    def add(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
+        """Add the estimate of a contact of the platform at (x, y), m, under the servos' push (N).
 
-        `again`: it has told before; what it tells now counts in place of that.
+        `again`: replaces the earlier estimate of this contact.
         """
         p = self._parameters
         if math.isnan(self._turn):
@@ -67,7 +67,7 @@ class TargetPlace:
         force = felt.left_force + felt.right_force
         spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
         if not (force > 0.0 and math.isfinite(push)):
-            force, spread, push = 0.0, _UNTOLD, 0.0
+            force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
         self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle), again)
         self._load = felt.horizontal
         along, across = self._along.target - x, self._across.target - platform
@@ -80,19 +80,19 @@ class TargetPlace:
 
     @property
     def risk(self) -> float:
-        """Told probability that this contact lies too far off, along or across the bars."""
+        """Estimated probability that this contact is too far off, along or across the bars."""
         p = self._parameters
         return self._along.risk(p.overlap_loss_max) + self._across.contact.beyond(p.landing_limit)
 
     def choose(self, moves: int, reaches: Callable[[float, float], bool]) -> None:
-        """Choose the way on after so many moves.
+        """Choose the next contacts after this many moves.
 
         Args:
-            moves: that were made.
-            reaches: whether the platform reaches a place that lies so far (m, along x and y) from here.
+            moves: number of moves made.
+            reaches: whether the platform reaches a place at this offset (m, along x and y).
         """
         p = self._parameters
-        price, across = p.redocking_gain_min * _DEARER**moves, self._across.gain(p.landing_limit)
+        price, across = p.redocking_gain_min * _PRICE_GROWTH**moves, self._across.gain(p.landing_limit)
         plans = [
             replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
             for plan in self._along.plans(p.overlap_loss_max)
@@ -101,12 +101,12 @@ class TargetPlace:
         self.plan = max(plans, key=lambda plan: plan.gain)
 
     def step(self, aside: float = 0.0) -> tuple[float, float]:
-        """Return by how much (m) to move so that the target's centre is felt `aside` (m) along the bars."""
+        """Return the move (m) after which the target's centre is `aside` (m) along the bars from the platform."""
         x, y = self.off
         return x - aside, y - aside * math.tan(self._turn)
 
     def least_yaw(self, felt: FeltPose, x: float, push: float) -> float:
-        """Return the least yaw of the faces (rad) with which one pad bears nearly all although both have a ridge.
+        """Return the least yaw of the faces (rad) that lets one pad carry nearly all, although both have a ridge.
 
         Args:
             felt: in a contact that is not in range.
@@ -114,16 +114,16 @@ class TargetPlace:
             push: of the servos on the target, N.
 
         Returns:
-            NaN where both pads bear, the empty pad may have lost its ridge, or the target's place explains it better.
+            NaN if both pads carry force, the empty pad may be off its ridge, or the target's place explains it better.
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
-        # With no more force than there is _FAR aside, or than pads tell well, an offset may empty the pad as well.
+        # With less force than at _FAR aside, or than pads measure well, an offset may also empty the pad.
         pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
         enough = max((push + float(pull)) / (1.0 - 2.0 * p.force_repeatability), 5.0 * p.pad_force_min)
         if not (felt.complete and light < p.pad_force_min and force > enough):
             return math.nan
-        heavy = 1.0 if loads[0] > loads[1] else -1.0  # of the pad that bears, along x
+        heavy = 1.0 if loads[0] > loads[1] else -1.0  # side of the loaded pad along x
         ridge = felt.across / math.cos(felt.angle) - heavy * p.pad_distance * math.tan(felt.angle)
         place, lean = self._along.parts(heavy * empty_pad_offset(p, force), x)
         if abs(ridge) > _ON_PAD or heavy * lean < abs(place):
@@ -131,9 +131,9 @@ class TargetPlace:
         return heavy * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
 
     def pointed_at(self, felt: FeltPose, x: float) -> tuple[float, float]:
-        """Return where (m, along x and y) an unsure estimate points, felt by the platform at `x` (m).
+        """Return where (m, along x and y) an unsure estimate points, with the platform at `x` (m).
 
-        Out of range it points across the bars alone: nothing tells a pad that has lost its ridge along them from one
+        Out of range it points across the bars only: along them, a pad off its ridge cannot be distinguished from one
         that a lean leaves empty.
         """
         if not felt.in_range:
@@ -146,30 +146,30 @@ class TargetPlace:
         )
 
     def learn(self) -> None:
-        """Let a target whose yaw was seen teach once, by what its contacts alone told, the share of it that is left."""
-        bias, per_yaw = self._along.felt_bias, self._parameters.load_per_yaw
+        """Learn, once per target with a detected yaw, the share of the yaw that remains, from its contacts alone."""
+        bias, per_yaw = self._along.measured_bias, self._parameters.load_per_yaw
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
     def settle(self, felt: FeltPose) -> FeltPose:
-        """Take what this contact tells once the arm is at ease, and return it as `told`."""
+        """Use the estimate made with the arm at ease, and return it as `combined`."""
         self._load = felt.horizontal
-        return self.told(felt)
+        return self.combined(felt)
 
     def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
-        """Return the filter with what is known before contact: the place if any, and from the yaw the load bias."""
+        """Return the filter before contact: with the place if known, and the load bias expected from the yaw."""
         (yaw, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
         spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def told(self, felt: FeltPose, later: bool = False) -> FeltPose:
-        """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included.
+    def combined(self, felt: FeltPose, later: bool = False) -> FeltPose:
+        """Return this contact's estimate combined with all contacts, including the yaw of the faces.
 
-        `later`: this contact has been felt before; a change of its loads since then means that the target has slid.
+        `later`: this contact was estimated before; a change of its loads since then means that the target has slid.
         """
         p, contact = self._parameters, self._along.contact
-        if math.isnan(self._load):  # the published approach feels no place
+        if math.isnan(self._load):  # the published approach estimates no place
             return felt
         if later:
             spread = math.hypot(contact.stddev, p.horizontal_scale * felt.horizontal_stddev)
@@ -194,7 +194,7 @@ class TargetPlace:
 def _along_ridges(electrodes: ElectrodePose, usual_yaw: float, usual_pitch: float) -> tuple[float, float]:
     """Return the yaw along the ridges before contact and its standard deviation, rad.
 
-    Rolled ridges take a pitch for a yaw, by the tangent. What is usual among targets is a standard deviation.
+    On rolled ridges a pitch acts as a yaw, by the tangent. The usual spread of targets is a standard deviation.
     """
     roll = math.tan(electrodes.roll)
     yaw, yaw_stddev = _among(usual_yaw, electrodes.yaw, electrodes.yaw_stddev)
@@ -203,7 +203,7 @@ def _along_ridges(electrodes: ElectrodePose, usual_yaw: float, usual_pitch: floa
 
 
 def _among(usual: float, seen: float, stddev: float) -> tuple[float, float]:
-    """Return a lean (rad) and its standard deviation, by what is usual among targets and by what was seen, if known."""
+    """Return a lean (rad) and its standard deviation, by the usual spread of targets and the detected lean, if any."""
     if not (math.isfinite(seen) and math.isfinite(stddev)):
         return 0.0, usual
     weight = 1.0 / (1.0 + (stddev / usual) ** 2) if usual > 0.0 else 0.0

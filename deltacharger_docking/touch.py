@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pads tell: the misalignment, where the target is, whether the electrodes may rest here, else where to."""
+"""Decisions by touch: whether the electrodes may rest where they are, else where to move them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from deltacharger_docking.target_place import TargetPlace
 
 
 def measure(context: Context) -> Script[FeltPose]:
-    """Return what the pads feel, sure or not.
+    """Return the misalignment that the pads measure, sure or not.
 
     Raises:
-        NoTactileContact: they feel nothing.
-        TactileStale: no estimate came.
+        NoTactileContact: they measure no contact.
+        TactileStale: no estimate arrived.
     """
     parameters = context.parameters
     context.enter(State.MEASURE, parameters.measure_timeout)
@@ -52,13 +52,13 @@ def measure(context: Context) -> Script[FeltPose]:
 
 
 def with_pitch(context: Context, felt: FeltPose) -> FeltPose:
-    """Return what was felt with the pitch that was seen before contact: no pad tells it."""
+    """Return the estimate with the pitch that was detected before contact, which pads cannot measure."""
     seen = context.electrodes
     return felt if seen is None else replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
 
 
-def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
-    """Judge clearance by a usable estimate, and tell the verdict by its numbers."""
+def record_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
+    """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
     verdict = judge(felt, parameters, critical_angle)
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
@@ -75,11 +75,11 @@ def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Ver
 
 
 class Target:
-    """What is known of one target by touch, from its first contact until it is left, and what follows from it.
+    """One target as known by touch, from its first contact until the electrodes leave it.
 
     Attributes:
         critical_angle: limit of the goal, rad.
-        depth: largest z (m, charger_base) at which contact is looked for.
+        depth: largest z (m, charger_base) at which contact is searched.
     """
 
     def __init__(self, context: Context, critical_angle: float) -> None:
@@ -87,30 +87,30 @@ class Target:
         self.critical_angle = critical_angle
         self.depth = math.inf
         self._place = TargetPlace(context.parameters, context.share)
-        self._felt_here = False  # this contact has been taken
+        self._felt_here = False  # this contact has been used
         self.begin()
 
     def foresee(self, electrodes: ElectrodePose) -> None:
-        """Take where the electrodes were seen or said to be, and how they lean, before the first contact."""
+        """Set the electrodes' place and lean as detected or given before the first contact."""
         self._place = TargetPlace(self._context.parameters, self._context.share, electrodes)
 
     def begin(self) -> None:
-        """Forget what earlier goals have counted; the target's place stays known."""
+        """Reset what earlier goals counted; the target's place stays known."""
         self._angles: list[float] = []
         self._passed = 0  # contacts in a row that leave clearance
         self._unsure = self._unsure_here = 0
         self._felt: FeltPose | None = None  # in this contact
 
     def allows_rest(self, felt: FeltPose, stay: bool) -> bool:
-        """Take what is felt in this contact; return whether the electrodes may rest here and current may flow.
+        """Use the estimate of this contact; return whether the electrodes may rest here and current may flow.
 
         Args:
-            felt: sure or not.
+            felt: the estimate, sure or not.
             stay: they have been aligned before and may rest where they are, if they have clearance there.
 
         Raises:
             CriticalAngle: the target is tilted too far.
-            EstimateUnsure: what is felt contradicts the arm's own moves.
+            EstimateUnsure: the estimates contradict the arm's own moves.
         """
         context, parameters = self._context, self._context.parameters
         self._felt, context.status.aligned = felt, False
@@ -119,14 +119,14 @@ class Target:
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._place.feel(felt, x, y, context.contact.force, again=self._felt_here)
+        self._place.add(felt, x, y, context.contact.force, again=self._felt_here)
         self._felt_here = True
-        context.status.estimate = self._place.told(felt)
+        context.status.estimate = self._place.combined(felt)
         if self._place.contradicts_itself and not stay:
-            context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
+            context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=felt.horizontal)
             raise EstimateUnsure(
-                "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, does the "
-                "target move, or do its magnets pull otherwise than magnet_force and magnet_width tell?"
+                "the pads' estimates contradict the arm's own moves; check whether frames repeat, the target "
+                "moves, or magnet_force and magnet_width are wrong"
             )
         verdict = self._judge(felt)
         safe = verdict is Verdict.SAFE or (
@@ -135,39 +135,39 @@ class Target:
         self._place.choose(self._moves, self._reaches)
         context.status.aligned = safe and not self._pays and self._place.risk <= parameters.aligned_risk_max
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
-        if stay and not safe:  # the target is not any more where it was: what it did before tells nothing
+        if stay and not safe:  # the target has moved, so earlier contacts no longer count
             self._place = TargetPlace(parameters, context.share)
-            self._place.feel(felt, x, y, context.contact.force)
+            self._place.add(felt, x, y, context.contact.force)
             self._place.choose(self._moves, self._reaches)
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
-        """Take what is felt once the arm is at ease; return whether clearance remains."""
+        """Use the estimate made with the arm at ease; return whether clearance remains."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             self._context.status.estimate = self._place.settle(felt)
             return True
         self._passed, self._context.status.aligned = 0, False
         return False
 
-    def told_later(self, felt: FeltPose) -> FeltPose:
-        """Return what is felt while the electrodes rest, as all contacts together tell it."""
-        return self._place.told(felt, later=True)
+    def combined_later(self, felt: FeltPose) -> FeltPose:
+        """Return an estimate made while the electrodes rest, combined with all contacts."""
+        return self._place.combined(felt, later=True)
 
     def rest(self) -> None:
-        """Tell that the electrodes rest here."""
+        """Record that the electrodes rest here."""
         self._place.learn()
         aligned, (x, y) = self._context.status.aligned, self._place.off
         text = "another contact would not pay" if aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)
 
     def correction(self) -> tuple[float, float]:
-        """Return by how much (m) to move before the next contact, and count it.
+        """Return the move (m) before the next contact, and count it.
 
         Raises:
             Misaligned: clearance was not reached within the allowed alignments.
-            Leaning: one pad bears nearly all, again in this place.
+            Leaning: one pad carries nearly all the force, again in this place.
             EstimateUnsure: the estimate stayed unsure.
-            CriticalAngle: it did, and tells a tilt beyond the limit.
+            CriticalAngle: it stayed unsure but shows a tilt beyond the limit.
         """
         context, self._felt_here = self._context, False
         if self._felt is not None and not self._felt.usable:
@@ -177,17 +177,17 @@ class Target:
         if self._exhausted:
             context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=self._moves)
             raise Misaligned(
-                f"after {self._moves} moves no clearance is sure; the electrodes are {1000 * x:.1f} mm horizontally "
-                f"and {1000 * y:.1f} mm vertically off"
+                f"after {self._moves} moves there is no sure clearance; the electrodes are {1000 * x:.1f} mm "
+                f"horizontally and {1000 * y:.1f} mm vertically off"
             )
         if max(abs(x), abs(y)) > context.parameters.alignment_tolerance:
             context.status.alignments += 1
-            text = "to where the target was felt" if not aside else "beside it: the magnets' force tells where it is"
-            context.decide("move", f"the electrodes are taken {text}", x_m=x, y_m=y, risk=risk)
+            text = "to the estimated target" if not aside else "beside the target: the magnets' force shows its place"
+            context.decide("move", f"the electrodes move {text}", x_m=x, y_m=y, risk=risk)
         else:
             context.status.redockings += 1
-            text = "this contact lies too far beside the target" if self._pays else "clearance is not sure yet"
-            context.decide("again", f"{text}: it is made anew", risk=risk, x_m=x, y_m=y)
+            text = "this contact is too far from the target" if self._pays else "clearance is not sure yet"
+            context.decide("again", f"{text}: the contact is repeated", risk=risk, x_m=x, y_m=y)
         return x, y
 
     @property
@@ -195,7 +195,7 @@ class Target:
         return self._place.plan.gain > 0.0
 
     def _reaches(self, x: float, y: float) -> bool:
-        """Return whether the platform reaches a contact so far (m) from this one, and the place before it."""
+        """Return whether the platform reaches a contact at this offset (m), and the place before it."""
         here, parameters = self._context.position, self._context.parameters
         place = here[0] + x, here[1] + y, here[2]
         return not self._context.planner.reachable(place, (*place[:2], place[2] - parameters.lift))
@@ -209,10 +209,10 @@ class Target:
         return self._moves >= self._context.parameters.alignments_max
 
     def _judge(self, felt: FeltPose) -> Verdict:
-        """Judge this contact, and the mean angle once two have been made."""
+        """Judge this contact; after two contacts, also the mean angle."""
         parameters = self._context.parameters
         self._angles.append(felt.angle)
-        verdict = tell_verdict(self._context, felt, self.critical_angle)
+        verdict = record_verdict(self._context, felt, self.critical_angle)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
         centred = replace(felt, angle=mean, across=0.0)
@@ -224,10 +224,10 @@ class Target:
         return verdict
 
     def _look_elsewhere(self, felt: FeltPose) -> tuple[float, float]:
-        """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
+        """Return the move (m) before the next measurement: to where an unsure estimate points, or none.
 
-        A pad that has lost its ridge across the bars still tells the direction. An unsure estimate only moves the arm;
-        energising needs a sure one. One pad that bears nearly all is a lean, not a lost ridge: there it moves nowhere.
+        A pad that has lost its ridge across the bars still shows the direction. An unsure estimate only moves the arm;
+        energising needs a sure one. If one pad carries nearly all the force, the cause is a lean: no move.
         """
         context, parameters = self._context, self._context.parameters
         self._unsure_here += 1
@@ -238,7 +238,7 @@ class Target:
             if self._unsure_here >= parameters.unsure_here_max:
                 raise self._leaning(felt, yaw)
             context.status.redockings += 1
-            context.decide("again", "one pad bears nearly all: the contact is made anew", yaw_rad=yaw)
+            context.decide("again", "one pad carries nearly all the force: the contact is repeated", yaw_rad=yaw)
             return 0.0, 0.0
         x, y = self._place.pointed_at(felt, place[0])
         lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
@@ -246,24 +246,24 @@ class Target:
         if reachable and self._unsure < parameters.unsure_max:
             self._unsure_here = 0
             context.status.alignments += 1
-            context.decide("elsewhere", "a pad has lost its ridge: it is looked for", x_m=x, y_m=y)
+            context.decide("elsewhere", "a pad has lost its ridge: the arm searches for it", x_m=x, y_m=y)
             return x, y
         if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
             self._give_up(felt)
         context.status.redockings += 1
-        context.decide("again", "the estimate is unsure: the contact is made anew", times=self._unsure)
+        context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
         return 0.0, 0.0
 
     def _leaning(self, felt: FeltPose, yaw: float) -> Leaning:
-        """Return the error of faces yawed by so much (rad) at least, or by what was seen where that is more."""
+        """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
         seen = electrodes.sure_yaw(self._context.parameters.lean_sigmas) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         return Leaning(
-            f"one pad bears nearly all ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): the target's "
-            f"faces are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, unless it stands far "
-            f"beside its given place; move the robot to suggested_base_pose, which is to {in_words(yaw)}",
+            f"one pad carries nearly all the force ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): "
+            f"the target's faces are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, or it is far "
+            f"from its given place; move the robot to suggested_base_pose, which is to {in_words(yaw)}",
             (x, y, z),
             yaw,
         )
@@ -272,12 +272,12 @@ class Target:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
             raise CriticalAngle(too_tilted(felt.angle))
-        what = "outside what the estimator knows" if not felt.in_range else "unsure"
+        what = "outside the estimator's range" if not felt.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
 
 def too_tilted(angle: float) -> str:
-    """Return in words that an angle (rad) is too large."""
+    """Return the message that an angle (rad) is too large."""
     return (
         f"the target is tilted by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "
         "level the target or the charger"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens on one target: docking, charging, staying docked, and every further goal."""
+"""One target from contact to leaving it: docking, charging, staying docked, and further goals."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from deltacharger_docking.touch import Target
 
 
 class TargetVisit:
-    """One target, from the first goal on it until the electrodes leave it.
+    """One target, from its first goal until the electrodes leave it.
 
     Attributes:
-        supervising: whether a further goal may be taken: the electrodes rest on the target.
+        supervising: whether a further goal may be accepted: the electrodes rest on the target.
     """
 
     def __init__(self, context: Context, desk: GoalDesk, goal: DockGoal) -> None:
         self._context = context
         self._desk = desk
-        self._goal = goal  # what brought the arm here
+        self._goal = goal  # the first one
         limit = goal.critical_angle or context.parameters.critical_angle
         self._order = Order(goal, limit, desk.started)
         self._target = Target(context, limit)
-        self._is_new = False  # a further goal waits to be looked at
+        self._is_new = False  # a further goal has not been handled yet
         self.supervising = False
 
     def take(self, goal: DockGoal) -> DockingError | None:
-        """Take a further goal; return what speaks against going on as it wants.
+        """Accept a further goal; return why it ends the visit, if it does.
 
-        The lowest critical angle of all goals on this target counts, and who watched goes on watching.
+        The lowest critical angle of all goals on this target applies, and supervision continues.
         """
         context, order, desk = self._context, self._order, self._desk
         order.goal, order.since = goal, context.time
@@ -59,14 +59,14 @@ class TargetVisit:
         return None
 
     def _is_too_tilted(self, known: FeltPose, limit: float) -> bool:
-        """Return whether what was felt last forbids current below this critical angle, rad."""
+        """Return whether the last estimate forbids current with this critical angle, rad."""
         parameters = self._context.parameters
         if parameters.keeps_clearance:
             return known.usable and not judge(known, parameters, limit).leaves_clearance
         return known.classes is None or not known.classes.angle < limit
 
     def run(self) -> Script[None]:
-        """Dock, then serve every goal on this target until contact is lost or the servos are limp."""
+        """Dock, then serve every goal on this target until contact is lost or the torque is off."""
         order, desk = self._order, self._desk
         self.supervising = False
         yield from self._dock()
@@ -84,7 +84,7 @@ class TargetVisit:
                 return
             if order.goal.start_charging:
                 self.supervising = False
-                yield from self._stand_again()
+                yield from self._renew_contact()
 
     def _dock(self) -> Script[None]:
         context = self._context
@@ -93,17 +93,17 @@ class TargetVisit:
         self._target = Target(context, self._order.critical_angle)
         yield from dock(context, self._target, self._goal.electrodes, self._order.goal.start_charging)
 
-    def _stand_again(self) -> Script[None]:
-        """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
+    def _renew_contact(self) -> Script[None]:
+        """Measure again where the electrodes rest; dock again only if contact is no longer good."""
         context = self._context
         value, least = context.contact.value, context.parameters.contact_lost_current
         if not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
-        context.decide("stay", "docked: clearance is measured anew where it stands", contact_current_A=value)
-        yield from self._feel_again()
+        context.decide("stay", "docked: clearance is measured again at this contact", contact_current_A=value)
+        yield from self._measure_again()
 
-    def _feel_again(self) -> Script[None]:
+    def _measure_again(self) -> Script[None]:
         target = self._target
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
@@ -113,9 +113,9 @@ class TargetVisit:
             yield from align(self._context, target, stay=True)
 
     def _charge(self) -> Script[None]:
-        """Close, report success or hold the goal, watch over charging, and open."""
+        """Close the contactor, report success or hold the goal, supervise charging, and open it."""
         context, desk = self._context, self._desk
-        yield from self._feel_without_second_sources()
+        yield from self._measure_without_second_sources()
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
@@ -128,15 +128,15 @@ class TargetVisit:
         if not self._is_new:
             desk.succeed(reason)
 
-    def _feel_without_second_sources(self) -> Script[None]:
+    def _measure_without_second_sources(self) -> Script[None]:
         while self._context.doubtful:
             yield from wait_for_single_sources(self._context)
-            yield from self._feel_again()
+            yield from self._measure_again()
 
     def _stay_live(self) -> Script[None]:
-        """Stay docked without knowing what flows, and part on a stop condition."""
+        """Stay docked while charge current is not measured; leave the target on a stop condition."""
         context, order, desk = self._context, self._order, self._desk
-        yield from self._feel_without_second_sources()
+        yield from self._measure_without_second_sources()
         context.enter(State.IDLE, math.inf)
         if not order.goal.hold:
             desk.succeed(wired.DOCKED, wired.DOCKED)
@@ -147,7 +147,7 @@ class TargetVisit:
         desk.succeed(reason, f"{reason}; {wired.PARTED}")
 
     def _stay(self) -> Script[bool]:
-        """Stay docked without current; return True for a further goal, False where the arm has been let go."""
+        """Stay docked without current; return True for a further goal, False after the torque went off."""
         context, order, desk = self._context, self._order, self._desk
         context.enter(State.IDLE, math.inf)
         while not self._is_new:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Electrodes that hang on the battery (power: none), as the paper has them: live whenever they touch.
+"""Electrodes wired to the battery (power: none), as in the paper: live whenever they touch.
 
-Nothing closes, limits, measures or opens the circuit, so what docking can do is to look early and to part. It looks at
-the first touch of each contact, before it presses home, and while it stays docked it watches as over charging. It never
-says that it charges.
+Nothing closes, limits, measures or opens the circuit. So docking measures the misalignment at the first touch of each
+contact, before it presses further, and monitors docked electrodes as while charging. If a check fails, it takes the
+electrodes off. It never reports that it charges.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, wait_for_single_sources
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
-from deltacharger_docking.touch import Target, tell_verdict, too_tilted, with_pitch
+from deltacharger_docking.touch import Target, record_verdict, too_tilted, with_pitch
 
 _UNKNOWN = "this charger does not measure, limit or interrupt it"
 DOCKED = (
-    f"docked; power: none: the electrodes hang on the battery, so that current may flow now; {_UNKNOWN}; undock ends it"
+    f"docked; power: none: the electrodes are wired to the battery, so current may flow now; {_UNKNOWN}; undock ends it"
 )
-PARTED = f"the electrodes were taken off under whatever current flowed, since power is none: {_UNKNOWN}"
+PARTED = f"the electrodes were taken off without knowing the current, since power is none: {_UNKNOWN}"
 
 
 def stay_away(context: Context) -> Script[None]:
     """Wait before the first touch until there is no second source.
 
     Raises:
-        DuplicateSource: there still is one after duplicate_source_timeout.
+        DuplicateSource: there is still one after duplicate_source_timeout.
     """
     if context.observation.duplicate_sources:
         yield from wait_for_single_sources(context, State.APPROACH)
 
 
 def look(context: Context, target: Target) -> Script[FeltPose | None]:
-    """Feel where the electrodes have just met the target; return what forbids to press home, None where nothing does.
+    """Measure at the first touch; return the estimate if it forbids to press further, else None.
 
-    It does not wait until the arm rests: what may be shorted shall not lie so for long. So light a touch may not tell;
-    then it is pressed home and judged there, unless it tells a tilt beyond the limit, however unsure.
+    It does not wait until the arm rests, since shorted electrodes must not stay in contact. If so light a touch gives
+    no usable estimate, pressing continues and is judged later, unless even the unsure estimate exceeds the tilt limit.
 
     Raises:
         CriticalAngle: the target is tilted too far.
-        TactileStale: no estimate came.
+        TactileStale: no estimate arrived.
     """
     parameters = context.parameters
     context.contact.clear()
@@ -55,22 +55,22 @@ def look(context: Context, target: Target) -> Script[FeltPose | None]:
     if not reply.success or reply.estimate is None:
         raise TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
     context.status.estimate = felt = with_pitch(context, reply.estimate)
-    text = "the first touch tells" if felt.usable else "so light a touch does not tell"
+    text = "the first touch gives an estimate" if felt.usable else "the touch is too light for an estimate"
     context.decide("touched", text, contact_current_A=context.contact.value, **felt.numbers)
     if not felt.usable:
         limit = min(target.critical_angle, parameters.critical_angle)
         return felt if felt.contact and abs(felt.angle) >= limit else None
-    verdict = tell_verdict(context, felt, target.critical_angle)
+    verdict = record_verdict(context, felt, target.critical_angle)
     if verdict is Verdict.CRITICAL:
         raise CriticalAngle(too_tilted(felt.angle))
     return felt if verdict is Verdict.TOO_CLOSE else None
 
 
 def watch(context: Context, order: Order, target: Target) -> Script[str]:
-    """Watch over docked electrodes as while charging, until a stop condition is met; return which.
+    """Monitor docked electrodes as while charging, until a stop condition is met; return that condition.
 
     Raises:
-        DockingError: what is wrong; the caller retracts.
+        DockingError: the problem; the caller retracts.
     """
     watching, checks = Watch(context), clearance_checks(context, order, target)
     while True:
@@ -84,7 +84,7 @@ def watch(context: Context, order: Order, target: Target) -> Script[str]:
 
 
 def part(context: Context) -> Script[None]:
-    """Take the electrodes off the target, the only way to end what flows, and the arm home."""
+    """Retract: the only way to end the current."""
     yield from retract(context, wanted=True)
     context.status.docked = False
     context.enter(State.IDLE, math.inf)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far this arm's platform turns after a leaning target, learnt from one target to the next."""
+"""Share of a target's lean that the platform does not follow, learnt from target to target."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import math
 
 from deltacharger_docking.parameters import DockingParameters
 
-_DOUBT = 0.4  # of the share that remains by the parameters: compliance and stiffness differ from robot to robot
+_DOUBT = 0.4  # relative error of the share by the parameters: compliance and stiffness differ between robots
 
 
 class RemainingShare:
-    """Share of a yaw that is left in contact, 1/(1 + compliance · stiffness) by the parameters, then as learnt.
+    """Share of a yaw that remains in contact: 1/(1 + compliance · stiffness) by the parameters, then as learnt.
 
-    Targets whose yaw was seen teach it: what is left of the yaw is what their contacts felt as a load bias.
+    It learns from targets with a detected yaw: their contacts measure the remaining yaw as a load bias.
 
     Attributes:
         value: dimensionless.
@@ -25,11 +25,11 @@ class RemainingShare:
         self.stddev = _DOUBT * self.value
 
     def learn(self, seen: float, seen_stddev: float, left: float, left_stddev: float) -> None:
-        """Take one target: its yaw along the ridges as seen (rad), and what of it was felt to be left (rad)."""
+        """Add one target: its yaw along the ridges as detected (rad), and the measured rest of it (rad)."""
         known = all(map(math.isfinite, (seen, seen_stddev, left, left_stddev)))
         if not known or self.stddev == 0.0 or seen == 0.0:
             return
-        # What a wrong yaw and a wrong bias make of the quotient.
+        # Error of the quotient by errors of yaw and bias.
         spread = math.hypot(left_stddev, self.value * seen_stddev) / abs(seen)
         weight = self.stddev**2 / (self.stddev**2 + spread**2)
         self.value += weight * (left / seen - self.value)

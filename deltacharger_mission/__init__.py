@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The errand around a docking: drive, search, dock, charge, undock, return."""
+"""A mission: drive to the target, search, dock, charge, undock and return."""

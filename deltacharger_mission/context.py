@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the scripts of a mission share: the latest observation, this tick's requests, and what they ask of others."""
+"""State that a mission's scripts share: the latest observation, this tick's requests, and calls to other nodes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
 
-_ANSWER = 2.0  # s beyond its time to look in which the detector may answer
+_ANSWER = 2.0  # s beyond its search time in which the detector may answer
 _UNDOCK_PAUSE = 1.0  # s between two attempts
-_STATE_DELAY = 2.0  # s by which docking_state may come after a result
+_STATE_DELAY = 2.0  # s by which docking_state may arrive after a result
 _REMEDIES = {
     Task.DRIVE: "no navigator serves navigate_to_pose: start and activate Nav2, or set navigation to none",
     Task.DETECT: "no node serves detect_electrodes: start electrode_detector_node and its camera",
@@ -33,15 +33,15 @@ _REMEDIES = {
 
 
 class NotServed(Rejected, retriable=True):
-    """A node that a mission needs is not there. Example: Nav2 has not been activated yet."""
+    """A node that a mission needs is not available. Example: Nav2 has not been activated yet."""
 
 
 class NavigationFailed(Unreachable, retriable=True):
-    """The navigator gave up. Example: the way is blocked. `electrodes` is None: no other place is suggested."""
+    """The navigator failed. Example: the way is blocked. `electrodes` is None: no other place is suggested."""
 
 
 class DockFailed(DockingError):
-    """Docking or undocking ended without success; `code` and `retriable` are what it said."""
+    """Docking or undocking failed; `code` and `retriable` are those of its result."""
 
     def __init__(self, reply: TaskReply, consequence: str) -> None:
         self.code, self.retriable = reply.code or Code.INTERNAL, reply.retriable
@@ -49,11 +49,11 @@ class DockFailed(DockingError):
 
 
 class MissionContext:
-    """State shared by the scripts; the machine fills it before and empties it after each tick.
+    """State shared by the scripts; the machine sets it before each tick and clears it after.
 
     Attributes:
-        touched: a Dock goal was sent and no undocking has succeeded since: the robot must not be driven.
-        left: the robot was driven, so that it has to return.
+        touched: a Dock goal was sent and no undocking has succeeded since: the robot must not move.
+        left: the robot was driven, so it must return.
     """
 
     def __init__(self, parameters: MissionParameters) -> None:
@@ -69,20 +69,20 @@ class MissionContext:
         return self.observation.time
 
     def begin(self, request_id: str, observation: MissionObservation) -> None:
-        """Forget the last mission; where the robot stands is not known again before it drives."""
+        """Reset the state for a new mission; the robot's place is unknown until it drives."""
         self.observation = observation
         self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
-        self.deadline, self.limit = math.inf, ""  # the latter is the name of its parameter
+        self.deadline, self.limit = math.inf, ""  # limit: name of the stage's parameter
         self._calls.forget()
 
     def observe(self, observation: MissionObservation) -> None:
-        """Take the observation of this tick."""
+        """Set the observation of this tick."""
         self.observation = observation
         self._calls.hear(observation.replies)
 
     def command(self) -> MissionCommand:
-        """Return and forget what was asked for in this tick."""
+        """Return what was requested in this tick, and clear it."""
         command = MissionCommand(tuple(self._requests), tuple(self._cancels))
         self._requests, self._cancels = [], []
         return command
@@ -93,12 +93,12 @@ class MissionContext:
         self.deadline, self.limit = self.time + limit, f"{stage.name.lower()}_timeout"
 
     def drop(self) -> None:
-        """Call off all that is under way."""
+        """Cancel all open requests."""
         self._requests = []
         self._cancels.extend(sorted(self._calls.open))
 
     def call_off(self) -> Script[None]:
-        """Call off all that is under way and wait for its end, for so long."""
+        """Cancel all open requests and wait for their end, at most `cancel_timeout`."""
         self.deadline = math.inf
         self.drop()
         end = self.time + self.parameters.cancel_timeout
@@ -113,7 +113,7 @@ class MissionContext:
             yield NEXT
 
     def send(self, task: Task, **details: Place | MissionGoal | bool | float | None) -> int:
-        """Send a request, its details by the names of `TaskRequest`, and return its number."""
+        """Send a request with details named as in `TaskRequest`, and return its number."""
         request = TaskRequest(self._calls.number(), task, **details)  # type: ignore[arg-type]
         self._requests.append(request)
         return request.number
@@ -125,11 +125,11 @@ class MissionContext:
         return reply
 
     def all_there(self, tasks: list[Task]) -> Script[None]:
-        """Wait until everybody needed answers and docking_node has nothing to do.
+        """Wait until all needed nodes answer and docking_node is free.
 
         Raises:
-            NotServed: somebody is not there within wait_timeout.
-            Busy: the charger is docked or at work already.
+            NotServed: a node is missing after wait_timeout.
+            Busy: the charger is docked or busy.
         """
         end = self.time + self.parameters.wait_timeout
         while True:
@@ -138,31 +138,31 @@ class MissionContext:
             if not missing and docking is not None:
                 break
             if self.time > end:
-                raise NotServed(_REMEDIES[missing[0]] if missing else "docking_state is not heard: start docking_node")
+                raise NotServed(_REMEDIES[missing[0]] if missing else "docking_state is missing: start docking_node")
             yield NEXT
         if not docking.free:
-            raise Busy(f"the charger is at work ({docking.state.name}) or docked: undock it, then send the goal again")
+            raise Busy(f"the charger is busy ({docking.state.name}) or docked: undock it, then send the goal again")
 
     def look(self) -> Script[TaskReply]:
-        """Let the camera look once, for look_timeout.
+        """Request one detection, for look_timeout.
 
         Raises:
-            ElectrodesNotFound: nobody answers, so that other views would not help.
+            ElectrodesNotFound: the detector does not answer, so other views would not help.
         """
         number = self.send(Task.DETECT, timeout=self.parameters.look_timeout)
         end = self.time + self.parameters.look_timeout + _ANSWER
         while (reply := self._calls.take(number)) is None:
             if self.time > end:
-                raise ElectrodesNotFound("detect_electrodes does not answer: look at electrode_detector_node's log")
+                raise ElectrodesNotFound("detect_electrodes does not answer: check the log of electrode_detector_node")
             yield NEXT
         if reply.end is End.LOST:
-            raise ElectrodesNotFound("detect_electrodes went away: look at electrode_detector_node's log")
+            raise ElectrodesNotFound("detect_electrodes disappeared: check the log of electrode_detector_node")
         return reply
 
     def dock(self, goal: MissionGoal) -> Script[TaskReply]:
-        """Dock and charge until docking ends its goal; the stage turns to CHARGE when it says that current flows.
+        """Dock and charge until docking ends its goal; the stage becomes CHARGE when docking reports current.
 
-        Where it rests on the target without saying so (power: none), the stage remains and has the time of CHARGE.
+        If it rests on the target without reporting current (power: none), the stage remains, with the limit of CHARGE.
         """
         self.enter(Stage.DOCK, self.parameters.dock_timeout)
         number = self.send(Task.DOCK, goal=goal)
@@ -176,10 +176,10 @@ class MissionContext:
         return reply
 
     def undock(self) -> Script[None]:
-        """Undock, trying more than once: a robot that cannot is stranded. It must not be driven before.
+        """Undock, with repeated attempts, since a failure strands the robot: it must not be driven before.
 
         Raises:
-            DockFailed, PhaseTimeout: it did not succeed.
+            DockFailed, PhaseTimeout: undocking failed.
         """
         for left in reversed(range(self.parameters.undock_attempts)):
             self.enter(Stage.UNDOCK, self.parameters.undock_timeout)
@@ -192,7 +192,7 @@ class MissionContext:
             yield from self.wait(_UNDOCK_PAUSE)
 
     def drive(self, place: Place, precise: bool = False) -> Script[None]:
-        """Let the navigator drive there and remember where it arrived; never while anything ties robot and target.
+        """Let the navigator drive to `place` and store where it arrived; never while robot and target may be connected.
 
         Raises:
             Busy: docking_node is not free.
@@ -201,33 +201,33 @@ class MissionContext:
         end = self.time + _STATE_DELAY
         while self.touched or self.observation.docking is None or not self.observation.docking.free:
             if self.time > end:
-                raise Busy("docking_state says that the charger is docked or at work, so the robot was not driven")
+                raise Busy("docking_state reports that the charger is docked or busy, so the robot was not driven")
             yield NEXT
         self.left = True
         self.status.place = None
         reply = yield from self.answer(self.send(Task.DRIVE, place=place, precise=precise))
         if reply.end is not End.DONE:
             raise _drive_failure(reply, place)
-        told = reply.place
+        reported = reply.place
         near = self.parameters.arrival_distance_max
-        known = told is not None and told.frame == place.frame and told.distance(place) <= near
-        self.status.place = told if known else place
+        known = reported is not None and reported.frame == place.frame and reported.distance(place) <= near
+        self.status.place = reported if known else place
 
 
 def dock_failure(reply: TaskReply, consequence: str = "") -> DockingError:
-    """Return the error of docking or undocking that did not succeed."""
+    """Return the error of a docking or undocking that failed."""
     if reply.end is End.LOST:
-        return PhaseTimeout("docking_node went away; start it again and look at its log" + consequence)
+        return PhaseTimeout("docking_node disappeared; start it again and check its log" + consequence)
     return DockFailed(reply, consequence)
 
 
 def _drive_failure(reply: TaskReply, place: Place) -> DockingError:
     where = f"({place.x:.2f}, {place.y:.2f}) of {place.frame}"
     if reply.end is End.REFUSED:
-        return Rejected(f"the navigator refused to drive to {where}: is it active, and does it know this frame?")
+        return Rejected(f"the navigator refused to drive to {where}: check that it is active and knows this frame")
     if reply.end is End.LOST:
-        return PhaseTimeout("the navigator went away while it drove; look at its log and localise the robot")
-    said = f": {reply.message}" if reply.message else ""
+        return PhaseTimeout("the navigator disappeared while driving; check its log and localize the robot")
+    reason = f": {reply.message}" if reply.message else ""
     if reply.end is End.CANCELED:
-        return NavigationFailed(f"somebody else cancelled the drive to {where}{said}")
-    return NavigationFailed(f"the navigator did not reach {where}{said}; clear the way or correct the place")
+        return NavigationFailed(f"another client cancelled the drive to {where}{reason}")
+    return NavigationFailed(f"the navigator did not reach {where}{reason}; clear the way or correct the place")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the mission's state machine sees and what it says, once per tick."""
+"""Inputs and outputs of the mission's state machine in each tick."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deltacharger_mission.places import Place
 
 
 class Stage(IntEnum):
-    """What the mission is at; the numbers are those of ChargeRobot.action."""
+    """Stages of a mission; the numbers are those of ChargeRobot.action."""
 
     WAIT = 0
     DRIVE = 1
@@ -24,7 +24,7 @@ class Stage(IntEnum):
 
 
 class Task(Enum):
-    """What the machine may ask others to do; each request is answered by a `TaskReply`."""
+    """Requests to other nodes; each is answered by a `TaskReply`."""
 
     DRIVE = "navigate_to_pose"
     DETECT = "detect_electrodes"
@@ -34,7 +34,7 @@ class Task(Enum):
 
 @dataclass(frozen=True)
 class MissionGoal:
-    """What a client wants: electrodes that should be at `electrodes` (None where nobody drives), and stop conditions.
+    """A client's request: electrodes expected at `electrodes` (None without navigation), and stop conditions.
 
     `stop_energy` in J and `stop_after` in s, 0 = none.
     """
@@ -47,7 +47,7 @@ class MissionGoal:
 
 @dataclass(frozen=True)
 class TaskRequest:
-    """One errand for somebody else; `number` comes back in the reply.
+    """One request to another node; the reply repeats its `number`.
 
     `place` and `precise` (a small move near the target) belong to DRIVE, `timeout` (s) to DETECT, `goal` to DOCK.
     """
@@ -67,20 +67,20 @@ class End(Enum):
     FAILED = "failed"
     REFUSED = "refused"
     CANCELED = "canceled"
-    LOST = "lost"  # who served it went away
+    LOST = "lost"  # its server disappeared
 
 
 @dataclass(frozen=True)
 class TaskReply:
-    """Answer to the request of the same number.
+    """Answer to the request with this number.
 
     Attributes:
-        code, retriable: of docking, where it failed.
-        message: why, and what to do.
-        place: where the navigator last said the base was, None = it did not say.
-        electrodes: as the camera saw them.
-        suggested: where charger_base should stand, None = nowhere else. A yaw of 0 tells no turn: it may be unknown.
-        unmeasured: docking does not know what it has charged (power: none).
+        code, retriable: of docking, if it failed.
+        message: the reason and the remedy.
+        place: last place of the base by the navigator, None = not reported.
+        electrodes: as detected by the camera.
+        suggested: better pose of charger_base, None = no other. Its yaw is 0 if the yaw of the faces is unknown.
+        unmeasured: docking cannot measure the charge (power: none).
     """
 
     number: int
@@ -96,7 +96,7 @@ class TaskReply:
 
 @dataclass(frozen=True)
 class DockingReport:
-    """docking_state: what docking_node is at."""
+    """State of docking_node, from docking_state."""
 
     state: State = State.IDLE
     docked: bool = False
@@ -104,18 +104,18 @@ class DockingReport:
 
     @property
     def free(self) -> bool:
-        """Whether nothing ties the robot to a target, so that its base may move."""
+        """Whether nothing connects the robot to a target, so that its base may move."""
         return self.state is State.IDLE and not self.docked and not self.charging
 
     @property
     def rests(self) -> bool:
-        """Whether the electrodes rest on the target and docking does not say that it charges."""
+        """Whether the electrodes rest on the target and docking does not report charging."""
         return self.state is State.IDLE and self.docked and not self.charging
 
 
 @dataclass(frozen=True)
 class MissionObservation:
-    """Everything known at `time` (s, monotonic); `docking` None = docking_state was never heard."""
+    """Everything known at `time` (s, monotonic); `docking` None = docking_state was never received."""
 
     time: float
     served: frozenset[Task] = frozenset()
@@ -125,7 +125,7 @@ class MissionObservation:
 
 @dataclass(frozen=True)
 class MissionCommand:
-    """What to do now: requests to send, and numbers of requests to call off."""
+    """What to do now: requests to send, and numbers of requests to cancel."""
 
     requests: tuple[TaskRequest, ...] = ()
     cancels: tuple[int, ...] = ()
@@ -133,14 +133,14 @@ class MissionCommand:
 
 @dataclass(frozen=True)
 class MissionOutcome(GoalOutcome):
-    """How a mission ended; `returned`: the robot stands at its base and nothing holds it."""
+    """Result of a mission; `returned`: the robot is at home and free of the target."""
 
     returned: bool = False
 
 
 @dataclass
 class MissionStatus:
-    """What the machine tells about itself between commands."""
+    """The machine's state between commands."""
 
     stage: Stage = Stage.WAIT
     request_id: str = ""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission state machine: the paper's strategy of operation.
 
-Wait until all that is needed answers, drive to the target, look for its electrodes, stand again where they are out of
+Wait until all needed nodes answer, drive to the target, look for its electrodes, move the robot if they are out of
 reach or askew, dock, charge, undock, return. `step` takes an observation and returns a command; it reads no clock,
-opens no port and never blocks. Whatever ends the errand, the way out is the same: call off what is under way, undock,
+opens no port and never blocks. However the mission ends, the final steps are equal: cancel open requests, undock,
 return.
 """
 
@@ -30,17 +30,17 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views
 
-_LOOK_PAUSE = 0.5  # s between two looks of one who stands still
-_MENDED_BY_A_STAND = (Code.UNREACHABLE, Code.LEANING)
+_LOOK_PAUSE = 0.5  # s between two detections from one place
+_MENDED_BY_A_MOVE = (Code.UNREACHABLE, Code.LEANING)
 
 
 class MissionMachine:
-    """Serves one goal at a time; `status` and `outcome` tell the shell how it stands.
+    """Serves one goal at a time; `status` and `outcome` report its progress and result.
 
     Args:
-        parameters: what it decides by.
+        parameters: of missions.
         mount: of the arm on the robot.
-        home: where the base returns to; None = nobody drives, the charger stands still and the target comes to it.
+        home: place to return to; None = without navigation: the charger does not move and the target comes to it.
     """
 
     def __init__(self, parameters: MissionParameters, mount: BaseMount, home: Place | None) -> None:
@@ -50,12 +50,12 @@ class MissionMachine:
         self._runner = Runner()
         self._cancel = self._interruptible = self._returns = False
         self._started = 0.0
-        self._notice = ""  # what the client must know of a success
+        self._notice = ""  # further information for the client after success
         self.outcome: MissionOutcome | None = None
 
     @property
     def parameters(self) -> MissionParameters:
-        """What it decides by."""
+        """Its parameters."""
         return self._context.parameters
 
     @property
@@ -72,9 +72,9 @@ class MissionMachine:
         """Begin a mission.
 
         Args:
-            goal: what is asked for.
-            observation: what is known now.
-            mount: of the arm on the robot, where it is known better than before.
+            goal: the request.
+            observation: the present one.
+            mount: of the arm on the robot, if updated.
 
         Raises:
             Rejected: the goal cannot be served; nothing moved.
@@ -94,14 +94,14 @@ class MissionMachine:
         self._runner.start(self._mission(goal))
 
     def tune(self, parameters: MissionParameters, home: Place | None) -> str:
-        """Decide by other parameters from the next goal on; return why not where that is refused."""
+        """Use other parameters from the next goal on; return why not if that is refused."""
         if self.busy:
             return "a goal is running: another mission is under way; cancel it or wait for its result"
         self._context.parameters, self._home = parameters, home
         return ""
 
     def cancel(self) -> None:
-        """Let the goal end with CANCELED: undocked and returned; on the way back already, where the robot stands."""
+        """End the goal with CANCELED, undocked and returned; during the return, the robot stops where it is."""
         self._cancel = True
 
     def step(self, observation: MissionObservation) -> MissionCommand:
@@ -113,13 +113,13 @@ class MissionMachine:
         return self._context.command()
 
     def emergency(self) -> MissionCommand:
-        """Return the command that calls everything off, and forget the goal: for a shell that must end."""
+        """Return the command that cancels everything, and forget the goal: for a shell that must end."""
         self._runner.stop()
         self._context.drop()
         return self._context.command()
 
     def _problem(self) -> DockingError | None:
-        """Return what must interrupt the script now."""
+        """Return the reason to interrupt the script now, if any."""
         time, stage = self._context.time, self.status.stage
         if self._cancel and (self._interruptible or self._returns):
             self._cancel = False
@@ -131,18 +131,18 @@ class MissionMachine:
         return None
 
     def _mission(self, goal: MissionGoal) -> Script[None]:
-        """Run the errand; whatever ends it, take the way out and keep the first error."""
+        """Run the mission; however it ends, take the final steps and keep the first error."""
         first: DockingError | None = None
         message, returned = "", False
         self._interruptible = True
         try:
-            message = yield from self._errand(goal)
+            message = yield from self._charge_target(goal)
         except DockingError as error:
             first, message = error, str(error)
         finally:
             self._interruptible = False
         charged = first is None
-        self._note(first)
+        self._report(first)
         try:
             yield from self._context.call_off()
             if self._context.touched:
@@ -153,26 +153,26 @@ class MissionMachine:
             self._returns = True
             returned = yield from self._return()
         except DockingError as error:
-            self._returns = False  # what is called off is waited for, whoever cancels meanwhile
+            self._returns = False  # waiting for the end of cancelled requests must not be interrupted
             message = f"{message}; then {error}"
             first = first or error
             yield from self._context.call_off()
         self._returns = False
-        self._note(first)
-        # A target that has been charged needs no second mission, whatever became of the charger.
+        self._report(first)
+        # A charged target needs no second mission, even if the charger failed afterwards.
         retriable = first is not None and first.retriable and not charged
         status = self.status
         self.outcome = MissionOutcome(
             first is None, status.code, message, retriable, status.elapsed, notice=self._notice, returned=returned
         )
 
-    def _note(self, error: DockingError | None) -> None:
+    def _report(self, error: DockingError | None) -> None:
         self.status.code, self.status.message = (Code.NONE, "") if error is None else (error.code, str(error))
 
-    def _errand(self, goal: MissionGoal) -> Script[str]:
-        """Do what was asked, and return in words how it ended."""
+    def _charge_target(self, goal: MissionGoal) -> Script[str]:
+        """Do the mission and return the success message."""
         context, parameters = self._context, self.parameters
-        yield NEXT  # so that WAIT is told, too
+        yield NEXT  # so that WAIT is also reported
         yield from context.all_there([task for task in Task if task is not Task.DRIVE or self._home is not None])
         electrodes = goal.electrodes if self._home is not None else None
         distance = parameters.view_distance
@@ -186,14 +186,14 @@ class MissionMachine:
             if better is None:
                 reply = yield from context.dock(goal)
                 if reply.end is End.DONE and reply.unmeasured:
-                    self._notice = reply.message or "docked; what was charged is not measured"
+                    self._notice = reply.message or "docked; the charge is not measured"
                     return self._notice
                 if reply.end is End.DONE:
                     return f"charged: {reply.message}" if reply.message else "charged"
-                if reply.code not in _MENDED_BY_A_STAND or reply.suggested is None:
+                if reply.code not in _MENDED_BY_A_MOVE or reply.suggested is None:
                     raise dock_failure(reply)
                 electrodes = self._suggested(reply.suggested, electrodes)
-                # Merely too high or too low, no turn worth driving, or the last stand: another one would not help.
+                # Another pose would not help: only the height is wrong, the turn is too small, or all moves are used.
                 better = self._better(electrodes, parameters.gain_min, parameters.gain_turn_min)
                 if better is None:
                     raise dock_failure(reply)
@@ -203,14 +203,14 @@ class MissionMachine:
             yield from context.drive(better, precise=True)
 
     def _search(self, electrodes: Place | None, distance: float) -> Script[ElectrodePose]:
-        """Look for the electrodes from place to place, and return how they are seen."""
+        """Look for the electrodes from place to place, and return the detection."""
         context, parameters = self._context, self.parameters
-        # One who stands still looks again until time is up: the target may still be coming.
+        # Without navigation look again until time is up: the target may still be on its way.
         end = context.time + parameters.search_timeout
         context.enter(Stage.SEARCH, math.inf if electrodes is None else parameters.search_timeout)
         places = [None] if electrodes is None else list(views(electrodes, distance, self._mount, parameters))
         for index, place in enumerate(places):
-            if index and place is not None:  # the first view is from where the robot stands
+            if index and place is not None:  # the first view is from the present place
                 yield from context.drive(place, precise=True)
             while True:
                 self.status.views += 1
@@ -221,12 +221,12 @@ class MissionMachine:
                     break
                 yield from context.wait(_LOOK_PAUSE)
         raise ElectrodesNotFound(
-            f"no electrodes were found, {self.status.views} looks; the last said: {reply.message}. Does the target "
-            "stand where it was said to stand, and facing that way?"
+            f"no electrodes were found in {self.status.views} detections; the last reported: {reply.message}. Check "
+            "that the target is at the given place and faces the given way"
         )
 
     def _placed(self, seen: ElectrodePose, electrodes: Place | None) -> Place | None:
-        """Return where seen electrodes are on the ground, facing as seen where that is sure, else as told before."""
+        """Return detected electrodes on the ground, facing as detected if that is sure, else as given."""
         here = self.status.place
         if electrodes is None or here is None:
             return None
@@ -236,7 +236,7 @@ class MissionMachine:
         return self._mount.seen_from(here, seen.position, facing)
 
     def _suggested(self, base: BasePose, electrodes: Place | None) -> Place | None:
-        """Return the electrodes on the ground that charger_base would face squarely from a suggested stand."""
+        """Return the electrodes on the ground that charger_base would face squarely from a suggested pose."""
         here = self.status.place
         if electrodes is None or here is None:
             return None
@@ -244,7 +244,7 @@ class MissionMachine:
         return self._mount.seen_from(here, base.electrodes, facing)
 
     def _better(self, electrodes: Place | None, distance: float, turn: float) -> Place | None:
-        """Return where docking wants the robot to stand, if it may stand again and is off by more than m or rad."""
+        """Return a better place to dock from, if a move is allowed and the error exceeds these limits (m, rad)."""
         here = self.status.place
         if electrodes is None or here is None or self.status.stands >= self.parameters.stands_max:
             return None
@@ -252,7 +252,7 @@ class MissionMachine:
         return right if here.distance(right) > distance or here.turn(right) > turn else None
 
     def _return(self) -> Script[bool]:
-        """Drive home where the robot left; return whether it stands at its base."""
+        """Drive home if the robot was driven; return whether it is at home."""
         if self._home is None:
             return True
         if not self._context.left:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every number that a mission decides by, with its bounds. mission_node declares its ROS parameters from this table."""
+"""Every parameter of missions, with its bounds. mission_node declares its ROS parameters from this table."""
 
 from __future__ import annotations
 
@@ -12,59 +12,55 @@ from deltacharger_docking.parameters import DockingNodeParameters
 
 @dataclass(frozen=True)
 class MissionParameters(Bounded):
-    """Parameters of the mission state machine, which may be set between goals; reasons in docs/mission.md.
+    """Parameters of the mission state machine, which can be set between goals; reasons in docs/mission.md.
 
     Raises:
         ParameterError: a value lies outside its bounds.
     """
 
-    home_x: float = tunable(0.0, -1e5, 1e5, "m", "where the base returns to, x in map_frame")
-    home_y: float = tunable(0.0, -1e5, 1e5, "m", "where the base returns to, y in map_frame")
-    home_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "heading there")
+    home_x: float = tunable(0.0, -1e5, 1e5, "m", "home of the base, x in map_frame")
+    home_y: float = tunable(0.0, -1e5, 1e5, "m", "home of the base, y in map_frame")
+    home_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "heading at home")
     electrodes_x: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
     electrodes_y: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
-    electrodes_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "which way they face, from the target's x to its y")
-    view_distance: float = tunable(0.20, 0.08, 2.0, "m", "distance of the electrodes at which the search begins")
+    electrodes_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "direction that they face, from x toward y there")
+    view_distance: float = tunable(0.20, 0.08, 2.0, "m", "distance from the electrodes at which the search begins")
     search_turn: float = tunable(0.2, 0.02, 1.0, "rad", "turn between two views")
-    search_turns: int = tunable(2, 0, 8, "", "turns to either side at each distance")
+    search_turns: int = tunable(2, 0, 8, "", "turns to each side at each distance")
     search_step: float = tunable(0.15, 0.01, 1.0, "m", "step back between two rows of views")
     search_steps: int = tunable(1, 0, 5, "", "steps back")
-    look_timeout: float = tunable(3.0, 0.2, 60.0, "s", "how long the camera looks for the electrodes from one place")
-    stand_tolerance: float = tunable(0.03, 0.005, 0.5, "m", "distance from the right place that docking starts from")
-    stand_turn_tolerance: float = tunable(
-        0.05, 0.01, 1.0, "rad", "turn from the right heading that docking starts from"
-    )
+    look_timeout: float = tunable(3.0, 0.2, 60.0, "s", "time of one detection of the electrodes")
+    stand_tolerance: float = tunable(0.03, 0.005, 0.5, "m", "largest distance from the right place when docking starts")
+    stand_turn_tolerance: float = tunable(0.05, 0.01, 1.0, "rad", "largest error of the heading when docking starts")
     facing_stddev_max: float = tunable(
-        math.radians(2.0), 0.0, 0.5, "rad", "standard deviation of a seen yaw beyond which the told facing is believed"
+        math.radians(2.0), 0.0, 0.5, "rad", "standard deviation of a detected yaw above which the given facing is used"
     )
-    gain_min: float = tunable(0.005, 0.0, 0.5, "m", "least distance to stand again where docking says so")
-    gain_turn_min: float = tunable(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking says so")
-    arrival_distance_max: float = tunable(0.5, 0.01, 10.0, "m", "distance from the goal beyond which a place is stale")
-    stands_max: int = tunable(3, 0, 10, "", "how often the robot stands again before it gives up")
-    undock_attempts: int = tunable(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")
-    wait_timeout: float = tunable(10.0, 0.5, 600.0, "s", "limit for WAIT, until all that a mission needs answers")
+    gain_min: float = tunable(0.005, 0.0, 0.5, "m", "least distance of a move that docking suggests")
+    gain_turn_min: float = tunable(0.02, 0.0, 1.0, "rad", "least turn of a move that docking suggests")
+    arrival_distance_max: float = tunable(0.5, 0.01, 10.0, "m", "distance from the goal above which a place is stale")
+    stands_max: int = tunable(3, 0, 10, "", "most moves to a better place for docking")
+    undock_attempts: int = tunable(2, 1, 5, "", "attempts to undock before the robot stays where it is")
+    wait_timeout: float = tunable(10.0, 0.5, 600.0, "s", "limit for WAIT, until all needed nodes answer")
     drive_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for DRIVE")
     search_timeout: float = tunable(180.0, 1.0, 3600.0, "s", "limit for SEARCH")
     dock_timeout: float = tunable(360.0, 5.0, 7200.0, "s", "limit for DOCK until current flows; above docking's own")
     charge_timeout: float = tunable(14400.0, 1.0, 86400.0, "s", "limit for CHARGE")
     undock_timeout: float = tunable(60.0, 1.0, 600.0, "s", "limit for one attempt of UNDOCK")
     return_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for RETURN")
-    cancel_timeout: float = tunable(30.0, 0.5, 300.0, "s", "how long the end of something called off is waited for")
+    cancel_timeout: float = tunable(30.0, 0.5, 300.0, "s", "limit for cancelled requests to end")
     lost_timeout: float = number(5.0, 0.1, 600.0, "s", "how long an action may have no server before its goal is lost")
-    mission_timeout: float = tunable(18000.0, 5.0, 172800.0, "s", "limit for all of it until the way out begins")
+    mission_timeout: float = tunable(18000.0, 5.0, 172800.0, "s", "limit for a mission until its final steps begin")
 
 
 @dataclass(frozen=True)
 class MissionNodeParameters(Bounded):
-    """Who drives, and where the charger is on the robot."""
+    """Navigation, and the charger's place on the robot."""
 
-    navigation: str = choice("none", ("nav2", "none"), "who drives: nav2, or none: the target comes to the charger")
-    map_frame: str = words(
-        "map", "the navigator's frame in which home is given, and targets are where tf2_ros is there"
-    )
-    behavior_tree: str = words("", "file of the navigator's tree; empty = its own")
+    navigation: str = choice("none", ("nav2", "none"), "nav2 drives the robot; none: the target comes to the charger")
+    map_frame: str = words("map", "the navigator's frame: of home, and of targets if tf2_ros is installed")
+    behavior_tree: str = words("", "file of the navigator's behavior tree; empty = the navigator's default")
     precise_behavior_tree: str = words("", "the same for small moves near the target")
     base_frame: str = like(DockingNodeParameters, "base_frame", text="full name of the robot's frame")
     base_pose: tuple[float, ...] = like(
-        DockingNodeParameters, "base_pose", text="charger_base on the robot, as docking_node's"
+        DockingNodeParameters, "base_pose", text="charger_base on the robot, as in docking_node"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the base stands: poses on the ground, what the mount of the arm makes of them, and the views of a search."""
+"""Places of the base: poses on the ground, the mount of the arm, and the views of a search."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deltacharger_core.rotation import rotation
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.parameters import MissionParameters
 
-_LEVEL = 0.5  # horizontal share of charger_base's z axis below which it has no heading worth the name
+_LEVEL = 0.5  # least horizontal part of charger_base's z axis that defines a heading
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class Place:
     frame: str = "map"
 
     def at(self, x: float, y: float, yaw: float = 0.0) -> Place:
-        """Return the place that has these coordinates (m, rad) in this one."""
+        """Return the place with these coordinates (m, rad) in this one."""
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         return replace(
             self, x=self.x + cosine * x - sine * y, y=self.y + sine * x + cosine * y, yaw=wrapped(self.yaw + yaw)
         )
 
     def distance(self, other: Place) -> float:
-        """Return how far away another place of the same frame is (m)."""
+        """Return the distance of another place in the same frame (m)."""
         return math.hypot(other.x - self.x, other.y - self.y)
 
     def turn(self, other: Place) -> float:
@@ -54,7 +54,7 @@ class BaseMount:
         heading: direction of charger_base's z axis on the ground, rad in the base frame.
 
     Raises:
-        ValueError: the numbers are no pose, or charger_base's z axis stands too steep to face anything.
+        ValueError: the numbers are not a pose, or charger_base's z axis is too steep.
     """
 
     def __init__(self, pose: Sequence[float]) -> None:
@@ -64,7 +64,7 @@ class BaseMount:
         self._rotation = rotation(*pose[3:])
         forward = (self._rotation[0][2], self._rotation[1][2])
         if math.hypot(*forward) < _LEVEL:
-            raise ValueError("base_pose points charger_base's z axis up or down; the target stands beside the robot")
+            raise ValueError("base_pose points charger_base's z axis up or down; the target must be beside the robot")
         self.heading = math.atan2(forward[1], forward[0])
 
     def in_base(self, point: Vector) -> Vector:
@@ -76,14 +76,14 @@ class BaseMount:
         return x, y, z
 
     def faced(self, base: Place, yaw: float, pitch: float = 0.0) -> float:
-        """Return which way electrodes face (rad, the frame of `base`) whose z axis leans from charger_base's.
+        """Return the direction that electrodes face (rad, the frame of `base`), from the lean of their z axis.
 
         Args:
-            base: where the robot stands.
-            yaw: of their z axis about +y of charger_base, rad.
-            pitch: of it about +x, rad, less than a quarter turn.
+            base: place of the robot.
+            yaw: rotation of their z axis about +y of charger_base, rad.
+            pitch: its rotation about +x, rad, less than a quarter turn.
         """
-        away = (math.sin(yaw), -math.cos(yaw) * math.tan(pitch), math.cos(yaw))  # along their z axis, of some length
+        away = (math.sin(yaw), -math.cos(yaw) * math.tan(pitch), math.cos(yaw))  # along their z axis, not normalized
         x, y = (sum(factor * value for factor, value in zip(row, away, strict=True)) for row in self._rotation[:2])
         return wrapped(base.yaw + math.atan2(y, x) + math.pi)
 
@@ -93,17 +93,17 @@ class BaseMount:
         return replace(base.at(x, y), yaw=facing)
 
     def before(self, electrodes: Place, distance: float) -> Place:
-        """Return where the base stands so that the electrodes face charger_base from `distance` (m along its z)."""
+        """Return the base's place from which the electrodes face charger_base at `distance` (m along its z)."""
         yaw = wrapped(electrodes.yaw + math.pi - self.heading)
         x, y, _ = self.in_base((0.0, 0.0, distance))
         return replace(electrodes, yaw=yaw).at(-x, -y)
 
 
 def views(electrodes: Place, distance: float, mount: BaseMount, parameters: MissionParameters) -> Iterator[Place]:
-    """Yield the places from which to look for electrodes that should be at `electrodes`.
+    """Yield the places from which to look for electrodes expected at `electrodes`.
 
-    The first faces them from `distance` (m); then turns to either side, wider each time; then the same from farther and
-    farther back. None is nearer than the first. There are (search_steps + 1) · (2 · search_turns + 1) of them.
+    The first faces them from `distance` (m). Then follow wider and wider turns to each side, then the same from farther
+    back, in steps. None is nearer than the first. There are (search_steps + 1) · (2 · search_turns + 1) of them.
     """
     for step in range(parameters.search_steps + 1):
         place = mount.before(electrodes, distance + step * parameters.search_step)

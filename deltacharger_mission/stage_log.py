@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the log says of a mission: a line for each stage and each failure."""
+"""Log lines of a mission: one for each stage and each failure."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from deltacharger_mission.dialogue import MissionStatus, Stage
 
 
 class StageLog:
-    """Turns what the machine tells into lines; without a change there is none."""
+    """Turns changes of the machine into log lines."""
 
     def __init__(self) -> None:
         self.begin("mission")
 
     def begin(self, title: str) -> None:
-        """Take the title of a mission that begins."""
+        """Set the title of a mission that begins."""
         self._title = title
         self._stage, self._entered = Stage.WAIT, 0.0
         self._code = Code.NONE
 
     def lines(self, status: MissionStatus) -> list[str]:
-        """Return what is new."""
+        """Return the lines for what changed."""
         failed = status.code and status.code is not self._code
         self._code = status.code
         news = [f"{int(status.code)} {status.code.name}: {status.message}"] if failed else []
@@ -34,7 +34,7 @@ class StageLog:
 
 
 def _where(status: MissionStatus) -> list[str]:
-    """Return in words where the base is, and how often it looked and stood anew."""
+    """Return the base's place, the number of views and of moves to a better place, as text."""
     place = status.place
     at = (
         [] if place is None else [f"base at ({place.x:.2f}, {place.y:.2f}) m, yaw {place.yaw:.2f} rad of {place.frame}"]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """docking_node: the actions dock and undock over the docking state machine.
 
-Subscribes to servo_state, tactile_frame, charger_power; calls set_torque, tare, probe, set_contactor,
-predict_misalignment and detect_electrodes, as published get_parameters of servo_node and tactile_node, too; publishes
-joint_trajectory, docking_state, docking_decision and /diagnostics. One thread, paced by servo_state, steps the machine,
-publishes what it commands and renews the contactor's lease: if that thread hangs, the lease lapses.
+Subscribes to servo_state, tactile_frame, charger_power. Calls set_torque, tare, probe, set_contactor,
+predict_misalignment and detect_electrodes; with approach published also get_parameters of servo_node and tactile_node.
+Publishes joint_trajectory, docking_state, docking_decision and /diagnostics. One thread, paced by servo_state, steps
+the machine, publishes its commands and renews the contactor's lease. If that thread hangs, the lease lapses.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.servos_file import declare_with_servos
 from deltacharger_ros.tuning import Tuning
 
-_SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # there, in servos_file
-_TICK = 0.02  # s; pace where servo_state does not come
-_LOOK, _LOOK_AT_REST = 0.5, 1.0  # s between looks for second sources, each 0.1 ms
-_OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
-_TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
-_LAST_REQUEST = -1  # number of the request that switches the torque off at the end
+_SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file
+_TICK = 0.02  # s; period without servo_state
+_LOOK, _LOOK_AT_REST = 0.5, 1.0  # s between checks for second sources; each check takes 0.1 ms
+_OPEN_TIMEOUT = 0.6  # s for the contactor to open when the node closes
+_TORQUE_DELAY = 0.5  # s from opening after a defect to torque off
+_LAST_REQUEST = -1  # number of the final request to switch the torque off
 _SHUTTING_DOWN = "the charger is shutting down"
-_TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
+_TORQUE_TIMEOUT = 1.0  # s for the torque to go off; servo_node waits 0.5 s before it switches it off
 
 
 class DockingNode(Node):
-    """Serves dock and undock; see the module for topics and services, docs/docking.md for the parameters.
+    """Serves dock and undock; topics and services in the module docstring, parameters in docs/docking.md.
 
     Args:
-        held: command nothing, publish nothing and let goals wait until `release`.
+        held: command and publish nothing, and queue goals, until `release`.
         kwargs: of rclpy's Node.
     """
 
@@ -78,12 +78,12 @@ class DockingNode(Node):
         self._calls = Services(
             self, lambda detection: io.in_charger_base(detection, frames), transforms.named(END_EFFECTOR)
         )
-        self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
+        self._secret = secrets.token_hex(16)  # shows servo_node that this process sends the trajectories
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         ages_max = (self._settings.servo_age_max, self._settings.tactile_age_max, self._settings.power_age_max)
         self._reports = Reports(self, self._log, ages_max, frames.charger_base)
-        observe = self._inputs.observation  # takes no reply that the running goal waits for
-        self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
+        observe = self._inputs.observation  # leaves the replies for the running goal
+        self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # only needed without clearance
         self._goals = Goals(
             self,
             self._machine,
@@ -94,25 +94,25 @@ class DockingNode(Node):
             self._calls.misalignment,
             mount,
             frames,
-            self._look_whose,
+            self._find_owners,
         )
         Tuning(self, self._settings, self._tune)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
 
-    def _look_whose(self) -> None:
-        """Find out whose ports docking works with, where that decides what it may do."""
+    def _find_owners(self) -> None:
+        """Find out whether the ports in use belong to a simulated charger, if docking needs to know."""
         if self._owners is not None:
             self._inputs.simulated = self._owners.is_simulated()
 
     def _tune(self, settings: DockingParameters) -> str:
-        """Let the next goal be decided by these; what this node itself goes by is not among the live ones."""
+        """Set parameters for the next goal; those that this node itself uses are not live."""
         with self._lock:
             return self._machine.tune(settings)
 
     def release(self) -> None:
-        """Begin to work, with the goals that wait."""
+        """Start, and begin the queued goals."""
         self._closed = False
         power = ", power none: electrodes are live whenever they touch" if self._settings.always_live else ""
         self._log.info(f"takes goals, approach {self._settings.approach}{power}, version {package_version()}")
@@ -120,9 +120,9 @@ class DockingNode(Node):
         self._goals.release()
 
     def close(self) -> None:
-        """Open the contactor, see it open, stop the servos, end the goal and the loop. Safe to call twice.
+        """Open the contactor, wait until it is open, stop the servos, end the goal and the loop. Safe to call twice.
 
-        A node that was never released has commanded nothing and stays silent: another charger of its name would obey.
+        A node that was never released stays silent, because its commands would reach another charger of the same name.
         """
         if self._closed:
             return
@@ -140,17 +140,17 @@ class DockingNode(Node):
             self._calls.contactor(False, True)
             time.sleep(0.02)
         if self._settings.always_live and self._machine.status.docked:
-            self._log.error("the electrodes stay on the target, live and unwatched: undock before docking_node ends")
+            self._log.error("the electrodes stay on the target, live and unmonitored: undock before docking_node ends")
         if self._is_live(self._observe()):
-            self._log.error("the contactor does not open; the torque stays on so that no arc is drawn")
+            self._log.error("the contactor does not open; the torque stays on to avoid an arc")
         else:
-            self._see_torque_off()
+            self._await_torque_off()
         self._reports.show(self._machine.status, force=True)
         self._reports.log(self._machine.status, (), self._observe())
         self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True, energy=math.nan))
 
-    def _see_torque_off(self) -> None:
-        """Switch the torque off and wait until it is, also where an order to switch it on is still under way."""
+    def _await_torque_off(self) -> None:
+        """Switch the torque off and wait until it is, even if an order to switch it on is pending."""
         self._calls.call(Request(_LAST_REQUEST, Service.TORQUE_OFF))
         observation = self._observe()
         answered, end = observation.servo_age == math.inf, time.monotonic() + _TORQUE_TIMEOUT
@@ -160,7 +160,7 @@ class DockingNode(Node):
             answered |= any(reply.number == _LAST_REQUEST for reply in observation.replies)
 
     def destroy_node(self) -> None:
-        """Close, then release the ROS side."""
+        """Close, then destroy the ROS side."""
         self.close()
         if hasattr(self, "_goals"):
             self._goals.destroy()
@@ -184,12 +184,12 @@ class DockingNode(Node):
                     self._carry_out(command, observation)
                     self._report(command, observation)
                     self._switch_off_when_due(observation)
-            except Exception as error:  # a defect must open the contactor and end the goal, not the thread
+            except Exception as error:  # a defect must open the contactor and end the goal, but not end the thread
                 self._defect(error)
             self._slowest_tick = max(self._slowest_tick, time.monotonic() - started)
 
     def _pace(self) -> None:
-        """Wait for the next servo_state; while nothing goes on, the tick alone will do."""
+        """Wait for the next servo_state; in IDLE only for the tick."""
         if self._machine.status.state is State.IDLE:
             self._inputs.rest()
             self._stopping.wait(_TICK)
@@ -197,14 +197,14 @@ class DockingNode(Node):
             self._inputs.wait(_TICK)
 
     def _between_looks(self) -> float:
-        """Return the pause (s) between looks for second sources: long at rest, none in ENERGISE."""
+        """Return the pause (s) between checks for second sources: long at rest, none in ENERGISE."""
         status = self._machine.status
         if status.state is State.ENERGISE:
             return 0.0
         return _LOOK_AT_REST if status.state is State.IDLE and not status.docked else _LOOK
 
     def _switch_off_when_due(self, observation: Observation) -> None:
-        """After a defect, switch the torque off once the contactor is open: never before."""
+        """After a defect, switch the torque off as soon as the contactor is open, never before."""
         if time.monotonic() >= self._torque_off_at and not self._is_live(observation):
             self._torque_off_at = math.inf
             self._calls.call(Request(0, Service.TORQUE_OFF))
@@ -213,16 +213,16 @@ class DockingNode(Node):
         return observation.contactor_closed and observation.power_age <= self._settings.power_age_max
 
     def _defect(self, error: Exception) -> None:
-        """Make everything safe and end the goal, after one of our own errors."""
+        """Make everything safe and end the goal after an internal error."""
         text = f"docking stopped by a defect: {type(error).__name__}: {error}"
         self._log.error(text, pause=1.0)
         with self._lock:
             try:
                 observation = self._observe()
-            except Exception:  # where that is the defect, nothing is known; the contactor's lease lapses by itself
+            except Exception:  # if that is the defect, nothing is known; the contactor's lease lapses by itself
                 observation = Observation(time.monotonic())
             self._carry_out(self._machine.emergency(), observation)
-            self._switch_off_when_due(observation)  # here too, where every tick meets the defect
+            self._switch_off_when_due(observation)  # also here, because every tick may fail
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
             self._calls.forget()
             words = f"internal error: {error}; see the log"
@@ -231,14 +231,14 @@ class DockingNode(Node):
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed)
         if command.trajectory is not None:
-            # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
+            # Stamped with the observation: planning a line takes milliseconds, and times count from the observation.
             stamp = before_now(self.get_clock(), time.monotonic() - observation.time)
             self._trajectory.publish(io.trajectory(command.trajectory, stamp, self._secret))
         for request in command.requests:
             self._calls.call(request)
 
     def _report(self, command: Command, observation: Observation) -> None:
-        """Publish what was decided and changed, hand a finished goal over, diagnose now and then."""
+        """Publish decisions and changes, hand over a finished goal, publish diagnostics when due."""
         status = self._machine.status
         self._reports.decided(command.decisions, status.request_id)
         self._reports.show(status, command.states)
@@ -248,10 +248,10 @@ class DockingNode(Node):
         if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.refused):
             self._slowest_tick = 0.0
 
-    def _begun(self, title: str, wish: str) -> None:
-        """Tell the goal that the machine has just begun; one that needs nothing to be done has ended already."""
+    def _begun(self, title: str, order: str) -> None:
+        """Report a goal that has just begun; it may already have ended."""
         self._torque_off_at = math.inf
-        self._reports.begin(title, wish)
+        self._reports.begin(title, order)
         self._reports.show(self._machine.status)
         self._hand_over()
 
@@ -264,17 +264,17 @@ class DockingNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run docking_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured.
+    """Run docking_node until SIGINT or SIGTERM; return 0 after a signal, 2 if the configuration is wrong.
 
-    A process of its own holds the lock of its ROS domain and namespace, as `deltacharger up` does: a second charger of
-    this user on this machine is refused at once.
+    Like `deltacharger up`, the process locks its ROS domain and namespace, so a second charger of this user on this
+    computer is refused.
     """
     with contextlib.ExitStack() as lock:
         return node_support.run(lambda: _alone(DockingNode(held=True), lock), args)
 
 
 def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:
-    """Let a node work that is the only one of its name here.
+    """Release a node if it is the only one of its name on this computer.
 
     Raises:
         StartupError: another process runs a charger of this domain and namespace.
@@ -288,8 +288,8 @@ def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:
             f"docking_node: a charger of this namespace already runs in ROS domain {domain} ({taken}): stop it, or "
             "choose another ROS_DOMAIN_ID or namespace"
         ) from taken
-    except OSError as error:  # a robot works without it: docking looks for second sources over ROS
-        Log(node).warning(f"no lock can be taken that keeps a second charger away: {error}")
+    except OSError as error:  # the lock is not essential: docking also checks for second sources over ROS
+        Log(node).warning(f"the lock against a second charger is not available: {error}")
     node.release()
     return node
 

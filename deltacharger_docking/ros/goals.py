@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The actions dock and undock: goals taken, watched, fed back and answered. Part of docking_node."""
+"""The actions dock and undock: accept, monitor and answer goals, with feedback. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from deltacharger_ros.tf_tree import TransformError
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
 MEASURED = ("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy")
-"""Fields of a Dock result that are named as those of an outcome."""
+"""Fields of a Dock result that have the same names in an outcome."""
 
 
 class ServedGoal(Work):
-    """A goal being served, and the state that its client was told last.
+    """A goal being served, and the state last reported to its client.
 
     Args:
         handle: of the goal.
         name: of the action.
-        feedback: class of its message.
+        feedback: class of the feedback message.
     """
 
     def __init__(self, handle: GoalHandle, name: str, feedback: Any) -> None:
@@ -53,21 +53,21 @@ class ServedGoal(Work):
 
 
 class Goals:
-    """Serves dock and undock over the machine, one goal at a time; those that come before `release` wait for it.
+    """Serves dock and undock with the machine, one goal at a time; goals that arrive before `release` are queued.
 
     Args:
         node: owns the action servers.
-        machine: carries goals out; stepped by the node.
-        lock: held by whoever speaks to the machine.
-        observe: gives what is known now.
-        begun: called with the lock held after the machine has begun a goal, with the goal's title and wish in words; it
-            publishes and hands over an outcome that is there at once.
-        defect: called with the lock held when one of our own errors met a goal at its beginning; it makes the charger
-            safe and ends the goal.
-        misalignment: gives the message of an estimate.
-        mount: how far electrodes may lean.
-        frames: tells where goals are; may wait.
-        look: called before a goal that charges begins, without the lock; may wait.
+        machine: executes goals; stepped by the node.
+        lock: protects the machine.
+        observe: returns the present observation.
+        begun: called with the lock held after the machine has begun a goal, with the goal's title and its request as
+            text; publishes, and hands over an outcome that exists already.
+        defect: called with the lock held after an internal error at the beginning of a goal; makes the charger safe and
+            ends the goal.
+        misalignment: returns the message of an estimate.
+        mount: limits of the electrodes' lean.
+        frames: transforms goals; may block.
+        look: called without the lock before a goal that charges; may block.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Goals:
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
-        self._waiting: list[GoalHandle] | None = []  # goals that came before `release`
+        self._waiting: list[GoalHandle] | None = []  # goals that arrived before `release`
         self._servers = [
             self._serve(Dock, "dock", self._dock_goal, machine.start_dock, self._dock_result),
             self._serve(
@@ -126,44 +126,44 @@ class Goals:
         )
 
     def destroy(self) -> None:
-        """Release the ROS side."""
+        """Destroy the ROS side."""
         for server in self._servers:
             server.destroy()
 
     def release(self) -> None:
-        """Begin the goals that wait, in their order, and from now on each as it comes."""
+        """Begin the queued goals in their order; later goals begin when they arrive."""
         with self._lock:
             waiting, self._waiting = self._waiting, None
         for handle in waiting or ():
             handle.execute()
 
     def refuse(self, reason: str) -> None:
-        """Serve no goal that comes from now on."""
+        """Refuse all further goals."""
         with self._lock:
             self._refusal = reason
 
     def close(self, outcome: DockingOutcome) -> None:
-        """End the goal being served, and give its client the time to hear of it."""
+        """End the goal being served, and give its client time to receive the result."""
         goal = self._goal
         self.end(outcome)
         if goal is not None:
             goal.wait_until_told(_ANSWER)
 
     def forward_cancel(self) -> None:
-        """Tell the machine where the client has taken its goal back; before each step, so that none comes too late."""
+        """Tell the machine if the client has cancelled; called before each step, so that no cancel is late."""
         goal = self._goal
         if goal is not None and goal.handle.is_cancel_requested:
             self._machine.cancel()
 
     def end(self, outcome: DockingOutcome) -> None:
-        """Hand the outcome of the goal being served over."""
+        """End the goal being served with this outcome."""
         goal, self._goal = self._goal, None
         if goal is not None:
             self._ended = goal.handle
             goal.end(outcome)
 
     def feed_back(self, passed: Sequence[State], charge_current: float) -> None:
-        """Publish feedback where something changed, once for each state passed through since the last call."""
+        """Publish feedback if something changed, once for each state passed through since the last call."""
         goal, status = self._goal, self._machine.status
         if goal is None:
             return
@@ -191,7 +191,7 @@ class Goals:
         handle.execute()
 
     def _may_cancel(self, handle: GoalHandle) -> bool:
-        """Return whether the goal has not ended: whoever hears an acceptance knows that the arm goes back."""
+        """Return whether the goal has not ended: an accepted cancel means that the arm will retract."""
         return bool(handle.is_active) and handle is not self._ended
 
     def _begin(
@@ -204,36 +204,36 @@ class Goals:
         """
         request = goal.handle.request
         with self._lock:
-            if self._clock.has_no_time and not self._machine.status.docked:  # whoever is docked may always undock
+            if self._clock.has_no_time and not self._machine.status.docked:  # a docked charger can always undock
                 raise NoTime(NO_TIME_YET)
-        wish = read(request)
+        order = read(request)
         if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
             self._look()
         with self._lock:
             self._check_open()
             seen = self._observe()
             try:
-                start(wish, seen)
+                start(order, seen)
                 self._goal = goal
-                self._begun(titled(goal.name, request.request_id), _in_words(wish))
+                self._begun(titled(goal.name, request.request_id), _as_text(order))
             except DockingError:
                 raise
-            except Exception as error:  # the machine may have begun: nobody would serve or cancel what it does
+            except Exception as error:  # the machine may have begun; without this, nothing would end its goal
                 self._defect(error)
                 raise
         return goal
 
     def _check_open(self) -> None:
-        """Refuse what comes while the node closes.
+        """Refuse goals while the node closes.
 
         Raises:
-            Busy: it does.
+            Busy: the node closes.
         """
         if self._refusal:
             raise Busy(self._refusal)
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
-        """Return what a Dock goal asks for. The robot stands still while it docks: its pose is converted here, once."""
+        """Return the plain values of a Dock goal. The pose is converted once, since the robot stands still."""
         return DockGoal(
             electrodes=self._electrodes(request.electrodes),
             critical_angle=request.critical_angle,
@@ -244,15 +244,15 @@ class Goals:
             request_id=request.request_id,
         )
 
-    def _electrodes(self, told: PoseStamped) -> ElectrodePose | None:
+    def _electrodes(self, message: PoseStamped) -> ElectrodePose | None:
         with self._lock:
             self._check_open()
-            self._machine.check_free()  # before tf is read, whose first time takes long beside live electrodes
+            self._machine.check_free()  # before tf, whose first lookup takes long: live electrodes must not wait for it
         try:
-            charger = self._frames.charger_base_in(told.header.frame_id, told.header.stamp)
+            charger = self._frames.charger_base_in(message.header.frame_id, message.header.stamp)
         except TransformError as error:
             raise io.refusal(error) from error
-        return io.electrodes(told, self._mount, charger)
+        return io.electrodes(message, self._mount, charger)
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return to_result(
@@ -271,14 +271,14 @@ def _request_id(request: Undock.Goal) -> str:
     return str(request.request_id)
 
 
-def _in_words(wish: DockGoal | str) -> str:
-    """Return what a goal wants; '' for an undocking."""
-    if isinstance(wish, str):
+def _as_text(goal: DockGoal | str) -> str:
+    """Return a goal's request as text; '' for undocking."""
+    if isinstance(goal, str):
         return ""
-    at = "electrodes where the camera finds them"
-    if wish.electrodes is not None:
-        at = f"electrodes at {place(*wish.electrodes.position, wish.electrodes.roll)}"
-    stops = [f"{wish.stop_energy:g} J" if wish.stop_energy else "", f"{wish.stop_after:g} s" if wish.stop_after else ""]
+    at = "electrodes located by the camera"
+    if goal.electrodes is not None:
+        at = f"electrodes at {place(*goal.electrodes.position, goal.electrodes.roll)}"
+    stops = [f"{goal.stop_energy:g} J" if goal.stop_energy else "", f"{goal.stop_after:g} s" if goal.stop_after else ""]
     until = " or ".join(filter(None, stops))
-    charge = "charges" if wish.start_charging else "does not charge"
-    return f"{at}, {charge}{until and f' until {until}'}{', holds the goal' if wish.hold else ''}"
+    charge = "charges" if goal.start_charging else "does not charge"
+    return f"{at}, {charge}{until and f' until {until}'}{', holds the goal' if goal.hold else ''}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking hears: the latest of each topic as one observation. Part of docking_node."""
+"""Inputs of docking: the latest message of each topic as one observation. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
 
-_ANOTHER_CLOCK = 1e6  # s; no message is so old, nor so far ahead, by the clock that stamped it
-_SPELL = 64  # tactile frames, half a second: what comes while docking's thread is held up is still heard
-_FRAME_MAX = 16_384  # bytes of a tactile frame; one has 900
+_ANOTHER_CLOCK = 1e6  # s; a stamp this old, or this far ahead, is from another clock
+_SPELL = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
+_FRAME_MAX = 16_384  # bytes; a tactile frame has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
 SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
-"""Topics that one node may publish while docking works with them."""
+"""Topics that docking uses and only one node may publish."""
 SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "probe", "set_contactor")
-"""Services that one node may serve; besides docking's own actions, which a second docking_node serves."""
+"""Services that only one node may serve, in addition to docking's own actions, which a second docking_node serves."""
 _GOALS = ("dock/_action/send_goal", "undock/_action/send_goal")
 
 
 class Inputs:
-    """The latest of each topic, as one `Observation`.
+    """The latest message of each topic, as one `Observation`.
 
-    Topics are read when an observation is asked for: only the newest counts, and at rest that is seldom asked for. Of
-    the tactile frames all are heard, as bytes: an estimate that lets current flow must come from them.
+    Topics are read only when an observation is requested, because only the newest message counts. All tactile frames
+    are received, as bytes: an estimate that allows current must come from them.
 
     Args:
         node: subscribes.
         log: of the node.
 
     Attributes:
-        refused: messages that were not taken.
-        simulated: whether servos and board are known to be a simulated charger's; what it tells as its observation's.
-        clock: by which ages are judged. While /clock stands still nothing counts as measured anew.
+        refused: refused messages.
+        simulated: whether servos and board are known to be a simulated charger's; copied to each observation.
+        clock: used for ages. While /clock stands still no data count as new.
     """
 
     def __init__(self, node: Node, log: Log) -> None:
@@ -64,31 +64,31 @@ class Inputs:
         self._witness = Witness()
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
         self._double, self._looked = "", -math.inf
-        self._heard: dict[type[Any], Any] = {}  # the latest of each
-        self._ahead: dict[type[Any], float] = {}  # of this node's clock, s, by the stamp of what came last
-        self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and when, s
+        self._heard: dict[type[Any], Any] = {}  # the latest message of each type
+        self._ahead: dict[type[Any], float] = {}  # how far the latest stamp is ahead of this node's clock, s
+        self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
 
     def wait(self, timeout: float) -> None:
-        """Wait for the next servo_state, at most `timeout` s; for the one thread that steps."""
+        """Wait for the next servo_state, at most `timeout` s; only for the thread that steps."""
         self._servo.wait(timeout)
 
     def rest(self) -> None:
-        """Let servo_state wake nobody until the next `wait`."""
+        """Let servo_state wake no thread until the next `wait`."""
         self._servo.rest()
 
     def look(self, period: float) -> bool:
-        """Look for second sources, where the last look is longer than `period` s ago; return whether it was."""
+        """Check for second sources if the last check is more than `period` s ago; return whether it was."""
         now = time.monotonic()
         if now - self._looked < period:
             return False
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
-            self._log.warning(f"second source, so no contactor closes: {self._double}")
+            self._log.warning(f"second source, so the contactor stays open: {self._double}")
         return True
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
-        """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""
+        """Return the present observation; callable from any thread. Estimates of unconfirmed frames are refused."""
         with self._lock:
             for message in (self._servo.take(), self._power.take(), self._newest_frame()):
                 if message is not None:
@@ -96,7 +96,7 @@ class Inputs:
             return self._compose(tuple(map(self._witness.checked, replies)), contactor_refusal)
 
     def _newest_frame(self) -> TactileFrame | None:
-        """Hear all frames that came; return the newest."""
+        """Process all received frames; return the newest."""
         taken = list(self._frames.take())
         instant, now = self._instant()
         newest = b""
@@ -113,12 +113,12 @@ class Inputs:
             return None
         try:
             return deserialize_message(newest, TactileFrame)
-        except RuntimeError as error:  # bytes of a stranger: what the middleware says of them
+        except RuntimeError as error:  # foreign bytes
             self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
             return None
 
     def _hear(self, message: Any) -> None:
-        """Keep what was measured anew, by when that was: stale data are not fresh because they came or came again."""
+        """Store new measurements with their time; old data do not become fresh by being sent late or again."""
         kind = type(message)
         known = self._heard.get(kind)
         if known is not None and message.header.stamp == known.header.stamp:
@@ -130,7 +130,7 @@ class Inputs:
             check_ahead(stamp - now)
             if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
                 raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
-            if kind in _CHECKS:  # numbers of charger_power are judged where current flows by them
+            if kind in _CHECKS:  # charger_power is checked where its values are used
                 message = _CHECKS[kind](message)
         except MessageRefused as refusal:
             self.refused.add(_NAMES[kind], str(refusal))
@@ -142,8 +142,8 @@ class Inputs:
     def _instant(self) -> tuple[float, float]:
         """Return one instant in s, monotonic and on the node's clock.
 
-        In this order, and after messages were taken: where the thread is interrupted in between, data seem older than
-        they are, never fresher and never of the future.
+        Read in this order, after messages were taken: if the thread is interrupted in between, data seem older than
+        they are, never fresher and never from the future.
         """
         return time.monotonic(), seconds(self._clock.now().to_msg())
 
@@ -160,7 +160,7 @@ class Inputs:
                 servos_valid=all(servo.valid),
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
-                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN where one is: unknown
+                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
             )
         if tactile is not None:
             values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
@@ -183,7 +183,7 @@ class Inputs:
         )
 
     def _other_clock(self, now: float) -> str:
-        """Return whose stamps are not of this node's clock at all, '' = nobody's."""
+        """Return which topic is stamped by another clock; '' = none."""
         for kind, measured in self._measured.items():
             if _ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > _ANOTHER_CLOCK:
                 return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
@@ -194,16 +194,16 @@ def _in_order(message: ServoState) -> ServoState:
     """Return the servos in the order of the limbs.
 
     Raises:
-        MessageRefused: something is missing, foreign or impossible.
+        MessageRefused: data are missing, foreign or impossible.
     """
     arrays = [getattr(message, name) for name in _PER_SERVO]
     count = len(JOINTS)
     if any(len(each) != count for each in (message.name, *arrays)) or len(message.thermal_reserve) not in (0, count):
-        raise MessageRefused("its arrays are not of three servos")
+        raise MessageRefused("its arrays do not describe three servos")
     if sorted(message.name) != sorted(JOINTS):
         raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
     if any(abs(angle) > math.pi for angle in message.position):
-        raise MessageRefused("an angle lies beyond half a turn")
+        raise MessageRefused("an angle exceeds half a turn")
     if list(message.name) == list(JOINTS):
         return message
     order = [list(message.name).index(name) for name in JOINTS]
@@ -214,9 +214,9 @@ def _in_order(message: ServoState) -> ServoState:
 def _two_pads(message: TactileFrame) -> TactileFrame:
     sizes = (message.rows, message.columns, len(message.left), len(message.right))
     if sizes != (ROWS, COLUMNS, ROWS * COLUMNS, ROWS * COLUMNS):
-        raise MessageRefused(f"its pads are not of {ROWS} × {COLUMNS} taxels")
+        raise MessageRefused(f"its pads do not have {ROWS} × {COLUMNS} taxels")
     if any(np.isinf(pad).any() for pad in (message.left, message.right)):
-        raise MessageRefused("a taxel's force is endless")
+        raise MessageRefused("a taxel's force is infinite")
     return message
 
 

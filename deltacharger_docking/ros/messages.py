@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and the state machine's plain values. Part of docking_node."""
+"""Conversion between messages and the state machine's plain values. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from deltacharger_ros.frames import Contradiction, Frames
 from deltacharger_ros.messages import duration
 from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
-_UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
-_LEVEL = 1e-3  # rad; a lean below it is rounding, such as that of a quaternion of four digits
-_SAME = 1e-3  # rad between a detection's roll and that of its orientation
-_ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # of a 6 × 6 covariance, row-major: variances of the rotations, rad²
+_UNIT = (0.9, 1.1)  # accepted norm of a quaternion
+_LEVEL = 1e-3  # rad; a smaller lean is rounding, for example of a quaternion with four digits
+_SAME = 1e-3  # rad; accepted difference of a detection's roll and orientation
+_ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # in a 6 × 6 covariance, row-major: variances of the rotations, rad²
 
 
 _DEGREES = tuple(math.radians(degree) for degree in range(6))
@@ -38,12 +38,12 @@ _CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # 
 
 
 def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
-    """Return the plain values of a Misalignment; its most probable classes only where they were asked for."""
+    """Return the plain values of a Misalignment; its most probable classes only if requested."""
     return FeltPose.of(message, _classes(message) if with_classes else None)
 
 
-def told(value: FeltPose, source: Misalignment) -> Misalignment:
-    """Return the message that an estimate came from with the numbers that docking made of it."""
+def refined(value: FeltPose, source: Misalignment) -> Misalignment:
+    """Return the message of an estimate, with the values that docking has refined."""
     message = copy.deepcopy(source)
     for name in ("horizontal", "vertical", "across", "yaw", "pitch"):
         setattr(message, name, getattr(value, name))
@@ -52,7 +52,7 @@ def told(value: FeltPose, source: Misalignment) -> Misalignment:
 
 
 def _classes(message: Misalignment) -> MisalignmentClasses:
-    """Return the centres of the most probable classes; NaN where probabilities are missing or not finite."""
+    """Return the centres of the most probable classes; NaN if probabilities are missing or not finite."""
     found = {}
     for axis, centres in _CENTRES.items():
         shares = np.asarray(getattr(message, f"{axis}_probability"), dtype=float)
@@ -64,9 +64,9 @@ def _classes(message: Misalignment) -> MisalignmentClasses:
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> JointTrajectory:
     """Return waypoints as a JointTrajectory whose efforts (N·m) bound each servo's torque.
 
-    The velocities are for whoever interpolates with them; servo_node goes straight from point to point, and they are
-    dense enough for that. The frame_id, which angles do not need, is the sender's secret: servo_node knows by it who
-    leads the arm.
+    The velocities serve receivers that interpolate with them. servo_node interpolates linearly between the points,
+    which are dense enough for that. Angles need no frame_id; it holds the sender's secret, by which servo_node
+    recognizes the process that controls the arm.
     """
     message = JointTrajectory(joint_names=list(JOINTS))
     message.header.stamp = stamp
@@ -89,15 +89,15 @@ def electrodes(
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
-        message: pose of the electrodes' midpoint, its z axis away from the charger. Where that leans it is believed, at
-            `goal_lean_stddev`. One that does not is the roll about z alone, as most clients send it: nobody looked
-            whether the faces lean, so their lean is unknown.
-        mount: how far electrodes may lean.
+        message: pose of the electrodes' midpoint, its z axis away from the charger. A lean is used with the error
+            `goal_lean_stddev`. Without a lean the orientation is taken as the roll about z alone, as most clients send
+            it, and the lean of the faces is unknown.
+        mount: limits of the electrodes' lean.
         charger: charger_base in the goal's frame.
 
     Raises:
-        Rejected: a pose that is not finite, an orientation that is no unit quaternion, or one whose z axis leans by
-            more than `lean_max` from charger_base's.
+        Rejected: a pose that is not finite, an orientation that is not a unit quaternion, or a z axis that leans from
+            charger_base's by more than `lean_max`.
     """
     if not message.header.frame_id:
         return None
@@ -106,14 +106,14 @@ def electrodes(
     if not np.isfinite(position).all() or not np.isfinite(axes).all():
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
-        raise Rejected("the electrodes' orientation is no unit quaternion; send one, such as (0, 0, 0, 1)")
+        raise Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
     base = np.array(rotation(*charger[3:]))
     position, axes = base.T @ (position - np.asarray(charger[:3])), base.T @ axes
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
     if leans > mount.lean_max:
         raise Rejected(
             f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than lean_max; give "
-            "the orientation of charger_base, rolled and leaning as the electrodes do"
+            "the orientation of charger_base, with the roll and lean of the electrodes"
         )
     x, y, z = position.tolist()
     found = ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
@@ -125,17 +125,17 @@ def electrodes(
 
 
 def refusal(error: TransformError) -> Rejected:
-    """Return with what a goal is refused whose frame cannot be told; it may come back where that may pass by itself."""
+    """Return the refusal of a goal whose frame has no known transform; it is retriable if that may pass by itself."""
     lasts = isinstance(error, UnknownFrame | Contradiction)
     return Rejected(str(error)) if lasts else Unplaced(str(error))
 
 
 def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDetection:
-    """Return a detection in charger_base, whatever frame it is told in; the mount's error is its sender's to tell.
+    """Return a detection in charger_base, converted from its own frame; the sender's covariance includes its mount.
 
     Raises:
-        TransformError: its frame is not known; it is not waited for.
-        ValueError: of a detection in another frame, as of `seen`: its roll is told anew.
+        TransformError: its frame is unknown; there is no wait.
+        ValueError: as for `seen`, for a detection in another frame, whose roll is calculated again.
     """
     charger = frames.charger_base_in(message.header.frame_id, message.header.stamp, timeout=0.0)
     if charger == IDENTITY:
@@ -144,7 +144,7 @@ def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDet
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     pose = composed(inverted(charger), (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
     axes = rotation(*pose[3:])
-    if axes[0][0] < 0.0:  # the bars look the same from both ends: the roll is within a quarter turn
+    if axes[0][0] < 0.0:  # the bars look the same from both ends, so the roll is kept within a quarter turn
         pose = composed(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
         axes = rotation(*pose[3:])
     both = np.kron(np.eye(2), np.array(rotation(*charger[3:])).T)
@@ -159,9 +159,9 @@ def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDet
 
 
 def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
-    """Return a detection, `age` s old, in plain values.
+    """Return a detection with this age (s) as plain values.
 
-    A lean whose variance is NaN, or 0 as in messages that do not fill it, is unknown.
+    A lean is unknown if its variance is NaN, or 0 as in messages that do not set it.
 
     Raises:
         ValueError: orientation or roll is not finite, they contradict each other, or a rotation's variance is negative.
@@ -170,13 +170,13 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
     axes = _axes(message)
     variances = tuple(float(covariance[index]) for index in (_ABOUT_X, _ABOUT_Y, _ABOUT_Z))
     if any(variance < 0.0 for variance in variances):
-        raise ValueError("the detection has a negative variance of a rotation; look at the detector's covariance")
+        raise ValueError("the detection has a negative variance of a rotation; check the detector's covariance")
     pitch_stddev, yaw_stddev = (math.sqrt(variance) if variance > 0.0 else math.nan for variance in variances[:2])
     yaw, pitch = lean(axes)
     return ElectrodePose(
         (point.x, point.y, point.z),
         message.roll,
-        math.sqrt(variances[2]) if variances[2] >= 0.0 else math.inf,  # of NaN: unknown is not exact
+        math.sqrt(variances[2]) if variances[2] >= 0.0 else math.inf,  # NaN: an unknown error is not zero
         age,
         math.nan if math.isnan(yaw_stddev) else yaw,
         math.nan if math.isnan(pitch_stddev) else pitch,
@@ -186,22 +186,22 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
 
 
 def _axes(message: ElectrodeDetection) -> Matrix:
-    """Return a detection's axes as columns; errors of orientation and roll as of `seen`."""
+    """Return a detection's axes as columns; errors of orientation and roll as for `seen`."""
     turn = message.pose.pose.orientation
     axes = rotation(turn.x, turn.y, turn.z, turn.w)
     if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
-        raise ValueError("the detection's orientation or roll is not finite; look at the detector's mount")
-    told = math.atan2(axes[1][0], axes[0][0])
-    if abs(math.remainder(told - message.roll, 2.0 * math.pi)) > _SAME:
+        raise ValueError("the detection's orientation or roll is not finite; check the detector's mount")
+    oriented = math.atan2(axes[1][0], axes[0][0])
+    if abs(math.remainder(oriented - message.roll, 2.0 * math.pi)) > _SAME:
         raise ValueError(
-            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, that of its orientation "
-            f"{math.degrees(told):.1f}°; look at the detector"
+            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, but its orientation has "
+            f"{math.degrees(oriented):.1f}°; check the detector"
         )
     return axes
 
 
 def pose_stamped(base: BasePose | None, stamp: Any, frame: str) -> PoseStamped:
-    """Return a stand of charger_base as a pose in the present one, called `frame`; an empty frame_id for None."""
+    """Return a pose for charger_base in the present one, named `frame`; an empty frame_id for None."""
     message = PoseStamped()
     if base is not None:
         message.header.stamp = stamp

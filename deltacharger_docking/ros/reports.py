@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking tells: its state at every change, what it decided, and how it fares. Part of docking_node."""
+"""Outputs of docking: its state at every change, its decisions, and diagnostics. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.refusals import Refusals
 
-_DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
+_DECISIONS = 50  # depth: holds all decisions of a docking while a reader is busy
 _DIAGNOSTICS = 1.0  # s
 
 
@@ -32,7 +32,7 @@ class Reports:
     Args:
         node: publishes.
         log: of the node.
-        ages_max: age (s) of servo_state, tactile_frame and charger_power from which the diagnostics say ERROR.
+        ages_max: age (s) of servo_state, tactile_frame and charger_power from which diagnostics report ERROR.
         frame: full name of charger_base.
     """
 
@@ -49,17 +49,17 @@ class Reports:
         self._log, self._phases = log, PhaseLog()
 
     def begin(self, title: str, wish: str) -> None:
-        """Log that a goal was taken, and what it wants."""
+        """Log that a goal was accepted, with its request as text."""
         self._phases.begin(title)
         self._log.info(f"{title}: accepted{wish and f', {wish}'}")
 
     def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
-        """Log what is new: phases, failures, the contactor."""
+        """Log changes: phases, failures, the contactor."""
         for line in self._phases.lines(status, passed, observation):
             self._log.info(line)
 
     def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
-        """Publish docking_state where it changed, once for each state passed through since the last call."""
+        """Publish docking_state if it changed, once for each state passed through since the last call."""
         before = self._shown or DockingStatus()
         for state in changes(before.state, passed, status.state)[:-1]:
             self._publish(replace(status, state=state, docked=before.docked, charging=before.charging))
@@ -81,7 +81,7 @@ class Reports:
         self._state.publish(message)
 
     def decided(self, decisions: Sequence[Decision], request_id: str) -> None:
-        """Publish what was decided; the stamp is the observation's instant on the host clock."""
+        """Publish decisions; the stamp is the observation's time on the host clock."""
         for decision in decisions:
             message = DockingDecision(
                 request_id=request_id,
@@ -102,7 +102,7 @@ class Reports:
             status: of the machine.
             observation: the latest.
             slowest_tick: s, since the last diagnostics.
-            refused: messages so far.
+            refused: refused messages so far.
         """
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return False
@@ -111,7 +111,7 @@ class Reports:
         if status.code:
             level, text = WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
-            level, text = WARN, f"second source, so no contactor closes: {status.duplicate_sources}"
+            level, text = WARN, f"second source, so the contactor stays open: {status.duplicate_sources}"
         ages = observation.servo_age, observation.tactile_age, observation.power_age
         stale = [name for name, age, most in zip(SOURCES, ages, self._ages_max, strict=False) if age > most]
         if stale:
@@ -134,9 +134,9 @@ class Reports:
 
 
 def _age(age: float) -> str:
-    return "never heard" if math.isinf(age) else quantity(age, ".3f", "s")
+    return "never received" if math.isinf(age) else quantity(age, ".3f", "s")
 
 
 def _key(status: DockingStatus) -> tuple[object, ...]:
-    told = (status.state, status.docked, status.charging, status.code, status.message, status.request_id)
-    return *told, status.duplicate_sources
+    values = (status.state, status.docked, status.charging, status.code, status.message, status.request_id)
+    return *values, status.duplicate_sources

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking asks of other nodes: calls that never wait, and the contactor's lease. Part of docking_node."""
+"""Docking's requests to other nodes: calls without waiting, and the contactor's lease. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate, seen, told
+from deltacharger_docking.ros.messages import estimate, refined, seen
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown_misalignment
 
 _RENEWAL = 0.1  # s between renewals of the lease
-_DISCOVERY = 1.5  # s that a service may take to appear: nodes that start together find each other so late
+_DISCOVERY = 1.5  # s for a service to appear: discovery takes that long for nodes that start together
 _HOLDER = "docking_node"
-_GIVEN_UP = 2.0  # s after which the answer to a renewal is no longer waited for
-_FELT = 8  # estimates whose messages are kept; the machine tells the last one it acted on, which may not be the newest
-_SAFE = (Service.OPEN, Service.TORQUE_OFF)  # what is still asked for when a goal has failed
-_LOOKING = 0.9  # of the time for a detection: why nothing was found must arrive before docking gives up
+_GIVEN_UP = 2.0  # s after which the answer to a renewal is no longer expected
+_FELT = 8  # estimates whose messages are kept: the machine reports the last one it used, which may not be the newest
+_SAFE = (Service.OPEN, Service.TORQUE_OFF)  # requests that are still sent after a goal has failed
+_LOOKING = 0.9  # of the time for a detection: the detector's reason must arrive before docking gives up
 
 
-def _as_told(detection: ElectrodeDetection) -> ElectrodeDetection:
+def _unchanged(detection: ElectrodeDetection) -> ElectrodeDetection:
     return detection
 
 
@@ -45,14 +45,14 @@ class Services:
 
     Args:
         node: calls.
-        place: returns a detection in charger_base; may not wait.
+        place: returns a detection in charger_base; must not wait.
         end_effector: full name of this frame.
     """
 
     def __init__(
         self,
         node: Node,
-        place: Callable[[ElectrodeDetection], ElectrodeDetection] = _as_told,
+        place: Callable[[ElectrodeDetection], ElectrodeDetection] = _unchanged,
         end_effector: str = END_EFFECTOR,
     ) -> None:
         self._place = place
@@ -61,11 +61,11 @@ class Services:
         self._replies: list[Reply] = []
         self._refusal = ""
         self._felt: deque[tuple[FeltPose, Misalignment]] = deque(maxlen=_FELT)
-        self._renewals: deque[tuple[Any, float]] = deque()  # futures without an answer, and since when
+        self._renewals: deque[tuple[Any, float]] = deque()  # unanswered futures, with their start
         self._clock = node.get_clock()
         self._renewed = -math.inf
-        self._undelivered: list[tuple[Request, float]] = []  # and until when their services are waited for, s
-        self._token = ""  # of the closing that is wanted, '' = none: who does not know it cannot renew the lease
+        self._undelivered: list[tuple[Request, float]] = []  # with the time until which their services may appear, s
+        self._token = ""  # of the requested closing, '' = none: needed to renew the lease
         self._clients: dict[Service, Any] = {
             Service.TORQUE_ON: node.create_client(SetBool, "set_torque", qos_profile=SERVICE),
             Service.TARE: node.create_client(Trigger, "tare", qos_profile=SERVICE),
@@ -78,7 +78,7 @@ class Services:
         self._clients[Service.OPEN] = self._contactor
 
     def call(self, request: Request) -> None:
-        """Send a request; its reply appears in `take`. A service that is not there yet is waited for a moment.
+        """Send a request; its reply appears in `take`. A service may take a moment to appear.
 
         Requests of one service keep their order: torque on never overtakes torque off.
         """
@@ -87,14 +87,14 @@ class Services:
         self._deliver()
 
     def forget(self) -> None:
-        """Send no more of what a goal that failed had asked for, but what makes the charger safe."""
+        """Drop unsent requests of a failed goal, except those that make the charger safe."""
         self._undelivered = [each for each in self._undelivered if each[0].service in _SAFE]
 
     def _deliver(self) -> None:
-        """Send what waits for its service, or tell that nobody serves it."""
+        """Send requests whose service is available; reply to those whose service did not appear in time."""
         waiting, self._undelivered = self._undelivered, []
         clients = {self._clients[request.service] for request, _ in waiting}
-        ready = {client for client in clients if client.service_is_ready()}  # asked once, so that none overtakes
+        ready = {client for client in clients if client.service_is_ready()}  # once per client, to keep the order
         for request, end in waiting:
             client = self._clients[request.service]
             if client in ready:
@@ -125,14 +125,14 @@ class Services:
             return replies, self._refusal
 
     def misalignment(self, value: FeltPose | None) -> Misalignment:
-        """Return the message that the machine's last estimate came from, with what it made of it; NaN without one."""
+        """Return the message of the machine's last estimate, with the refined values; NaN without an estimate."""
         if value is None:
             return unknown_misalignment(self._end_effector)
         asked = (message for felt, message in list(self._felt) if felt.is_of(value))
-        return next((told(value, message) for message in asked), unknown_misalignment(self._end_effector))
+        return next((refined(value, message) for message in asked), unknown_misalignment(self._end_effector))
 
     def contactor(self, wanted: bool, closed: bool) -> None:
-        """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""
+        """Renew the lease while `wanted`, ten times a second; open at once when no longer wanted."""
         now = time.monotonic()
         changed = wanted != bool(self._token)
         if changed:
@@ -148,7 +148,7 @@ class Services:
                     self._refusal = "no node serves set_contactor"
             return
         message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LONGEST_LEASE), token=self._token)
-        # Calls that a hung node never answers are forgotten; each would be kept for ever.
+        # Calls that a hung node never answers are removed; otherwise each would be kept for ever.
         while self._renewals and (self._renewals[0][0].done() or now - self._renewals[0][1] > _GIVEN_UP):
             self._contactor.remove_pending_request(self._renewals.popleft()[0])
         future = self._contactor.call_async(message)
@@ -157,8 +157,8 @@ class Services:
         future.add_done_callback(lambda done: self._contactor_answer(token, done))
 
     def _contactor_answer(self, token: str, done: Any) -> None:
-        """Keep why the closing of this token was refused; of one that is not wanted any more it says nothing."""
-        answer = result_of(done)  # a renewal that got none lapses by itself
+        """Store why the closing with this token was refused; ignore answers to an earlier closing."""
+        answer = result_of(done)  # an unanswered renewal lapses by itself
         with self._lock:
             if token and token == self._token and answer is not None and not answer.success:
                 self._refusal = cut(answer.message)
@@ -167,13 +167,13 @@ class Services:
         try:
             answer = done.result()
             payload = self._payload(request, asked, answer) if answer.success else {}
-        except Exception as error:  # a service that fails in its node must not end docking's executor
+        except Exception as error:  # a failed service call must not end docking's executor
             self._put(Reply(request.number, False, cut(str(error))))
             return
         self._put(Reply(request.number, answer.success, cut(answer.message), **payload))
 
     def _payload(self, request: Request, asked: float, answer: Any) -> dict[str, Any]:
-        """Return what the reply of a service holds besides success and message."""
+        """Return the fields of a reply in addition to success and message."""
         service = request.service
         if service is Service.ESTIMATE:
             felt = estimate(answer.misalignment, with_classes=bool(request.model))
@@ -184,7 +184,7 @@ class Services:
             return {"resistance": answer.resistance, "target_voltage": answer.target_voltage}
         if service is not Service.DETECT:
             return {}
-        # An image from the future is as wrong as an old one.
+        # An image with a stamp in the future is as wrong as an old one.
         age = abs(seconds(self._clock.now().to_msg()) - seconds(answer.detection.header.stamp))
         return {"detection": seen(self._place(answer.detection), age)}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between ROS messages and the mission's plain values."""
+"""Conversion between ROS messages and the mission's plain values."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.unknown import unknown_misalignment
 
-_NEAR = 10.0  # m; no camera of the charger tells a terminal farther off
+_NEAR = 10.0  # m; no camera of the charger detects a terminal farther away
 
 
-def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
-    """Return the reply of a docking or an undocking; `result` is None where docking_node gave none."""
+def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
+    """Return the reply of a docking or an undocking; `result` is None if docking_node sent none."""
     if result is None:
-        return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
+        return TaskReply(number, end, Code.REJECTED, "docking_node did not accept the goal; check its log", True)
     pose = getattr(result, "suggested_base_pose", None)
-    base = _stand(pose.pose) if pose is not None and pose.header.frame_id else None
+    base = _suggested_base(pose.pose) if pose is not None and pose.header.frame_id else None
     code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
     ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
     unmeasured = math.isnan(getattr(result, "energy", 0.0))
@@ -38,21 +38,21 @@ def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     return TaskReply(number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured)
 
 
-def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
-    """Return the reply of a drive; results before Kilted carry no words, and before Iron no code."""
+def read_drive(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
+    """Return the reply of a drive; results before Kilted have no text, and before Iron no code."""
     code, words = getattr(result, "error_code", 0), cut(getattr(result, "error_msg", ""))
     message = " ".join(part for part in (words, f"(error {code} of the navigator)" if code else "") if part)
-    return TaskReply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
+    return TaskReply(number, end, message=message, place=None if feedback is None else place(feedback.current_pose))
 
 
 def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambda detection: detection) -> TaskReply:
     """Return the reply of detect_electrodes.
 
-    A robot is not sent after electrodes that no camera can see.
+    An implausible detection counts as failed, so that the robot is not sent to it.
 
     Args:
         number: of the request.
-        answer: None where it gave none.
+        answer: None if there was none.
         place: returns a detection in charger_base.
     """
     if answer is None:
@@ -62,28 +62,28 @@ def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambd
     try:
         detection = place(answer.detection)
         if near(detection.pose.pose.position) is None:
-            return TaskReply(number, End.FAILED, message=f"the detection lies beyond {_NEAR:g} m, or nowhere")
+            return TaskReply(number, End.FAILED, message=f"the detection is farther than {_NEAR:g} m, or not finite")
         return TaskReply(number, End.DONE, electrodes=seen(detection, age=0.0))
     except ValueError as error:
         return TaskReply(number, End.FAILED, message=str(error))
 
 
-def _stand(pose: Any) -> BasePose | None:
-    """Return a suggested stand; None where it is not finite, or farther off than anything of here."""
+def _suggested_base(pose: Any) -> BasePose | None:
+    """Return a suggested pose; None if it is not finite or implausibly far."""
     point, turn = near(pose.position), pose.orientation
     yaw, _ = lean(rotation(turn.x, turn.y, turn.z, turn.w))
     return BasePose(*point, yaw) if point is not None and math.isfinite(yaw) else None
 
 
 def read_state(message: Any) -> DockingReport | None:
-    """Return what docking_state says; None where its state is none."""
+    """Return the content of docking_state; None if its state is invalid."""
     if message.state not in set(State):
         return None
     return DockingReport(State(message.state), message.docked, message.charging)
 
 
 def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
-    """Return the result of a docking that never was: what was not measured is NaN."""
+    """Return the result of a docking that did not take place: all measurements are NaN."""
     return Dock.Result(
         misalignment=unknown_misalignment(frame_id),
         contact_current=math.nan,
@@ -93,7 +93,7 @@ def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
 
 
 def in_frame(message: PoseStamped, frame: str, there: Pose) -> PoseStamped:
-    """Return a pose in the frame called `frame`, in which its own frame lies at `there`."""
+    """Return a pose in the frame named `frame`; `there` is the pose of its own frame in that one."""
     point, turn = message.pose.position, message.pose.orientation
     moved = PoseStamped()
     moved.header.frame_id = frame
@@ -108,11 +108,11 @@ def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped |
 
     Args:
         request: the message.
-        electrodes: x, y (m) and yaw (rad) of the electrodes in the goal's target; None where nobody drives.
-        target: where it is, in place of the request's.
+        electrodes: x, y (m) and yaw (rad) of the electrodes in the goal's target; None without navigation.
+        target: transformed target, in place of the request's.
 
     Raises:
-        Rejected: the target has no frame, or is no pose on the ground.
+        Rejected: the target has no frame, or is not a pose on the ground.
     """
     where = None
     if electrodes is not None:
@@ -127,7 +127,7 @@ def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped |
 
 
 def place(message: PoseStamped) -> Place | None:
-    """Return a pose as a place on the ground; None where it is not finite or its quaternion is zero."""
+    """Return a pose as a place on the ground; None if it is not finite or its quaternion is zero."""
     point, turn = message.pose.position, message.pose.orientation
     length = math.hypot(turn.x, turn.y, turn.z, turn.w)
     if not (math.isfinite(point.x) and math.isfinite(point.y) and math.isfinite(length) and length > 0.0):
@@ -138,13 +138,13 @@ def place(message: PoseStamped) -> Place | None:
 
 
 def fill_pose(message: PoseStamped, where: Place) -> None:
-    """Write a place into a PoseStamped, but for its stamp."""
+    """Write a place into a PoseStamped, except its stamp."""
     message.header.frame_id = where.frame
     message.pose.position.x, message.pose.position.y = where.x, where.y
     message.pose.orientation.z, message.pose.orientation.w = math.sin(0.5 * where.yaw), math.cos(0.5 * where.yaw)
 
 
 def near(point: Any) -> Vector | None:
-    """Return a Point of charger_base as numbers; None where it is not finite or farther off than anything of here."""
+    """Return a Point of charger_base as numbers; None if it is not finite or implausibly far."""
     numbers = point.x, point.y, point.z
     return numbers if all(abs(number) <= _NEAR for number in numbers) else None

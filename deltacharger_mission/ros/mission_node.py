@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mission_node: the action charge_robot, the paper's strategy of operation, over the mission state machine.
+"""mission_node: the action charge_robot, the paper's strategy of operation, by the mission state machine.
 
 Calls the actions dock, undock and navigate_to_pose (Nav2) and the service detect_electrodes; subscribes to
-docking_state; publishes /diagnostics. One thread steps the machine. It drives nothing by itself: while it is away, the
-navigator goes on to the goal that it has, and docking_node watches over charging.
+docking_state; publishes /diagnostics. One thread steps the machine. It drives nothing itself: if it is absent, the
+navigator continues to its goal, and docking_node supervises charging.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from deltacharger_ros.tuning import Tuning
 _TICK = 0.05  # s
 _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
-_CLOSING = 3.0  # s for what is under way to hear that it is called off, and for the contactor to be seen open
-_WAITING_MAX = 2  # goals that wait for one mission, each in a worker
-_SHUT_DOWN = "mission_node was shut down; the robot stands where it is, undock before you drive it"
+_CLOSING = 3.0  # s for cancels to arrive and the contactor to open
+_WAITING_MAX = 2  # goals that join one mission, each in a worker
+_SHUT_DOWN = "mission_node was shut down; the robot stays where it is, undock before you drive it"
 
 
 def load_navigation(name: str) -> Any:
-    """Return Nav2's action NavigateToPose, None where nobody drives.
+    """Return Nav2's action NavigateToPose, None without navigation.
 
     Raises:
         StartupError: it is not installed.
@@ -62,8 +62,8 @@ def load_navigation(name: str) -> Any:
         from nav2_msgs.action import NavigateToPose
     except ImportError as error:
         raise node_support.StartupError(
-            f"driving needs the package nav2_msgs, which comes with Nav2 ({error}): source its installation, build the "
-            "stand-in of this repository by `make navigation`, or set the parameter navigation to 'none'"
+            f"driving needs the package nav2_msgs of Nav2 ({error}): source its installation, build the stand-in of "
+            "this repository by `make navigation`, or set the parameter navigation to 'none'"
         ) from error
     return NavigateToPose
 
@@ -75,14 +75,14 @@ class _Mission(Work):
         super().__init__(handle)
         self.request_id = handle.request.request_id
         self.docked: Any = None  # the result of its last docking
-        self.wishes = 0  # to cancel that the machine was told of
+        self.cancels = 0  # cancel requests that the machine knows
 
 
 class MissionNode(Node):
-    """Serves charge_robot; see the module for what it calls, docs/mission.md for the parameters."""
+    """Serves charge_robot; its calls are in the module docstring, its parameters in docs/mission.md."""
 
     def __init__(self, **kwargs: Any) -> None:
-        self._closed = True  # nothing to call off before the node is complete
+        self._closed = True  # nothing to cancel before the node is complete
         super().__init__("mission_node", **kwargs)
         settings = declare_all(self, MissionParameters, form="{text}, {unit}")
         given, transforms = declare_all(self, MissionNodeParameters), declare_all(self, TransformParameters)
@@ -127,7 +127,7 @@ class MissionNode(Node):
         self._thread.start()
 
     def _home(self, settings: MissionParameters) -> Place | None:
-        """Return where the base returns to, where it drives."""
+        """Return the home of the base, with navigation."""
         place = Place(settings.home_x, settings.home_y, settings.home_yaw, self._map_frame)
         return place if self._drives else None
 
@@ -136,10 +136,10 @@ class MissionNode(Node):
             return self._machine.tune(settings, self._home(settings))
 
     def close(self) -> None:
-        """Call docking and driving off, see charging end, and end the goal. Safe to call twice.
+        """Cancel docking and driving, wait until charging has ended, and end the goal. Safe to call twice.
 
-        docking_node opens, undocks and takes the arm home by itself once its goal is called off; the base stops where
-        it is, and is not sent home by a process that could not watch over it.
+        docking_node opens the contactor, undocks and moves the arm home by itself after its goal is cancelled. The base
+        stops where it is: a process that ends cannot supervise the way home.
         """
         if self._closed:
             return
@@ -156,9 +156,9 @@ class MissionNode(Node):
         self._end(MissionOutcome(code=Code.CANCELED, message=_SHUT_DOWN, retriable=True))
 
     def destroy_node(self) -> None:
-        """Close, then release the ROS side."""
+        """Close, then destroy the ROS side."""
         self.close()
-        if hasattr(self, "_server"):  # else it was refused its parameters
+        if hasattr(self, "_server"):  # missing if a parameter was refused
             self._server.destroy()
             self._others.destroy()
         super().destroy_node()
@@ -169,23 +169,23 @@ class MissionNode(Node):
                 with self._lock:
                     self._others.carry_out(self._machine.step(self._others.observe()))
                     self._report()
-            except Exception as error:  # a defect must call everything off and end the goal, not the thread
-                self._log.error(f"the mission met a defect: {type(error).__name__}: {error}", pause=1.0)
-                outcome = MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
+            except Exception as error:  # a defect must cancel everything and end the goal, but not end the thread
+                self._log.error(f"the mission stopped by a defect: {type(error).__name__}: {error}", pause=1.0)
+                outcome = MissionOutcome(message=f"internal error: {error}; the robot stays where it is, see the log")
                 with self._lock:
-                    with contextlib.suppress(Exception):  # it may be what has failed; the goal ends all the same
+                    with contextlib.suppress(Exception):  # the machine may be the defect; the goal must still end
                         self._others.carry_out(self._machine.emergency())
                     self._end(outcome)
 
     def _report(self) -> None:
-        """Hand a finished mission over, tell feedback where the stage changed, diagnose now and then."""
+        """Hand over a finished mission, publish feedback if the stage changed, and diagnostics when due."""
         mission, status = self._mission, self._machine.status
         if mission is not None:
-            wishes = sum(handle.is_cancel_requested for handle in mission.handles)
-            if wishes > mission.wishes:
-                mission.wishes = wishes
+            cancels = sum(handle.is_cancel_requested for handle in mission.handles)
+            if cancels > mission.cancels:
+                mission.cancels = cancels
                 self._machine.cancel()
-            if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # who has joined is told at once
+            if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # at once after a client has joined
                 mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
             for line in self._stages.lines(status):
                 self._log.info(line)
@@ -219,10 +219,10 @@ class MissionNode(Node):
         self._diagnostics.tell(level, text, entries, "mission")
 
     def _begin(self, handle: GoalHandle) -> _Mission:
-        """Begin a mission, or join the one of the same request_id.
+        """Begin a mission, or join the running one with the same request_id.
 
         Raises:
-            DockingError: it is refused.
+            DockingError: the goal is refused.
         """
         where = self._where(handle.request) if self._mission is None else None
         with self._lock:
@@ -236,7 +236,7 @@ class MissionNode(Node):
                     return running
                 raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
             if where is None:
-                raise Busy("the mission before has just ended: send the goal again")
+                raise Busy("the previous mission has just ended: send the goal again")
             settings = self._machine.parameters
             electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
             goal = io.goal(handle.request, electrodes if self._drives else None, where[0])
@@ -245,7 +245,7 @@ class MissionNode(Node):
                 self._machine.start(goal, self._others.observe(), where[1])
             except DockingError:
                 raise
-            except Exception:  # it may have begun: nobody would serve or cancel what it does
+            except Exception:  # it may have begun; without this, nothing would end it
                 self._others.carry_out(self._machine.emergency())
                 raise
             self._others.dock_result = mission.docked = self._unknown_dock()
@@ -257,22 +257,22 @@ class MissionNode(Node):
     def _unknown_dock(self) -> Any:
         return io.unknown_dock(self._end_effector)
 
-    def _target(self, told: PoseStamped) -> PoseStamped:
-        """Return a target in map_frame where tf2_ros is there: in a frame of the robot it would move as that drives.
+    def _target(self, target: PoseStamped) -> PoseStamped:
+        """Return a target in map_frame if tf2_ros is installed: in a frame of the robot it would move with the robot.
 
         Raises:
-            TransformError: its frame is not known now.
+            TransformError: its frame is unknown at present.
         """
-        frame = told.header.frame_id
+        frame = target.header.frame_id
         if not (self._drives and self._frames.follows_tf and 0 < len(frame) <= LONGEST) or frame == self._map_frame:
-            return told
-        return io.in_frame(told, self._map_frame, self._frames.pose_in(self._map_frame, frame, told.header.stamp))
+            return target
+        return io.in_frame(target, self._map_frame, self._frames.pose_in(self._map_frame, frame, target.header.stamp))
 
     def _where(self, request: Any) -> tuple[PoseStamped, BaseMount]:
-        """Return the target, and how the arm is mounted; may wait for tf.
+        """Return the target and the mount of the arm; may wait for tf.
 
         Raises:
-            Rejected: they are not known now.
+            Rejected: they are unknown at present.
         """
         try:
             return self._target(request.target), BaseMount(self._frames.base_pose())
@@ -283,13 +283,13 @@ class MissionNode(Node):
 
 
 def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:
-    """Return a mission's result; what concerns the docking is that of the last one."""
+    """Return a mission's result, with the values of the last docking."""
     details = {name: getattr(dock, name) for name in (*MEASURED, "misalignment", "suggested_base_pose")}
     return to_result(ChargeRobot, outcome, returned=outcome.returned, **details)
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run mission_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    """Run mission_node until SIGINT or SIGTERM; return 0 after a signal, 2 if the configuration is wrong."""
     return node_support.run(MissionNode, args)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the mission asks of other nodes: their actions, the detector, and docking's state."""
+"""A mission's requests to other nodes: their actions, the detector, and docking's state."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _ENDS = {
 
 
 class Others:
-    """All that a mission asks of other nodes, and what they say.
+    """Sends a mission's requests to other nodes and collects their replies.
 
     Args:
-        node: that it belongs to.
-        navigate_to_pose: the action of that name; None where nobody drives.
-        trees: behaviour trees for a drive and for a small move near the target; empty = the navigator's own.
+        node: owns clients and subscription.
+        navigate_to_pose: type of that action; None without navigation.
+        trees: behavior trees for a drive and for a small move near the target; empty = the navigator's own.
         lost_timeout: of the actions, see `ActionCaller`.
         place: returns a detection in charger_base.
         end_effector: full name of this frame.
@@ -60,7 +60,7 @@ class Others:
         self.dock_result = unknown_dock(end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
-            task: ActionCaller(node, kind, task.value, self._hearing(read), lost_timeout)
+            task: ActionCaller(node, kind, task.value, self._on_end(read), lost_timeout)
             for task, kind, read in (
                 (Task.DOCK, Dock, self._read_dock),
                 (Task.UNDOCK, Undock, read_dock),
@@ -73,12 +73,12 @@ class Others:
 
     @property
     def is_at_work(self) -> bool:
-        """Whether something was not told yet that it is called off, or current still flows."""
+        """Whether a cancel has not arrived yet, or current still flows."""
         charging = self._docking is not None and self._docking.charging
         return charging or not all(caller.is_settled for caller in self._callers.values())
 
     def observe(self) -> MissionObservation:
-        """Return what is known now; every reply is told once."""
+        """Return the present observation; every reply is returned once."""
         for caller in self._callers.values():
             caller.tick()
         served = {task for task, caller in self._callers.items() if caller.is_served}
@@ -89,7 +89,7 @@ class Others:
         return MissionObservation(time.monotonic(), frozenset(served), self._docking, replies)
 
     def carry_out(self, command: Any) -> None:
-        """Send what is asked for, and call off what is not wanted any more."""
+        """Send the requests, and cancel those that are no longer wanted."""
         for request in command.requests:
             if request.task is Task.DETECT:
                 self._look(request)
@@ -100,12 +100,12 @@ class Others:
                 caller.cancel(number)
 
     def destroy(self) -> None:
-        """Release the ROS side."""
+        """Destroy the ROS side."""
         for caller in self._callers.values():
             caller.destroy()
 
     def _look(self, request: TaskRequest) -> None:
-        """Let the camera look, where somebody serves it."""
+        """Request a detection, if the detector is available."""
         if not self._detector.service_is_ready():
             self._put(read_detection(request.number, None))
             return
@@ -118,7 +118,7 @@ class Others:
         if request.task is Task.DOCK:
             assert request.goal is not None
             self.dock_result = unknown_dock(self._end_effector)
-            return Dock.Goal(  # an empty frame_id: docking asks the camera once more, at rest and close by
+            return Dock.Goal(  # an empty frame_id: docking asks the camera again, at rest and near the target
                 hold=True,
                 stop_energy=request.goal.stop_energy,
                 stop_after=duration(request.goal.stop_after),
@@ -126,11 +126,11 @@ class Others:
             )
         assert request.place is not None
         goal = self._navigate_to_pose.Goal(behavior_tree=self._trees[request.precise])
-        fill_pose(goal.pose, request.place)  # stamp 0: the newest transform that there is
+        fill_pose(goal.pose, request.place)  # stamp 0: the newest available transform
         return goal
 
-    def _hearing(self, read: Callable[[int, End, Any, Any], TaskReply]) -> OnEnd:
-        return lambda number, end, *told: self._put(read(number, _ENDS.get(end, End.FAILED), *told))
+    def _on_end(self, read: Callable[[int, End, Any, Any], TaskReply]) -> OnEnd:
+        return lambda number, end, *result: self._put(read(number, _ENDS.get(end, End.FAILED), *result))
 
     def _put(self, reply: TaskReply) -> None:
         with self._lock:
@@ -139,7 +139,7 @@ class Others:
     def _on_state(self, message: DockingState) -> None:
         self._docking = read_state(message) or self._docking
 
-    def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> TaskReply:
+    def _read_dock(self, number: int, end: End, result: Any, feedback: Any) -> TaskReply:
         if result is not None:
             self.dock_result = result
-        return read_dock(number, end, result, heard)
+        return read_dock(number, end, result, feedback)

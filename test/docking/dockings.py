@@ -29,13 +29,13 @@ def charger(
     parameters: Mapping[str, Any] = MappingProxyType({}),
     **world: Any,
 ) -> VirtualCharger:
-    """A charger whose target is (x, y) mm and some degrees off from where the goal says."""
+    """A charger whose target differs from the goal's place by (x, y) mm and by degrees."""
     target = TargetParameters(x=x * MILLIMETRE, y=y * MILLIMETRE, roll=math.radians(degrees))
     return VirtualCharger(WorldParameters(target=target, **world), DockingParameters(**parameters), seed)
 
 
 def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **world: Any) -> VirtualCharger:
-    """The same with quick steps; servos that are given need its damping."""
+    """The same with quick steps; other servos need their damping."""
     servo = {"servo": ServoParameters(damping=quick.DAMPING)}
     return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **world})
 
@@ -48,7 +48,7 @@ def felt_as(felt: FeltPose, **values: Any) -> FeltPose:
 
 
 def assert_safe_at_home(run: VirtualCharger) -> None:
-    """The contactor is open, nothing was ever shorted, the arm is back and its torque off."""
+    """The contactor is open, there was never a short, the arm is home and its torque off."""
     truth, record = run.world.snapshot(), run.world.record
     assert not truth.contactor_closed
     assert truth.charge_current == 0.0

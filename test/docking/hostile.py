@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger of mocks whose docking_node hears its topics through somebody who distorts them on the way."""
+"""A charger of mocks whose docking_node receives its topics through a relay that distorts them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Distortion = Callable[[Any], Any]
 
 
 class Relay(Node):
-    """Says what the mocks say under `heard/`, distorted by `distort[topic]`; None = silence."""
+    """Publishes the mocks' messages under `heard/`, distorted by `distort[topic]`; None = no message."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("relay", **options(context, namespace))
@@ -46,9 +46,9 @@ class Relay(Node):
     def _passer(self, topic: str, publisher: Any) -> Callable[[Any], None]:
         def hand_on(message: Any) -> None:
             distort = self.distort.get(topic)
-            told = message if distort is None else distort(message)
-            if told is not None:
-                publisher.publish(told)
+            sent = message if distort is None else distort(message)
+            if sent is not None:
+                publisher.publish(sent)
 
         return hand_on
 
@@ -113,7 +113,7 @@ class Hostile:
         return time.monotonic() - start
 
     def heal(self) -> None:
-        """Distort nothing any more, and bring everything back to rest, once what is under way has ended."""
+        """End all distortions, wait until running goals have ended, and bring everything back to rest."""
         self.relay.distort.clear()
         self.servos.reboot()
         wait_until(lambda: self.client.undock(deadline=DEADLINE).success, "the arm back home")
@@ -126,17 +126,17 @@ class Hostile:
 
 
 class Defects:
-    """Counts what docking_node logs as a defect of its own."""
+    """Collects what docking_node logs as its own defects."""
 
     def __init__(self, hostile: Hostile) -> None:
-        self.told: list[str] = []
+        self.texts: list[str] = []
         self._lock = threading.Lock()
         logger = hostile.docking.get_logger()
         error = logger.error
 
         def note(text: str, *words: Any, **options: Any) -> Any:
             with self._lock:
-                self.told.append(text)
+                self.texts.append(text)
             return error(text, *words, **options)
 
         logger.error = note  # type: ignore[method-assign]

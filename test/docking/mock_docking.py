@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node's face without an arm: dock, undock and docking_state, at once and whatever the load of the machine."""
+"""docking_node's interface without an arm: dock, undock and docking_state, at once under any load of the computer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class MockDocking(Node):
     """Docks with anything, and charges until a stop condition or a cancel.
 
     Attributes:
-        docked, charging: as docking_state tells them.
+        docked, charging: as in docking_state.
         undockings: how often it undocked.
     """
 
@@ -55,7 +55,7 @@ class MockDocking(Node):
         self._spinner = Spinner(self)
 
     def stop(self) -> None:
-        """Vanish, as a node that is killed: no goal is answered any more. Safe to call twice."""
+        """Disappear like a killed node: goals are no longer answered. Safe to call twice."""
         self._stopping.set()
         for server in self._servers:
             server.destroy()

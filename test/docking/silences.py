@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger in virtual time whose nodes can be killed or stopped: each takes its topics and services with it.
+"""A charger in virtual time whose nodes can be killed or stopped, each with its topics and services.
 
-What the nodes' own rules add is done here as they do it: the board opens 0.1 s after tactile_node, a lease lapses
-0.25 s after docking_node, servos hold where they are, and a lease that has lapsed is refused until it was opened.
+The nodes' own rules are imitated: the board opens 0.1 s after tactile_node stops, a lease lapses 0.25 s after
+docking_node stops, servos hold their place, and a lapsed lease is refused until the contactor was opened.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _JUST_BEHIND = 0.05  # s
 
 
 class Faulty(VirtualCharger):
-    """A charger with quick steps whose target stands 6 mm off in both axes, so that every phase comes.
+    """A charger with quick steps whose target is 6 mm off in both axes, so that every phase occurs.
 
     Args:
-        nearer: by how much (m) the target stands before the place that the goal tells.
+        nearer: distance (m) of the target before the place in the goal.
         parameters: of docking, other than the quick ones.
 
     Attributes:
-        silent: the node that says and hears nothing; '' = none.
+        silent: the node that neither sends nor receives; '' = none.
         frozen: which of servo_state, tactile_frame and charger_power repeats itself under new stamps.
     """
 
@@ -63,11 +63,11 @@ class Faulty(VirtualCharger):
         self._lapsed = node in ("tactile_node", "docking_node") and self.plant.read_power()[3]
 
     def resume(self) -> None:
-        """Go on where it stopped; what was asked of it meanwhile is answered late."""
+        """Continue the stopped node; pending requests are answered late."""
         self.silent = ""
 
     def restart(self) -> None:
-        """Start the node that was killed; what was asked of it is lost."""
+        """Start the killed node; pending requests are lost."""
         if self.silent == "docking_node":
             self.machine = DockingMachine(self.parameters)
             self.outcome = None
@@ -93,9 +93,9 @@ class Faulty(VirtualCharger):
             if name in self.frozen:
                 values.update(kept)
         refused = "a close needs a probe younger than 2 s" if self._lapsed and self._energised else ""
-        told = replace(observation, contactor_refusal=refused, **values)
-        self._last = told
-        return told
+        changed = replace(observation, contactor_refusal=refused, **values)
+        self._last = changed
+        return changed
 
     def _serve(self) -> None:
         away = [each for each in self._pending if SERVED_BY[each.request.service] == self.silent]
@@ -124,16 +124,16 @@ class Faulty(VirtualCharger):
 
     @property
     def closed(self) -> bool:
-        """Whether the contactor truly is."""
+        """Whether the contactor is really closed."""
         return self.plant.read_power()[3]
 
     @property
     def has_torque(self) -> bool:
-        """Whether the servos truly have it."""
+        """Whether the servos really have torque."""
         return self._torque
 
     def reach(self, state: State) -> None:
-        """Dock, and undock where that state asks for it, until just behind the state's beginning."""
+        """Dock, and undock if the state requires it, until just after the state's beginning."""
         if self.machine.status.docked:
             self.go_home()
         self.outcome = None
@@ -144,11 +144,11 @@ class Faulty(VirtualCharger):
             self.machine.start_undock("", self.observe())
         self.until(lambda: self.machine.status.state is state or self.outcome is not None, 60.0)
         assert self.machine.status.state is state, self.outcome
-        if state is not State.LOCATE:  # its only question is answered in no time
+        if state is not State.LOCATE:  # its only request is answered at once
             self.run(_JUST_BEHIND)
 
     def end(self, phase: State, expected: set[Code]) -> Code:
-        """Step until the goal has ended, or the watch over charging where it may; return the code."""
+        """Step until the goal has ended, or supervision of charging if it may; return the code."""
         watched = phase is State.CHARGING
         if watched and expected == {Code.NONE}:
             self.run(5.0)
@@ -161,14 +161,14 @@ class Faulty(VirtualCharger):
         return self.machine.status.code
 
     def go_home(self) -> None:
-        """Undock, which must work."""
+        """Undock, which must succeed."""
         outcome = self.undock()
         assert outcome.success, outcome.message
         assert self.distance(self.parameters.home) < 0.012
         assert not self.has_torque
 
     def assert_never_hurt(self) -> None:
-        """Nothing was shorted, energised without clearance, pulled apart live or let go live."""
+        """Nothing was shorted, energised without clearance, separated live or released live."""
         record = self.world.record
         assert record.energised_shorts == 0
         assert record.energised_unsafe == 0.0
@@ -176,5 +176,5 @@ class Faulty(VirtualCharger):
         assert record.unpowered_live == 0
 
     def distance(self, place: tuple[float, ...]) -> float:
-        """How far (m) the platform is from a place."""
+        """Distance (m) of the platform from a place."""
         return math.dist(self.world.snapshot().position, place)

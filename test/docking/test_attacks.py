@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What attacks on docking found, in virtual time: each once left current on, an arm stuck or a goal without an end."""
+"""Faults found by attacks on docking, in virtual time: each once left current on, an arm stuck or an endless goal."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def until_idle(run: VirtualCharger) -> None:
         ({"currents": (NAN, NAN, NAN)}, Code.SERVO_FAULT),
     ],
 )
-def test_what_is_not_measured_any_more_ends_charging(values: dict[str, object], code: Code) -> None:
+def test_values_that_are_no_longer_measured_end_charging(values: dict[str, object], code: Code) -> None:
     run = charging()
     run.distort = lambda observation: replace(observation, **values)
     assert until_open(run, 1.0) <= 0.3
@@ -62,7 +62,7 @@ def test_what_is_not_measured_any_more_ends_charging(values: dict[str, object], 
         (lambda reply: replace(reply, estimate=replace(reply.estimate, in_range=False)), Code.ESTIMATE_UNSURE),
     ],
 )
-def test_charging_ends_when_nobody_feels_the_clearance(answer: Callable[[Reply], Reply | None], code: Code) -> None:
+def test_charging_ends_without_estimates_of_the_clearance(answer: Callable[[Reply], Reply | None], code: Code) -> None:
     run = charging()
     run.answer[Service.ESTIMATE] = answer
     until_open(run, 15.0)
@@ -83,7 +83,7 @@ def test_one_unsure_estimate_does_not_end_charging() -> None:
     assert run.machine.status.charging
 
 
-def test_electrodes_on_a_welded_contactor_are_not_pulled_apart_by_the_next_goal() -> None:
+def test_the_next_goal_does_not_pull_electrodes_off_a_welded_contactor() -> None:
     run = charging(circuit=CircuitParameters(welded=True))
     assert run.undock().code is Code.CONTACTOR_WELDED
     assert run.dock().code is Code.CONTACTOR_WELDED
@@ -93,7 +93,7 @@ def test_electrodes_on_a_welded_contactor_are_not_pulled_apart_by_the_next_goal(
 
 
 def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
-    """The close takes its way and charger_power comes late, so the first messages still tell of an open contactor."""
+    """Closing takes time and charger_power is late, so the first messages still report an open contactor."""
     run = quick_charger()
     late: list[tuple[float, Callable[[], None]]] = []
     plant, close, open_ = run.plant, run.plant.close_contactor, run.plant.open_contactor
@@ -119,7 +119,7 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
     assert run.world.record.unpowered_live == 0
 
 
-def test_a_goal_while_the_arm_goes_back_by_itself_is_refused() -> None:
+def test_a_goal_while_the_arm_retracts_is_refused() -> None:
     run = charging()
     run.distort = lambda observation: replace(observation, charge_current=0.0)
     run.run(0.03)
@@ -134,7 +134,7 @@ def test_a_goal_while_the_arm_goes_back_by_itself_is_refused() -> None:
 
 
 @pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": (NAN, NAN, NAN), "servos_valid": False}])
-def test_the_way_back_ends_whatever_the_servos_say(fault: dict[str, object]) -> None:
+def test_retracting_ends_with_any_servo_data(fault: dict[str, object]) -> None:
     run = quick_charger(parameters={"retract_timeout": 3.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
@@ -154,7 +154,7 @@ def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
     assert outcome.success
 
 
-def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> None:
+def test_undocking_moves_a_limp_arm_home_even_without_contact_at_the_pads() -> None:
     run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run._torque = False
@@ -164,7 +164,7 @@ def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> N
     assert math.dist(run.world.snapshot().position, run.parameters.home) < 0.004
 
 
-def test_a_pull_that_the_servos_forgot_is_repeated() -> None:
+def test_a_pull_that_the_servos_lost_is_repeated() -> None:
     run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run.outcome = None
@@ -179,7 +179,7 @@ def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
     assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
 
 
-def test_undocking_with_the_torque_left_on_is_no_success() -> None:
+def test_undocking_fails_if_the_torque_stays_on() -> None:
     run = charging()
     serve = run._reply
     run._reply = lambda pending: (
@@ -190,12 +190,12 @@ def test_undocking_with_the_torque_left_on_is_no_success() -> None:
     assert run.undock().code is Code.SERVO_FAULT
 
 
-def test_undocking_is_no_success_while_servo_state_tells_the_torque_on() -> None:
+def test_undocking_fails_while_servo_state_reports_torque_on() -> None:
     run = charging()
     run.distort = lambda observation: replace(observation, torque_enabled=True)
     outcome = run.undock()
     assert outcome.code is Code.SERVO_FAULT
-    assert "still tells" in outcome.message
+    assert "still reports" in outcome.message
 
 
 def test_a_docking_node_that_was_restarted_lifts_off_before_it_tares() -> None:
@@ -227,7 +227,7 @@ def test_a_fault_latched_before_docking_is_cleared_once() -> None:
     assert run.dock().success
 
 
-def test_after_an_emergency_the_next_goal_is_served_however_late() -> None:
+def test_after_an_emergency_a_much_later_goal_is_served() -> None:
     run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
@@ -236,7 +236,7 @@ def test_after_an_emergency_the_next_goal_is_served_however_late() -> None:
     assert run.dock().success
 
 
-def test_docked_without_charging_is_watched_over() -> None:
+def test_a_docked_charger_without_current_is_supervised() -> None:
     run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     contacts = run.world.record.contacts
@@ -251,7 +251,7 @@ def test_docked_without_charging_is_watched_over() -> None:
 @pytest.mark.parametrize(
     ("fault", "code"), [(1, Code.NO_CHARGE_CURRENT), (2, Code.SHORT_CIRCUIT), (0, Code.POWER_STALE)]
 )
-def test_a_refused_renewal_opens_at_once_and_is_named_by_the_fault_that_follows(fault: int, code: Code) -> None:
+def test_a_refused_renewal_opens_at_once_and_the_next_fault_gives_the_code(fault: int, code: Code) -> None:
     run = charging()
     refused_at = run.now
 
@@ -266,7 +266,7 @@ def test_a_refused_renewal_opens_at_once_and_is_named_by_the_fault_that_follows(
 
 
 @pytest.mark.parametrize("fault", [{"hardware_error": 32}, {"servo_age": 5.0}])
-def test_undocking_without_servos_is_no_success_while_the_magnets_may_hold(fault: dict[str, object]) -> None:
+def test_undocking_without_servos_fails_while_the_magnets_may_hold(fault: dict[str, object]) -> None:
     run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run.distort = lambda observation: replace(observation, **fault)
@@ -287,8 +287,8 @@ def two_speak(observation: Observation) -> Observation:
 
 
 @pytest.mark.parametrize("begins", [slow(State.APPROACH), State.MEASURE, slow(State.ENERGISE)])
-def test_no_contactor_closes_while_two_speak(begins: State) -> None:
-    """Whenever the second comes; docking goes on up to there, waits for it to go, says so, and goes home."""
+def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) -> None:
+    """At any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
     run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is begins, 60.0)
@@ -302,8 +302,8 @@ def test_no_contactor_closes_while_two_speak(begins: State) -> None:
 
 
 @pytest.mark.parametrize("begins", [slow(State.CONTACT), State.MEASURE])
-def test_what_was_felt_while_two_spoke_lets_no_current_flow(begins: State) -> None:
-    """A second that is gone when the contactor would close may have spoken for the estimate: it is made anew."""
+def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State) -> None:
+    """A second source that has disappeared before closing may have sent the estimate, so it is repeated."""
     run = quick_charger()
     felt: list[float] = []
 
@@ -324,7 +324,7 @@ def test_what_was_felt_while_two_spoke_lets_no_current_flow(begins: State) -> No
     run.until(lambda: run.world.snapshot().contactor_closed, 1.0)
 
 
-def test_a_second_that_comes_while_charging_is_told_and_opens_nothing() -> None:
+def test_a_second_source_during_charging_is_reported_and_opens_nothing() -> None:
     run = charging()
     run.distort = two_speak
     run.run(10.0)
@@ -332,7 +332,7 @@ def test_a_second_that_comes_while_charging_is_told_and_opens_nothing() -> None:
     assert run.machine.status.duplicate_sources == NAMES
 
 
-def test_a_node_that_was_started_anew_is_waited_for_as_one_that_was_never_heard() -> None:
+def test_a_restarted_node_gets_as_much_time_as_a_new_one() -> None:
     run = quick_charger()
     run.run(1.0)
     since = run.now

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When current may flow, and where the target is: laws of the two decisions that keep docking safe."""
+"""Laws of the two decisions that keep docking safe: whether current may flow, and where the target is."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deltacharger_docking.place import AxisFilter
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
 LEVEL = [item for item in fields(FeltPose) if item.name not in ("across", "across_stddev", "classes")]
-"""What an estimate of before the offset across was told has."""
+"""Fields of estimates from before the offset across existed."""
 
 
 def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> FeltPose:
@@ -45,11 +45,11 @@ def test_no_estimate_near_critical_is_allowed(degrees: float) -> None:
     assert judge(felt(degrees, sigma_degrees=0.01, sigma=1e-5), PARAMETERS) is Verdict.CRITICAL
 
 
-def test_a_vertical_error_alone_is_not_called_critical() -> None:
+def test_a_vertical_error_alone_is_not_critical() -> None:
     assert judge(felt(2.0, vertical=0.007), PARAMETERS) is Verdict.TOO_CLOSE
 
 
-def test_uncertainty_only_ever_makes_the_verdict_stricter() -> None:
+def test_uncertainty_only_makes_the_verdict_stricter() -> None:
     order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
     for degrees in np.linspace(-14, 14, 29):
         for vertical in np.linspace(-0.008, 0.008, 9):
@@ -65,7 +65,7 @@ def test_a_lower_critical_angle_counts_and_a_higher_one_does_not() -> None:
     assert judge(felt(12.5), PARAMETERS, math.radians(20.0)) is Verdict.CRITICAL
 
 
-def test_without_an_offset_across_that_is_told_it_follows_from_the_pose_with_both_errors() -> None:
+def test_an_unknown_offset_across_follows_from_the_pose_with_both_errors() -> None:
     angle = math.radians(10.0)
     pose = FeltPose(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
     assert pose.across == pytest.approx(0.003 * math.cos(angle) - 0.004 * math.sin(angle))
@@ -78,7 +78,7 @@ def test_without_an_offset_across_that_is_told_it_follows_from_the_pose_with_bot
 
 @pytest.mark.parametrize("off", [0.005, -0.005])
 @pytest.mark.parametrize("degrees", [10.0, -10.0])
-def test_a_lean_taken_for_an_offset_along_the_bars_changes_no_verdict(degrees: float, off: float) -> None:
+def test_a_lean_that_looks_like_an_offset_along_the_bars_changes_no_verdict(degrees: float, off: float) -> None:
     """It leaks into the vertical offset by the roll, but not into the offset across the bars."""
     angle, across = math.radians(degrees), 2e-4
     for spread in (5e-5, 1e-4, 2e-4, 4e-4):
@@ -92,14 +92,14 @@ def test_a_lean_taken_for_an_offset_along_the_bars_changes_no_verdict(degrees: f
         )
         assert abs(level.vertical - leaning.vertical) > 8e-4
         assert judge(level, PARAMETERS) is judge(leaning, PARAMETERS)
-        # Where nobody tells the offset across, that of the pose is the same, and less sure.
+        # An offset across that is calculated from the pose is equal, and less sure.
         worked_out = replace(leaning, across=math.nan, across_stddev=math.nan)
         assert worked_out.across == pytest.approx(across)
-        # A publisher that does not know the fields leaves zeros: that is not an offset of exactly nothing.
+        # A publisher that does not know the fields leaves zeros: they do not mean an exact offset of 0.
         assert replace(leaning, across=0.0, across_stddev=0.0).across == pytest.approx(across)
 
 
-def test_a_pitch_that_was_seen_only_ever_makes_the_verdict_stricter_and_an_unknown_one_changes_nothing() -> None:
+def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_changes_nothing() -> None:
     order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
     for degrees in (0.0, 5.0, 8.0):
         for vertical in np.linspace(-0.006, 0.006, 13):
@@ -117,7 +117,7 @@ def axis(jitter: float = 0.00095) -> AxisFilter:
     return AxisFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15))
 
 
-def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
+def test_the_filter_averages_out_the_scatter_of_dockings() -> None:
     random = np.random.default_rng(3)
     jitter, target = 0.00095, 0.006
     errors = []
@@ -130,14 +130,14 @@ def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
     assert np.std(errors) < 0.45 * jitter
 
 
-def test_a_far_first_look_does_not_outweigh_near_ones() -> None:
+def test_a_far_first_contact_does_not_outweigh_near_ones() -> None:
     tracker = axis(jitter=0.0005)
-    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm where the truth is 8
+    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm, truth 8 mm
     tracker.update(0.010, -0.002, 1e-4)
     assert tracker.target == pytest.approx(0.008, abs=3e-4)
 
 
-def contacts(count: int, told: float) -> list[tuple[float, AxisFilter]]:
+def contacts(count: int, reported: float) -> list[tuple[float, AxisFilter]]:
     """The true offset of the last of three contacts, and the filter, of `count` dockings."""
     random = np.random.default_rng(8)
     dockings = []
@@ -145,27 +145,27 @@ def contacts(count: int, told: float) -> list[tuple[float, AxisFilter]]:
         tracker, place, true = axis(), 0.0, 0.0
         for _ in range(3):
             true = 0.003 - place + random.normal(0.0, 0.00095)
-            tracker.update(place, true + random.normal(0.0, math.hypot(told, 0.15 * true)), told)
+            tracker.update(place, true + random.normal(0.0, math.hypot(reported, 0.15 * true)), reported)
             place = tracker.target
         dockings.append((true, tracker))
     return dockings
 
 
-@pytest.mark.parametrize("told", [2e-4, 1.3e-3])
-def test_how_far_a_contact_lies_off_is_told_with_its_true_error(told: float) -> None:
-    scores = [(true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, told)]
+@pytest.mark.parametrize("reported", [2e-4, 1.3e-3])
+def test_the_offset_of_a_contact_has_its_true_error(reported: float) -> None:
+    scores = [(true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, reported)]
     assert np.std(scores) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(scores)) < 0.12
 
 
-def test_the_risk_of_a_contact_comes_true_as_often_as_it_says() -> None:
+def test_the_risk_of_a_contact_matches_the_observed_frequency() -> None:
     dockings = contacts(2000, 1.3e-3)
-    said = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
-    came = [abs(true) > 0.0015 for true, _ in dockings]
-    assert np.mean(said) == pytest.approx(np.mean(came), abs=0.03)
+    predicted = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
+    observed = [abs(true) > 0.0015 for true, _ in dockings]
+    assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.03)
 
 
-def test_another_contact_pays_where_this_one_lies_off() -> None:
+def test_another_contact_pays_if_this_one_is_off() -> None:
     near, far = axis(), axis()
     near.update(0.0, 0.0002, 1e-4)
     far.update(0.0, 0.0028, 1e-4)

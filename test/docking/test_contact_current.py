@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact current is the servos' force along z less what holds the arm, whatever way it is computed."""
+"""The contact current is the servos' force along z less the holding force."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 
 
 @pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (3.0, -5.0, 7.0)])
-def test_force_is_that_of_the_torques_beyond_the_holding_ones(gravity: tuple[float, float, float]) -> None:
+def test_force_comes_from_the_torques_less_the_holding_torques(gravity: tuple[float, float, float]) -> None:
     source, delta = random.Random(3), ScalarDelta()
     x, y, z = gravity
     parameters = DockingParameters(gravity_x=x, gravity_y=y, gravity_z=z)
@@ -30,7 +30,7 @@ def test_force_is_that_of_the_torques_beyond_the_holding_ones(gravity: tuple[flo
         assert contact.force == pytest.approx(delta.force(*contact.position, (a, b, c))[2], rel=1e-9, abs=1e-9)
 
 
-def test_angles_that_are_none_give_nan_and_no_error() -> None:
+def test_invalid_angles_give_nan_and_no_error() -> None:
     contact = ContactCurrent(ScalarDelta(), DockingParameters())
     for angles in ((math.nan, 0.0, 0.0), (math.inf, 0.0, 0.0)):
         contact.update(0.0, angles, (0.0, 0.0, 0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals on a docked target: each gets what it asks for, none moves what rests well, none weakens the supervision."""
+"""Goals on a docked target: each is fulfilled, none moves electrodes that rest well or weakens the supervision."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> Virtual
 
 
 def shifted(reply: Reply, degrees: float) -> Reply:
-    """The same answer on a target turned by so much."""
+    """The same answer for a target rotated by this angle."""
     assert reply.estimate is not None
     return replace(reply, estimate=felt_as(reply.estimate, angle=math.radians(degrees)))
 
@@ -56,7 +56,7 @@ def test_a_stop_condition_without_hold_ends_charging_under_supervision() -> None
     assert run.machine.status.code is Code.NONE
 
 
-def test_a_goal_that_wants_no_current_ends_charging_and_keeps_the_contact() -> None:
+def test_a_goal_without_charging_ends_charging_and_keeps_the_contact() -> None:
     run = docked()
     contacts = run.world.record.contacts
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
@@ -66,7 +66,7 @@ def test_a_goal_that_wants_no_current_ends_charging_and_keeps_the_contact() -> N
     assert run.world.record.broken_current < 1.5, "it was ramped down first"
 
 
-def test_what_is_lifted_to_make_its_contact_anew_is_not_docked_until_it_rests_again() -> None:
+def test_electrodes_that_lift_to_repeat_a_contact_are_not_docked_until_they_rest_again() -> None:
     run = docked(start_charging=False)
     doubts = [0.04]  # rad; at six standard deviations no clearance is sure
 
@@ -83,7 +83,7 @@ def test_what_is_lifted_to_make_its_contact_anew_is_not_docked_until_it_rests_ag
     assert run.machine.status.docked
 
 
-def test_a_target_whose_magnets_do_not_let_go_is_docked_whatever_the_goal_came_to() -> None:
+def test_a_target_whose_magnets_do_not_release_stays_docked_after_any_goal() -> None:
     run = quick_charger(magnets=MagnetParameters(force=200.0), parameters={"magnet_force": 200.0})
     run.answer[Service.ESTIMATE] = functools.partial(shifted, degrees=14.0)
     outcome = run.dock()
@@ -92,7 +92,7 @@ def test_a_target_whose_magnets_do_not_let_go_is_docked_whatever_the_goal_came_t
     assert run.machine.status.docked
 
 
-def test_a_docked_target_is_energised_where_it_stands_after_its_clearance_was_measured_anew() -> None:
+def test_a_docked_target_is_energised_in_place_after_a_new_clearance_measurement() -> None:
     run = docked(start_charging=False)
     contacts = run.world.record.contacts
     asked: list[Service] = []
@@ -112,7 +112,7 @@ def test_a_docked_target_is_energised_where_it_stands_after_its_clearance_was_me
     assert run.machine.status.charging
 
 
-def test_a_target_that_turned_while_docked_is_not_energised_where_it_stands() -> None:
+def test_a_target_that_turned_while_docked_is_not_energised_in_place() -> None:
     run = docked(start_charging=False)
     run.answer[Service.ESTIMATE] = lambda reply: shifted(reply, 12.5)
     assert run.dock().code is Code.CRITICAL_ANGLE
@@ -120,7 +120,7 @@ def test_a_target_that_turned_while_docked_is_not_energised_where_it_stands() ->
     assert_safe_at_home(run)
 
 
-def test_a_docked_target_that_has_left_is_docked_anew() -> None:
+def test_a_docked_target_that_has_moved_away_is_docked_again() -> None:
     run = docked(start_charging=False)
     contacts = run.world.record.contacts
     run.begin(DockGoal(GOAL))
@@ -131,7 +131,7 @@ def test_a_docked_target_that_has_left_is_docked_anew() -> None:
     assert run.world.record.contacts > contacts
 
 
-def test_goals_that_come_again_and_again_do_not_put_off_the_clearance_check() -> None:
+def test_repeated_goals_do_not_delay_the_clearance_check() -> None:
     run = docked()
     run.answer[Service.ESTIMATE] = lambda reply: shifted(reply, 12.5)
     start = run.now
@@ -142,7 +142,7 @@ def test_goals_that_come_again_and_again_do_not_put_off_the_clearance_check() ->
     assert run.machine.status.code is Code.CRITICAL_ANGLE
 
 
-def test_the_lowest_critical_angle_of_all_goals_counts() -> None:
+def test_the_lowest_critical_angle_of_all_goals_applies() -> None:
     run = quick_charger()
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(8.0))).success
     assert run.dock().success, "a goal without a limit of its own"
@@ -150,13 +150,13 @@ def test_the_lowest_critical_angle_of_all_goals_counts() -> None:
     run.until(lambda: run.machine.status.code is Code.CRITICAL_ANGLE, 10.0)
 
 
-def test_a_goal_with_a_limit_below_what_was_measured_ends_charging() -> None:
+def test_a_goal_with_a_limit_below_the_measured_angle_ends_charging() -> None:
     run = docked(3.0, -2.0, 5.0)
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(3.0))).code is Code.CRITICAL_ANGLE
     assert_safe_at_home(run)
 
 
-def test_a_cancel_without_a_goal_changes_nothing_and_a_held_goal_can_be_taken_back() -> None:
+def test_a_cancel_without_a_goal_changes_nothing_and_a_held_goal_can_be_cancelled() -> None:
     run = docked()
     run.machine.cancel()
     run.run(1.0)
@@ -196,8 +196,8 @@ def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
 
 
 @pytest.mark.parametrize("wait", [1.0, 25.0])
-def test_current_that_is_cut_off_is_no_full_target(wait: float) -> None:
-    """Also in the middle of the taper, where current is small already."""
+def test_current_that_is_cut_off_is_not_a_full_target(wait: float) -> None:
+    """Also in the middle of the taper, when current is already small."""
     run = docked(circuit=FILLING)
     run.run(wait)
     assert run.world.snapshot().contactor_closed
@@ -220,7 +220,7 @@ def test_a_clock_that_jumps_opens_the_contactor(jump: float) -> None:
 
 
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
-def test_a_goal_ends_in_time_although_its_clock_jumps(jump: float) -> None:
+def test_a_goal_ends_in_time_despite_clock_jumps(jump: float) -> None:
     run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
@@ -240,7 +240,7 @@ def lose_contact(run: VirtualCharger) -> None:
     run.distort = lambda observation: observation
 
 
-def test_a_nudge_under_supervision_is_mended_by_docking_again() -> None:
+def test_docking_again_recovers_from_a_nudge_under_supervision() -> None:
     run = docked(parameters=AGAIN)
     shown = len(run.states)
     lose_contact(run)
@@ -273,7 +273,7 @@ def test_docking_again_is_bounded_and_keeps_the_first_error() -> None:
     assert_safe_at_home(run)
 
 
-def test_what_docking_does_not_mend_is_not_tried_again() -> None:
+def test_there_is_no_retry_for_errors_that_docking_again_cannot_mend() -> None:
     run = quick_charger(3.0, -2.0, 14.0, parameters=AGAIN)
     assert run.dock().code in (Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE)
     assert run.states.count(State.RETRACT) == 1
@@ -293,7 +293,7 @@ def test_a_cancel_before_or_while_docking_again_ends_the_goal(state: State, code
     assert_safe_at_home(run)
 
 
-def test_a_cancel_on_the_last_way_back_does_not_lose_the_result() -> None:
+def test_a_cancel_during_the_last_retract_does_not_lose_the_result() -> None:
     run = quick_charger(3.0, -2.0, 14.0)
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.RETRACT, 120.0)
@@ -320,7 +320,7 @@ def test_a_cancel_while_the_camera_looks() -> None:
     assert_safe_at_home(run)
 
 
-def test_an_undocking_can_be_taken_back_and_still_ends_at_home() -> None:
+def test_a_cancelled_undocking_still_ends_at_home() -> None:
     run = docked()
     run.outcome = None
     run.machine.start_undock("", run.observe())
@@ -330,7 +330,7 @@ def test_an_undocking_can_be_taken_back_and_still_ends_at_home() -> None:
     assert_safe_at_home(run)
 
 
-def test_a_reply_to_a_question_not_asked_yet_is_no_answer() -> None:
+def test_a_reply_to_a_later_request_is_ignored() -> None:
     run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The system's clock is set forward and back by a second and an hour while the charger docks and while it charges.
 
-Every node's clock is taken over here (as /clock would) and jumps at once. What is measured in seconds lives on the
-monotonic clock, so a jump may end a goal, with a code, or be borne; nothing closes on it, nothing is fresh for ever.
+The test controls every node's clock (as /clock would) and lets it jump. Durations use the monotonic clock, so a jump
+may end a goal with a code or be tolerated. Nothing closes or stays fresh because of it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TICK = 0.01  # s
 
 
 class Clocks:
-    """Drives the clocks of several nodes together, from the system's time on."""
+    """Controls the clocks of several nodes together, starting at the system's time."""
 
     def __init__(self, nodes: list[Any]) -> None:
         self._clocks: list[ROSClock] = [node.get_clock() for node in nodes]
@@ -74,7 +74,7 @@ def clocks(hostile: Hostile) -> Iterator[Clocks]:
 
 
 @pytest.mark.parametrize("jump", [-3600.0, 1.0, slow(-1.0), slow(3600.0)])
-def test_a_jump_while_charging_is_borne_or_opens_with_a_code(hostile: Hostile, clocks: Clocks, jump: float) -> None:
+def test_a_jump_while_charging_passes_or_opens_with_a_code(hostile: Hostile, clocks: Clocks, jump: float) -> None:
     hostile.heal()
     hostile.charge()
     clocks.offset = jump
@@ -82,7 +82,7 @@ def test_a_jump_while_charging_is_borne_or_opens_with_a_code(hostile: Hostile, c
     if hostile.code:
         wait_until(lambda: not hostile.is_closed, "an open contactor", 1.0)
         assert CODES[hostile.code] in STALE, hostile.states[-1].error_message
-    # Stale data are told from fresh ones behind the jump as before it.
+    # Stale and fresh data are distinguished after the jump as before it.
     else:
         assert hostile.is_closed
         hostile.relay.distort["servo_state"] = lambda message: None
@@ -92,7 +92,7 @@ def test_a_jump_while_charging_is_borne_or_opens_with_a_code(hostile: Hostile, c
 
 
 @pytest.mark.parametrize("jump", [slow(-3600.0), 3600.0])
-def test_a_jump_while_docking_ends_with_a_code_or_is_borne(hostile: Hostile, clocks: Clocks, jump: float) -> None:
+def test_a_jump_while_docking_passes_or_ends_with_a_code(hostile: Hostile, clocks: Clocks, jump: float) -> None:
     hostile.heal()
 
     def set_clock(progress: Progress) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node and its goals: every state is told, none is lost between two clients, and the end answers them all."""
+"""docking_node and its goals: every state is reported, no goal is lost between two clients, and all are answered."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ states = st.sampled_from(list(State))
 
 
 @given(states, st.lists(states), states)
-def test_states_passed_between_two_looks_are_told_once_each_in_order(
+def test_states_passed_between_two_reports_are_reported_once_each_in_order(
     before: State, passed: list[State], now: State
 ) -> None:
-    told = changes(before, passed, now)
-    assert [before, *told] == [state for state, _ in itertools.groupby([before, *passed, now])]
+    reported = changes(before, passed, now)
+    assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def at_once(clients: list[ChargerClient], request: DockRequest) -> list[Outcome]
     return outcomes
 
 
-def test_of_clients_that_send_at_once_one_is_served_and_the_others_may_send_again(clients: list[ChargerClient]) -> None:
+def test_of_simultaneous_clients_one_is_served_and_the_others_may_retry(clients: list[ChargerClient]) -> None:
     outcomes = at_once(clients, GOAL)
     assert len(outcomes) == len(clients)
     served = [outcome for outcome in outcomes if outcome.error_name != "REJECTED"]
@@ -88,7 +88,7 @@ def test_of_clients_that_send_at_once_one_is_served_and_the_others_may_send_agai
             assert "another goal is being served" in outcome.error_message
 
 
-def test_every_client_that_docks_when_docked_hears_of_it(clients: list[ChargerClient]) -> None:
+def test_every_client_that_docks_when_docked_gets_its_result(clients: list[ChargerClient]) -> None:
     dock_at_last(clients[0], GOAL)
     for _ in range(3):
         outcomes = at_once(clients, GOAL)
@@ -97,9 +97,7 @@ def test_every_client_that_docks_when_docked_hears_of_it(clients: list[ChargerCl
         assert any(outcome.success for outcome in outcomes)
 
 
-def test_a_held_charger_moves_nothing_and_serves_the_goals_that_wait_once_it_is_released(
-    quick_scene: Scene, context: Any
-) -> None:
+def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quick_scene: Scene, context: Any) -> None:
     namespace = new_namespace()
     with (
         Composition(patient(quick_scene), context, namespace, held=True) as composition,
@@ -125,7 +123,7 @@ def test_a_held_charger_moves_nothing_and_serves_the_goals_that_wait_once_it_is_
         goals.destroy()
 
 
-def test_a_charger_that_is_held_to_its_end_leaves_its_neighbour_of_the_same_name_alone(
+def test_a_charger_that_was_never_released_does_not_disturb_another_of_its_name(
     quick_scene: Scene, context: Any
 ) -> None:
     namespace = new_namespace()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking says on joint_trajectory, and what it reads from poses: goals and detections that lean or do not."""
+"""What docking publishes on joint_trajectory and reads from poses: goals and detections with and without a lean."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_line_is_sent_with_positions_velocities_and_efforts_and_ends_at_rest()
     assert max(message.points[len(message.points) // 2].velocities) > 0.5
 
 
-def test_a_goal_without_velocities_is_sent_without_and_no_points_mean_hold() -> None:
+def test_a_goal_without_velocities_is_sent_without_them_and_no_points_mean_hold() -> None:
     (point,) = io.trajectory([Waypoint(0.0, (0.1, 0.2, 0.3), (1.0, 1.0, 1.0))], Time()).points
     assert list(point.velocities) == []
     assert not io.trajectory((), Time()).points
@@ -46,7 +46,7 @@ def test_a_goal_without_velocities_is_sent_without_and_no_points_mean_hold() -> 
 DEGREE = math.radians(1.0)
 MOUNT = DockingNodeParameters()
 TURNED = DockingNodeParameters(base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * value for value in (2, 2, 0, 0))))
-"""A charger_base that stands otherwise on its robot."""
+"""A charger_base with another mount on its robot."""
 
 
 def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, ...]:
@@ -60,13 +60,13 @@ def quaternion(numbers: tuple[float, ...]) -> Quaternion:
     return Quaternion(**dict(zip("xyzw", numbers, strict=True)))
 
 
-def test_a_base_pose_that_turns_nothing_is_refused_by_name() -> None:
+def test_a_base_pose_with_a_zero_quaternion_is_refused_by_name() -> None:
     with pytest.raises(ParameterError, match=r"base_pose.*quaternion"):
         DockingNodeParameters(base_pose=(0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0))
 
 
 def roll_of(numbers: tuple[float, ...]) -> float:
-    """Return the roll as the camera tells it: of the x axis projected on charger_base's x and y, rad."""
+    """Return the roll as the camera reports it: of the x axis projected on charger_base's x and y, rad."""
     rows = rotation(*numbers)
     return math.atan2(rows[1][0], rows[0][0])
 
@@ -92,27 +92,27 @@ def goal(
 def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
     yaw: float, pitch: float, roll: float, mount: DockingNodeParameters
 ) -> None:
-    told = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
-    in_robot = product(mount.base_pose[3:], told)
-    for found in (goal(told, mount), goal(in_robot, mount, mount.base_pose)):
+    orientation = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
+    in_robot = product(mount.base_pose[3:], orientation)
+    for found in (goal(orientation, mount), goal(in_robot, mount, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
         assert found.yaw_stddev == found.pitch_stddev == mount.goal_lean_stddev
-        assert found.roll == pytest.approx(roll_of(told))
+        assert found.roll == pytest.approx(roll_of(orientation))
 
 
 @pytest.mark.parametrize("roll", [0.0, 7.0])
 @pytest.mark.parametrize("mount", [MOUNT, TURNED])
-def test_the_lean_of_a_goal_with_a_roll_alone_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
-    """Also where its numbers were rounded on their way: a fleet that sends a roll has not looked whether it leans."""
-    told = turned(roll=roll * DEGREE)
-    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], told))
-    for found in (goal(told, mount), goal(rounded, mount, mount.base_pose)):
+def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
+    """Also with rounded numbers: a fleet that sends a roll has not measured the lean."""
+    orientation = turned(roll=roll * DEGREE)
+    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], orientation))
+    for found in (goal(orientation, mount), goal(rounded, mount, mount.base_pose)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
         assert found.sure_yaw(2.0) == 0.0
         assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
 
 
-def test_a_goal_may_claim_no_more_lean_than_lean_max() -> None:
+def test_a_goal_with_more_lean_than_lean_max_is_refused() -> None:
     assert goal(turned(29.9 * DEGREE)).yaw == pytest.approx(29.9 * DEGREE)
     for numbers in (turned(30.1 * DEGREE), turned(pitch=-30.1 * DEGREE), turned(math.pi)):
         with pytest.raises(Rejected, match="lean_max"):
@@ -128,13 +128,13 @@ def detection(numbers: tuple[float, ...], roll: float, variances: tuple[float, .
     return message
 
 
-def test_a_detection_tells_its_lean_and_how_sure_it_is() -> None:
+def test_a_detection_gives_its_lean_with_its_error() -> None:
     numbers = turned(4.0 * DEGREE, -2.0 * DEGREE, 6.0 * DEGREE)
     found = io.seen(detection(numbers, roll_of(numbers), (0.01**2, 0.02**2, 0.03**2)), 0.5)
     assert math.tan(found.pitch) == pytest.approx(math.tan(-2.0 * DEGREE) / math.cos(4.0 * DEGREE))
     assert found.yaw == pytest.approx(4.0 * DEGREE)
-    told = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
-    assert told == pytest.approx((0.01, 0.02, 0.03, 0.5))
+    stddevs = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
+    assert stddevs == pytest.approx((0.01, 0.02, 0.03, 0.5))
 
 
 @pytest.mark.parametrize("variance", [math.nan, 0.0])
@@ -163,14 +163,14 @@ def test_a_normal_without_a_variance_is_unknown(variance: float) -> None:
         (turned(), 0.0, (0.01, 0.01, -1e-9), "negative variance"),
     ],
 )
-def test_a_detection_that_contradicts_itself_is_named(
+def test_a_contradictory_detection_is_refused_with_its_contradiction(
     numbers: tuple[float, ...], roll: float, variances: tuple[float, ...], named: str
 ) -> None:
     with pytest.raises(ValueError, match=named):
         io.seen(detection(numbers, roll, variances), 0.0)
 
 
-def test_a_suggested_stand_carries_its_heading() -> None:
+def test_a_suggested_base_pose_includes_its_heading() -> None:
     message = io.pose_stamped(BasePose(0.1, 0.2, 0.3, 0.4), Time(sec=7), "left/charger_base")
     assert (message.header.frame_id, message.header.stamp.sec) == ("left/charger_base", 7)
     point, turn = message.pose.position, message.pose.orientation

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node on mocks that misbehave: every failure ends with its code, the contactor open and the reason told.
+"""docking_node on mocks that misbehave: every failure ends with its code and reason, and the contactor open.
 
-One charger serves all scenarios; between them it undocks. This is what the launch test does in separate processes.
+One charger serves all scenarios; between them it undocks. The launch test does this in separate processes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Charger:
         assert result.successful, result.reason
 
     def dock(self, request: DockRequest | None = None, **options: Any) -> Outcome:
-        """Dock; an estimate that a stalled mock arm spoilt is retriable, and tried once more as a fleet would."""
+        """Dock; if a stalled mock arm spoilt the estimate, which is retriable, try once more as a fleet would."""
         goal = request or DockRequest(PLACE)
         outcome = self.client.dock(goal, deadline=DEADLINE, **options)
         if outcome.error_name == "ESTIMATE_UNSURE" and self.fault != "unsure":
@@ -69,7 +69,7 @@ class Charger:
 
 @pytest.fixture(scope="module")
 def shared(quick_scene: Scene, context: Any) -> Iterator[list[Charger]]:
-    """The charger of all scenarios; empty after one that broke it, so that the next starts afresh."""
+    """The charger of all scenarios; empty after one that broke it, so that the next one starts a new charger."""
     chargers: list[Charger] = []
     yield chargers
     for charger in chargers:
@@ -89,7 +89,7 @@ def open_contactor(charger: Charger) -> bool:
     return not charger.composition.node("mock_tactile_node").contactor_closed
 
 
-def test_docking_charges_says_so_and_undocking_ends_it(charger: Charger) -> None:
+def test_docking_charges_and_reports_it_and_undocking_ends_it(charger: Charger) -> None:
     seen: list[Progress] = []
     with Recorder(charger.context, charger.namespace) as recorder:
 
@@ -118,7 +118,7 @@ def test_docking_charges_says_so_and_undocking_ends_it(charger: Charger) -> None
     assert open_contactor(charger)
 
 
-def test_the_camera_finds_the_place_where_no_coordinates_are_given(charger: Charger) -> None:
+def test_without_coordinates_the_camera_locates_the_target(charger: Charger) -> None:
     outcome = charger.dock(DockRequest(None, start_charging=False))
     assert outcome.success, outcome
     assert outcome.details["charge_current"] < 0.1
@@ -159,7 +159,7 @@ def test_a_battery_out_of_range_in_charger_power_keeps_the_contactor_open(
     monkeypatch.setattr(mock_tactile_node, "BATTERY", 20.0)
     outcome = charger.dock()
     assert outcome.error_name == "VOLTAGE_OUT_OF_RANGE", outcome
-    assert "own battery shows 20.0 V" in outcome.error_message
+    assert "own battery has 20.0 V" in outcome.error_message
     assert open_contactor(charger)
 
 
@@ -184,7 +184,7 @@ def test_a_bad_detection_is_refused_before_anything_moves(charger: Charger, faul
         assert "to the left" in outcome.error_message
 
 
-def test_a_refused_contactor_is_told_in_the_boards_words(charger: Charger) -> None:
+def test_a_refused_contactor_is_reported_with_the_boards_message(charger: Charger) -> None:
     charger.set_fault("mock_tactile_node", "contactor_refusal")
     outcome = charger.dock()
     assert not outcome.success
@@ -228,7 +228,7 @@ def test_closing_the_charger_opens_the_contactor_and_makes_the_arm_safe(quick_sc
     assert states[0] == (False, False), "docking_node had made both safe before tactile_node closed"
 
 
-def test_without_a_charger_the_client_says_so(context: Any) -> None:
+def test_without_a_charger_the_client_reports_it(context: Any) -> None:
     with ChargerClient(new_namespace(), context) as client:
         stop = threading.Event()
         stop.set()

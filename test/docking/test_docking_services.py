@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's calls: a service that comes late is waited for, one that never comes is told, none overtakes another."""
+"""Docking's calls: it waits for a late service, reports a missing one, and no call overtakes another."""
 
 from __future__ import annotations
 
@@ -60,30 +60,30 @@ def test_a_service_that_never_appears_is_named(services: Services) -> None:
     assert "probe" in answer.message
 
 
-def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
-    heard = list[bool]()
+def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node: Node) -> None:
+    received = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
+    node.create_service(SetBool, "set_torque", lambda request, answer: _receive(received, request, answer))
     client = services._clients[Service.TORQUE_ON]
     wait_until(client.service_is_ready, "the service")
     services.call(Request(2, Service.TORQUE_OFF))
-    wait_until(lambda: services.take() and len(heard) == 2, "both calls")
-    assert heard == [True, False]
+    wait_until(lambda: services.take() and len(received) == 2, "both calls")
+    assert received == [True, False]
 
 
-def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
-    heard = list[bool]()
+def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node) -> None:
+    received = list[bool]()
     services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
     services.call(Request(2, Service.TORQUE_OFF))
     services.forget()
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
-    wait_until(lambda: services.take() and heard, "the call that makes safe")
-    assert heard == [False]
+    node.create_service(SetBool, "set_torque", lambda request, answer: _receive(received, request, answer))
+    wait_until(lambda: services.take() and received, "the call that makes safe")
+    assert received == [False]
 
 
-def test_a_detection_that_contradicts_itself_is_none_and_says_why(node: Node, services: Services) -> None:
+def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
     def lie(request: Any, response: Any) -> Any:
         response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
         return response
@@ -95,8 +95,8 @@ def test_a_detection_that_contradicts_itself_is_none_and_says_why(node: Node, se
     assert "contradicts itself" in answer.message
 
 
-def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-    heard.append(request.data)
+def _receive(received: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+    received.append(request.data)
     answer.success = True
     return answer
 
@@ -133,10 +133,8 @@ ASKED: dict[Service, tuple[str, Any, Any]] = {
 
 
 @pytest.mark.parametrize("service", ASKED)
-def test_answers_as_nobody_should_give_them_are_refused_or_tell_nothing(
-    node: Node, services: Services, service: Service
-) -> None:
-    """Success with words without end, and with nothing, NaN or endless numbers as its payload."""
+def test_malformed_answers_are_refused_or_ignored(node: Node, services: Services, service: Service) -> None:
+    """Success with a very long message, and with nothing, NaN or infinite numbers as its payload."""
     name, kind, fill = ASKED[service]
     values = iter((None, NAN, INF, -INF, 1e308))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm at ease: no servo carries more than its share, for hours, as far as friction holds and no farther."""
+"""The arm at ease: no servo carries more than its share for hours, as far as friction holds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def charger(
 
 
 def decisions(run: VirtualCharger) -> list[Decision]:
-    """Collect what the machine decides from now on."""
+    """Collect the machine's decisions from now on."""
     found: list[Decision] = []
     step = run.machine.step
 
@@ -71,7 +71,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("x", "y", "stiffness", "gravity", "believed"), CASES)
-def test_every_servo_holds_for_four_hours_what_pressing_takes(
+def test_every_servo_can_hold_its_pressing_current_for_four_hours(
     x: float, y: float, stiffness: float, gravity: Vector, believed: float | None
 ) -> None:
     run = charger(x, y, stiffness, gravity, believed)
@@ -107,8 +107,8 @@ def test_four_hours_in_the_simulated_world_change_nothing() -> None:
     assert max(run.world.servo(index)[4] for index in range(3)) < 40.0
 
 
-def test_weight_along_the_push_stays_with_the_servos() -> None:
-    """No friction carries it: 0.09 A of it add to each, alike."""
+def test_weight_along_the_push_remains_on_the_servos() -> None:
+    """No friction carries it: it adds 0.09 A to each servo."""
     for gravity, expected in (((0.0, 0.0, 9.81), 0.36), ((0.0, 0.0, -9.81), 0.54)):
         run = charger(3.0, -2.0, 15.0, gravity)
         assert run.dock().success
@@ -116,7 +116,7 @@ def test_weight_along_the_push_stays_with_the_servos() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [5.0, 15.0])
-def test_where_friction_does_not_hold_the_weight_stays_with_the_servos(stiffness: float) -> None:
+def test_if_friction_does_not_hold_the_weight_remains_on_the_servos(stiffness: float) -> None:
     run = charger(3.0, -2.0, stiffness, DOWN, friction=0.01)
     found = decisions(run)
     outcome = run.dock()
@@ -133,7 +133,7 @@ def test_where_friction_does_not_hold_the_weight_stays_with_the_servos(stiffness
     assert run.world.record.energised_unsafe == 0.0
 
 
-def test_clearance_is_measured_after_the_arm_was_put_at_ease_and_before_it_is_probed() -> None:
+def test_clearance_is_measured_after_easing_and_before_probing() -> None:
     run = charger(3.0, -2.0, 15.0, DOWN)
     found = decisions(run)
     assert run.dock().success
@@ -144,7 +144,7 @@ def test_clearance_is_measured_after_the_arm_was_put_at_ease_and_before_it_is_pr
 
 
 @pytest.mark.parametrize("changes", [{"approach": "paper"}, slow({"current_signal": "max"})])
-def test_what_is_compared_as_published_is_not_eased(changes: dict[str, str]) -> None:
+def test_approaches_as_published_are_not_eased(changes: dict[str, str]) -> None:
     world = WorldParameters(servo=ServoParameters(stiffness=2.5))
     run = VirtualCharger(world, DockingParameters(servo_stiffness=2.5, **changes))  # type: ignore[arg-type]
     found = decisions(run)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact is fast where nothing can be struck, and bounded wherever the target may be: laws of press."""
+"""Laws of press: contact is fast where nothing can be struck, and bounded wherever the target may be."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from deltacharger_sim.parameters import ContactParameters, ServoParameters
 
 from .dockings import MILLIMETRE, assert_safe_at_home, charger
 
-STRIKE_MOST = 115.0  # N besides the magnets on electrodes of 1e5 N/m, impact included; the magnets' snap takes 40 to 60
+STRIKE_MOST = 115.0  # N without the magnets, on electrodes of 1e5 N/m, with impact; the magnets' snap takes 40 to 60
 
 
 def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:
-    """Shove the target by so many mm while the docking is under way."""
+    """Shift the target by these mm during the docking."""
     target = run.world.parameters.target
     moved = replace(target, x=target.x + x * MILLIMETRE, y=target.y + y * MILLIMETRE, z=target.z + z * MILLIMETRE)
     run.world.parameters = replace(run.world.parameters, target=moved)
@@ -36,10 +36,9 @@ def until_lifted(run: VirtualCharger) -> None:
 
 
 def pushed(run: VirtualCharger) -> float:
-    """Largest push (N) so far besides the magnets', impact included, as it would be on electrodes of 1e5 N/m.
+    """Largest push (N) so far without the magnets' force, with impact, converted to electrodes of 1e5 N/m.
 
-    What strikes with a speed strikes the harder, by the root of its stiffness, the stiffer it meets; soft electrodes
-    bottom, and meet their stop.
+    At a given speed the impact grows with the root of the stiffness. Soft electrodes bottom out at their stop.
     """
     contact = run.world.parameters.contact
     bottoms = contact.stiffness * contact.hard_stop < 30.0  # N of one electrode under half of the magnets' pull
@@ -56,11 +55,11 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
         servo=ServoParameters(stiffness=servo),
         contact=ContactParameters(stiffness=contact, hard_stop=0.002),
     )
-    told: list[tuple[float, Command]] = []
+    commands: list[tuple[float, Command]] = []
     step = run.machine.step
 
     def watched(observation: Observation) -> Command:
-        told.append((run.now, command := step(observation)))
+        commands.append((run.now, command := step(observation)))
         return command
 
     run.machine.step = watched  # type: ignore[method-assign]
@@ -68,7 +67,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
     run.until(lambda: run.observe().tactile_contact, 60.0)
     touched = run.now
     run.run(2 * TICK)
-    after = [command.trajectory for time, command in told if time >= touched and command.trajectory is not None]
+    after = [command.trajectory for time, command in commands if time >= touched and command.trajectory is not None]
     assert after, "the line goes on"
     assert len(after[0]) <= 1, "the goal stands still, or goes back to where the arm is"
     run.finish(120.0)
@@ -77,12 +76,12 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
 
 
 @pytest.mark.parametrize("z", [-8.0, -3.0, 3.0, 8.0])
-def test_a_known_place_that_is_wrong_is_no_harm(z: float) -> None:
+def test_a_wrong_known_place_does_no_harm(z: float) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     context = run.machine._context
     assert context.known_contact is not None
-    wrong = -z * MILLIMETRE  # the target lies by z nearer or farther than where it is known to be
+    wrong = -z * MILLIMETRE  # the target is nearer or farther by z than its known place
     known = context.known_contact
     context.known_contact = replace(known, commanded=known.commanded + wrong, measured=known.measured + wrong)
     assert run.finish(120.0).success
@@ -91,7 +90,7 @@ def test_a_known_place_that_is_wrong_is_no_harm(z: float) -> None:
 
 
 @pytest.mark.parametrize("place", [(4.0, 0.0), (0.0, -4.0), (-3.0, 3.0)])
-def test_a_target_that_moved_between_two_presses_is_found_where_it_is_now(place: tuple[float, float]) -> None:
+def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place: tuple[float, float]) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     move_target(run, *place)
@@ -102,7 +101,7 @@ def test_a_target_that_moved_between_two_presses_is_found_where_it_is_now(place:
     assert run.world.record.energised_unsafe == 0.0
 
 
-def test_a_target_that_is_gone_between_two_presses_is_named() -> None:
+def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     move_target(run, z=60.0)
@@ -111,11 +110,11 @@ def test_a_target_that_is_gone_between_two_presses_is_named() -> None:
 
 
 @pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
-def test_a_place_that_was_told_wrongly_is_struck_no_harder(z: float) -> None:
-    """Nearer than told by less than the standoff, or farther: the search meets it."""
-    told = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
+def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
+    """Nearer than given by less than the standoff, or farther: the search finds it."""
+    given = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
     run = charger()
-    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0)))
+    outcome = run.dock(DockGoal(ElectrodePose(given, 0.0)))
     assert outcome.success or outcome.code is Code.NO_CONTACT
     assert pushed(run) < STRIKE_MOST
 
@@ -125,7 +124,7 @@ def unfelt(observation: Observation) -> Observation:
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_touch_that_is_never_felt_is_bounded_by_the_current(again: bool) -> None:
+def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -> None:
     run = charger(6, 6, seed=2)
     if again:
         until_lifted(run)
@@ -142,7 +141,7 @@ def test_touch_that_is_never_felt_is_bounded_by_the_current(again: bool) -> None
     "fault",
     [{"servo_age": 0.15}, {"tactile_age": 0.15}, {"tactile_age": 0.15, "tactile_contact": False}],
 )
-def test_touch_lost_on_the_fast_line_holds_the_arm_before_the_target(fault: dict[str, Any]) -> None:
+def test_missing_touch_data_on_the_fast_line_stops_the_arm_before_the_target(fault: dict[str, Any]) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
     run.until(lambda: run.machine.status.state is State.CONTACT, 10.0)
@@ -157,7 +156,7 @@ def test_touch_lost_on_the_fast_line_holds_the_arm_before_the_target(fault: dict
 
 
 def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
-    """Conditions that hold on each of the lines of contact, in their order: fast, slow, pressing; and again."""
+    """Conditions of each line of contact, in order: fast, slow, pressing; then again."""
     status, z = run.machine.status, run.world.snapshot
     depth = GOAL.position[2] - run.parameters.search_from
     return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An error of our own where a goal begins: the client hears INTERNAL, and nothing goes on that nobody serves."""
+"""An internal error at the beginning of a goal: the client gets INTERNAL, and nothing continues unserved."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def hostile(quick_scene: Scene, context: Any) -> Iterator[Hostile]:
 
 
 def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
-    """Let the next call of a method raise, after it has done its work."""
+    """Let the next call of a method raise after its work."""
     works = getattr(owner, name)
 
     def fail(*words: Any, **options: Any) -> Any:
@@ -35,8 +35,8 @@ def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
     patch.setattr(owner, name, fail)
 
 
-@pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_goals", "_begun")])
-def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger_free(
+@pytest.mark.parametrize(("part", "does"), [("_machine", "_record_goal"), ("_goals", "_begun")])
+def test_a_defect_at_the_beginning_of_a_goal_ends_it_and_leaves_the_charger_free(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hostile.heal()
@@ -45,13 +45,13 @@ def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger
         outcome = hostile.dock()
     assert (outcome.success, outcome.error_name) == (False, "INTERNAL"), outcome
     assert "a defect at the beginning" in outcome.error_message
-    assert not hostile.docking._machine.busy, "the machine works on for nobody"
+    assert not hostile.docking._machine.busy, "the machine continues without a client"
     wait_until(lambda: hostile.is_idle() and not hostile.servos.torque_enabled, "an arm at rest")
     assert not hostile.is_closed
     hostile.charge()
 
 
-def test_a_defect_at_the_beginning_of_undock_opens_what_was_closed(
+def test_a_defect_at_the_beginning_of_undock_opens_the_contactor(
     hostile: Hostile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hostile.heal()

@@ -43,9 +43,9 @@ class Charger:
         self.composition = Composition(override(scene, Overrides(frame_prefix=prefix)), context, namespace).start()
         self.client = ChargerClient(namespace, context)
         assert self.client.wait_until_it_answers(DEADLINE)
-        self.told: list[DockingDecision] = []
+        self.decisions: list[DockingDecision] = []
         node = self.client.node
-        node.create_subscription(DockingDecision, "docking_decision", self.told.append, qos.DEFAULT_DEPTH)
+        node.create_subscription(DockingDecision, "docking_decision", self.decisions.append, qos.DEFAULT_DEPTH)
         self._docks: Any = ActionClient(node, Dock, "dock")
         wait_until(self._docks.server_is_ready, "the action")
 
@@ -61,9 +61,9 @@ class Charger:
         return answer(answer(self.client.node.executor.call_soon(self._docks.send_goal_async, goal)))
 
     def taken(self) -> DockingDecision:
-        """Return the decision that told where the last goal was taken to be."""
-        wait_until(lambda: any(each.kind == "accepted" for each in self.told), "the decision")
-        return next(each for each in reversed(self.told) if each.kind == "accepted")
+        """Return the decision with the last goal's place."""
+        wait_until(lambda: any(each.kind == "accepted" for each in self.decisions), "the decision")
+        return next(each for each in reversed(self.decisions) if each.kind == "accepted")
 
     def close(self) -> None:
         self._docks.destroy()
@@ -79,7 +79,7 @@ def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
 
 
 @with_tf
-def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, context: Any, spin: Spin) -> None:
+def test_it_docks_at_a_goal_in_map_while_localization_runs(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
     robot.fix("base_link", "left/charger_base", MOUNT)
@@ -96,7 +96,7 @@ def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, 
 
 
 @with_tf
-def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
+def test_a_goal_without_a_transform_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
     robot = spin(Robot(context))
     wait_until(lambda: robot.heard, "docking_node")
     robot.fix("base_link", "left/charger_base", MOUNT)
@@ -112,9 +112,9 @@ def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: An
 
 
 @with_tf
-def test_a_charger_that_serves_a_goal_reads_no_tf_for_another(charger: Charger) -> None:
+def test_a_busy_charger_reads_no_tf_for_another_goal(charger: Charger) -> None:
     first = charger.send("left/charger_base", TARGET)
-    wait_until(lambda: any(each.kind == "accepted" for each in charger.told), "the first goal")
+    wait_until(lambda: any(each.kind == "accepted" for each in charger.decisions), "the first goal")
     second = charger.dock("map", TARGET)
     assert (CODES[second.error_code], second.retriable) == ("REJECTED", True)
     assert "another goal is being served" in second.error_message
@@ -122,22 +122,22 @@ def test_a_charger_that_serves_a_goal_reads_no_tf_for_another(charger: Charger) 
     assert answer(first.get_result_async()).result.success
 
 
-def test_the_client_asks_in_charger_base_whatever_its_prefix(charger: Charger) -> None:
+def test_the_client_sends_goals_in_charger_base_with_any_prefix(charger: Charger) -> None:
     outcome = charger.client.dock(DockRequest(Pose(*TARGET[:3])), deadline=DEADLINE)
     assert outcome.success, outcome.error_message
 
 
-def test_whatever_two_chargers_write_names_a_frame_of_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
-    """With tf or without: what one writes in its frames is not taken for the other's."""
+def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
+    """With tf or without: data in the frames of one charger are not used for the other."""
     prefixes = ("left/", "right/")
     chargers = [Charger(quick_scene, context, prefix) for prefix in prefixes]
     try:
         for charger, prefix in zip(chargers, prefixes, strict=True):
-            heard = _hear(charger)
-            result = charger.dock("", TARGET)  # by the camera, so that a detection is told, too
+            received = _frame_ids(charger)
+            result = charger.dock("", TARGET)  # by the camera, so that a detection is published
             assert result.success, result.error_message
-            wait_until(lambda heard=heard: all(heard.values()), "a message of each topic")
-            assert {frame.removesuffix("charger_base").removesuffix("end_effector") for frame in heard.values()} == {
+            wait_until(lambda received=received: all(received.values()), "a message of each topic")
+            assert {frame.removesuffix("charger_base").removesuffix("end_effector") for frame in received.values()} == {
                 prefix
             }
             assert result.misalignment.header.frame_id == f"{prefix}end_effector"
@@ -149,19 +149,19 @@ def test_whatever_two_chargers_write_names_a_frame_of_their_own(quick_scene: Sce
             charger.close()
 
 
-def _hear(charger: Charger) -> dict[str, str]:
-    """Return the frame_id of each topic of a charger that says where something is, as soon as it is heard."""
+def _frame_ids(charger: Charger) -> dict[str, str]:
+    """Return the frame_id of each topic of a charger that has one, after its first message."""
     node: Any = charger.client.node
     own = [each.node for each in charger.composition.nodes]
     ends = {each.topic_name: each.msg_type for every in own for each in every.publishers}
     stamped = {name: kind for name, kind in ends.items() if "header" in kind.get_fields_and_field_types()}
-    heard = {name: "" for name in stamped if not name.endswith(("diagnostics", "trajectory", "misalignment"))}
-    assert len(heard) >= 8, sorted(heard)
-    for name in heard:
+    received = {name: "" for name in stamped if not name.endswith(("diagnostics", "trajectory", "misalignment"))}
+    assert len(received) >= 8, sorted(received)
+    for name in received:
         node.create_subscription(
             stamped[name],
             name,
-            lambda message, name=name: heard.__setitem__(name, message.header.frame_id),
+            lambda message, name=name: received.__setitem__(name, message.header.frame_id),
             qos.SENSOR,
         )
-    return heard
+    return received

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals as no fleet should send them, two clients at once, a client that dies, and goals while the charger ends."""
+"""Malformed goals, two clients at once, a client that dies, and goals while the charger ends."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SEED = 45
 
 
 class Charger:
-    """A charger of mocks, its client, and bare action clients for what that client would never send."""
+    """A charger of mocks, its client, and raw action clients for goals that this client never sends."""
 
     def __init__(self, scene: Scene, context: Any) -> None:
         self.namespace, self.context = new_namespace(), context
@@ -135,7 +135,7 @@ WRONG["facing sideways"] = LEANS  # turned by a quarter about y the terminal's b
 
 
 @pytest.mark.parametrize("goal", WRONG.values(), ids=WRONG)
-def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, goal: Dock.Goal) -> None:
+def test_an_impossible_goal_is_refused_before_anything_moves(charger: Charger, goal: Dock.Goal) -> None:
     before = charger.servos.position
     result = charger.result(goal)
     assert not result.success
@@ -149,7 +149,7 @@ def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, g
     assert not result.suggested_base_pose.header.frame_id or CODES[result.error_code] == "UNREACHABLE"
 
 
-def test_a_goal_that_fails_before_it_measures_tells_nothing_of_an_earlier_docking(charger: Charger) -> None:
+def test_a_goal_that_fails_before_measuring_reports_nothing_of_an_earlier_docking(charger: Charger) -> None:
     docked = dock_at_last(charger.client, PLACE)
     assert not math.isnan(docked.details["misalignment"]["vertical"])
     assert charger.client.undock(deadline=DEADLINE).success
@@ -170,7 +170,7 @@ def random_goal(source: random.Random) -> Any:
         return Undock.Goal(request_id=source.choice(("", "x" * 200, "\x00", "ä\U0001f50c")))
     numbers = (0.0, 1.0, -1.0, 0.080, 1e-300, HUGE, -HUGE, NAN, INF, -INF)
     goal = pose(*(source.choice(numbers) for _ in range(3)), frame=source.choice(("charger_base", "base_link", "x")))
-    goal.electrodes.pose.position.x = source.choice((NAN, INF, HUGE, 5.0))  # never one that moves the arm
+    goal.electrodes.pose.position.x = source.choice((NAN, INF, HUGE, 5.0))  # never a goal that moves the arm
     for name in "xyzw":
         setattr(goal.electrodes.pose.orientation, name, source.choice(numbers))
     goal.critical_angle, goal.stop_energy = source.choice(numbers), source.choice(numbers)
@@ -192,9 +192,9 @@ def test_fifty_wrong_goals_at_once_are_each_answered(charger: Charger) -> None:
     assert not charger.servos.torque_enabled
 
 
-def test_a_request_id_of_ten_megabytes_is_refused_and_repeated_nowhere(charger: Charger) -> None:
+def test_a_request_id_of_ten_megabytes_is_refused_and_not_repeated(charger: Charger) -> None:
     states: list[DockingState] = []
-    heard = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
+    subscription = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
     for goal in (with_fields(request_id="x" * 10_000_000), Undock.Goal(request_id="x" * 10_000_000)):
         result = charger.result(goal)
         assert CODES[result.error_code] == "REJECTED"
@@ -204,11 +204,11 @@ def test_a_request_id_of_ten_megabytes_is_refused_and_repeated_nowhere(charger: 
     assert charger.client.undock(longest, deadline=DEADLINE).success
     wait_until(lambda: states and states[-1].request_id == longest, "the longest id that is taken")
     assert max(len(state.request_id) for state in states) == REQUEST_ID_MAX
-    charger.client.node.destroy_subscription(heard)
+    charger.client.node.destroy_subscription(subscription)
 
 
 def cancel_all(charger: Charger, action: str) -> Any:
-    """Cancel every goal of an action, whoever sent it: what a client may do that lost its own, or another's."""
+    """Cancel every goal of an action, as a client may do that lost its own goal."""
     service = charger.client.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
     assert service.wait_for_service(DEADLINE)
     response = call(service, CancelGoal.Request())
@@ -217,7 +217,7 @@ def cancel_all(charger: Charger, action: str) -> Any:
 
 
 def test_two_clients_at_once(charger: Charger) -> None:
-    """The second is told that another is served, whatever it asks, by the same name or not; it may cancel the first."""
+    """The second gets the error that another goal is served, with the same action or not; it may cancel the first."""
     with ChargerClient(charger.namespace, charger.context) as other:
         began = threading.Event()
         first: list[Any] = []
@@ -256,10 +256,10 @@ client.dock(DockRequest(Pose(0.0, 0.0, 0.080), hold=True), die)
 """
 
 
-def test_a_client_that_dies_leaves_its_goal_and_another_may_end_it(charger: Charger) -> None:
-    """Charging goes on, supervised; who comes next is told so, cancels the goal that nobody holds, and is served."""
+def test_the_goal_of_a_dead_client_continues_and_another_may_end_it(charger: Charger) -> None:
+    """Charging continues under supervision; the next client gets an error, cancels the orphaned goal, and is served."""
     command = [sys.executable, "-c", _DYING, charger.namespace]
-    # An estimate that a stalled mock spoilt ends that client's goal, and no charging comes.
+    # If a stalled mock spoils an estimate, that client's goal ends without charging.
     wait_until(lambda: subprocess.run(command, timeout=DEADLINE, check=False).returncode == 9, "a client that dies")
     assert charger.is_closed
     assert charger.client.undock(deadline=DEADLINE).error_name == "REJECTED"
@@ -271,7 +271,7 @@ def test_a_client_that_dies_leaves_its_goal_and_another_may_end_it(charger: Char
 
 
 def test_goals_while_the_charger_ends_are_answered(quick_scene: Scene, context: Any) -> None:
-    """One runs, others come while docking_node closes: the contactor opens, and each result has a code and a reason."""
+    """One runs, others arrive while docking_node closes: the contactor opens; each result has a code and a reason."""
     charger = Charger(quick_scene, context)
     try:
         docking, results = charger.composition.node("docking_node"), []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as no driver should send them: docking_node lives on, opens, names what is wrong, and docks again after.
+"""Malformed messages: docking_node survives, opens the contactor, names the problem, and docks again afterwards.
 
-They reach docking_node alone; the mocks behind hear one another undistorted. A message that is malformed is as good as
-none: its age grows, and the codes are those of silence.
+They reach only docking_node; the mocks receive undistorted messages. A malformed message counts as missing: the age
+grows, and the codes are those of a silent node.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NAN, INF = math.nan, math.inf
 SERVO, PADS, POWER = "servo_state", "tactile_frame", "charger_power"
-OPENS = 0.35 + 0.65  # s: the limit, and what a busy machine and ten times as patient parameters of the mocks' scene add
+OPENS = 0.35 + 0.65  # s: the limit, plus margins for a busy computer and the longer limits in the mocks' scene
 COLUMNS = [name for name in ServoState.get_fields_and_field_types() if name != "header"]
 
 
 def put(**fields: Any) -> Distortion:
-    """Return what sets fields of a message; lists of numbers become arrays."""
+    """Return a function that sets fields of a message; lists of numbers become arrays."""
 
     def distort(message: Any) -> Any:
         for name, value in fields.items():
@@ -46,7 +46,7 @@ def put(**fields: Any) -> Distortion:
 
 
 def cut(length: int, *names: str) -> Distortion:
-    """Return what cuts the fields named, or all sequences of a ServoState, to a length."""
+    """Return a function that cuts these fields, or all sequences of a ServoState, to a length."""
 
     def distort(message: Any) -> Any:
         for name in names or COLUMNS:
@@ -57,7 +57,7 @@ def cut(length: int, *names: str) -> Distortion:
 
 
 def reorder(message: ServoState) -> ServoState:
-    """Return the same servos, told in another order."""
+    """Return the same servos in another order."""
     for name in COLUMNS:
         kept = getattr(message, name)
         row = [kept[index] for index in (2, 0, 1)]
@@ -74,7 +74,7 @@ def shared(quick_scene: Scene, context: Any) -> Iterator[Hostile]:
 
 @pytest.fixture
 def hostile(shared: Hostile) -> Iterator[Hostile]:
-    """That every test begins with a charger that undocked is what recovery means here."""
+    """Every test begins with a charger that has undocked: this shows recovery."""
     shared.heal()
     yield shared
     shared.relay.distort.clear()
@@ -85,7 +85,7 @@ WRONG_SERVOS: dict[str, Distortion] = {
     "no currents": cut(0, "current"),
     "nothing at all": cut(0),
     "no validity": cut(0, "valid"),
-    "no torque told": cut(0, "torque_enabled"),
+    "no torque values": cut(0, "torque_enabled"),
     "four of each": lambda message: put(**{name: [*getattr(message, name)][:1] * 4 for name in COLUMNS})(message),
     "other names": put(name=["a", "b", "c"]),
     "one name twice": put(name=["limb_0_arm_joint", "limb_0_arm_joint", "limb_2_arm_joint"]),
@@ -111,22 +111,22 @@ WRONG_PADS: dict[str, Distortion] = {
 }
 
 
-def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
+def test_an_idle_charger_tolerates_every_message_and_then_docks(hostile: Hostile) -> None:
     defects = Defects(hostile)
     for topic, table in ((SERVO, WRONG_SERVOS), (POWER, WRONG_POWER), (PADS, WRONG_PADS)):
         for distortion in table.values():
             hostile.relay.distort[topic] = distortion
             time.sleep(0.05)
         hostile.relay.distort.clear()
-    assert defects.told == []
+    assert defects.texts == []
     hostile.charge()
 
 
 @pytest.mark.parametrize(("part", "does"), [("_machine", "step"), slow("_inputs", "observation")])
-def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
+def test_an_internal_defect_opens_the_contactor_and_ends_with_a_code(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whether what it sees or what it decides goes wrong, each time anew."""
+    """Defects in its observations or in its decisions, at each call."""
 
     def fail(*words: Any) -> Any:
         raise RuntimeError("a defect")
@@ -152,8 +152,8 @@ def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
     assert not hostile.is_closed
 
 
-@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque told"), slow("other names")])
-def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
+@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque values"), slow("other names")])
+def test_invalid_servo_states_end_charging(hostile: Hostile, name: str) -> None:
     hostile.charge()
     hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
     assert hostile.opens_after() < OPENS
@@ -161,8 +161,8 @@ def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str
 
 
 @pytest.mark.parametrize("name", ["all NaN", slow("endless current"), slow("unknown fault")])
-def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
-    """A current that is said to flow for ever keeps the arm where it is, with its torque: until that is healed."""
+def test_invalid_power_messages_end_charging(hostile: Hostile, name: str) -> None:
+    """A current that is reported for ever keeps the arm where it is, with its torque, until the report ends."""
     hostile.charge()
     hostile.relay.distort[POWER] = WRONG_POWER[name]
     assert hostile.opens_after() < OPENS
@@ -171,16 +171,16 @@ def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ["NaN taxels", slow("no taxels")])
-def test_frames_that_tell_nothing_never_dock(hostile: Hostile, name: str) -> None:
-    """misalignment_node and the mock of tactile_node hear the true ones: what is tested is docking's own sense."""
+def test_invalid_tactile_frames_never_dock(hostile: Hostile, name: str) -> None:
+    """misalignment_node and the mock of tactile_node receive the true frames: this tests docking's own check."""
     hostile.relay.distort[PADS] = WRONG_PADS[name]
     outcome = hostile.dock()
     assert outcome.error_name in ("NO_TACTILE_CONTACT", "TACTILE_STALE"), outcome
     assert not hostile.is_closed
 
 
-def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(hostile: Hostile) -> None:
-    """Judged by where the arm goes: limbs that are taken for one another would carry it sideways."""
+def test_servos_in_another_order_are_sorted_or_refused_but_never_confused(hostile: Hostile) -> None:
+    """Judged by the arm's motion: confused limbs would carry it sideways."""
     hostile.servos._arm.angles[0] += 0.05  # no two limbs alike, so that a mistake shows
     hostile.relay.distort[SERVO] = reorder
     furthest = [0.0]
@@ -195,7 +195,7 @@ def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(ho
 
 
 @pytest.mark.parametrize("topic", [SERVO, slow(PADS), slow(POWER)])
-def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Hostile, topic: str) -> None:
+def test_a_repeated_message_never_counts_as_new_even_from_the_future(hostile: Hostile, topic: str) -> None:
     """A publisher that hangs and repeats itself, stamped by a clock that was an hour ahead."""
     hostile.charge()
     kept: list[Any] = []
@@ -208,7 +208,7 @@ def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Ho
 
     hostile.relay.distort[topic] = repeat
     if topic == PADS:
-        time.sleep(2.0)  # charging goes on by the estimates of misalignment_node; touch is looked at on the way
+        time.sleep(2.0)  # charging continues by the estimates of misalignment_node; touch matters only on the way
         assert hostile.client.undock(deadline=60.0).success
         hostile.relay.distort[topic] = repeat
         assert hostile.dock().error_name == "TACTILE_STALE"
@@ -220,7 +220,7 @@ def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Ho
 
 @pytest.mark.parametrize("seconds", [-3600, slow(3600), slow(1), slow(-(2**31))])
 def test_servos_stamped_by_another_clock_never_dock(hostile: Hostile, seconds: int) -> None:
-    """What is an hour old is stale; what is stamped ahead might be, and nobody would know; no stamp is none."""
+    """Data an hour old are stale; data with a future stamp may be; a zero stamp is invalid."""
 
     def shift(message: Any) -> Any:
         message.header.stamp.sec = max(message.header.stamp.sec + seconds, -(2**31))
@@ -270,10 +270,10 @@ REFUSED = (
     ("topic", "malformed"),
     [(SERVO, cut(2, "position")), slow(PADS, cut(3, "left")), slow(POWER, swollen)],
 )
-def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
+def test_refused_messages_are_counted_and_do_not_affect_valid_ones(
     hostile: Hostile, topic: str, malformed: Distortion
 ) -> None:
-    """Every second message of a topic is wrong while the charger docks and charges: that goes on."""
+    """Every second message of a topic is wrong while the charger docks and charges: both continue."""
     defects, refused = Defects(hostile), hostile.docking._inputs.refused
     before, turns = refused.count, [0]
     wrong = (*REFUSED, malformed)
@@ -287,16 +287,16 @@ def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
     wait_until(lambda: refused.count - before > 3 * len(wrong), "a count")
     assert hostile.is_closed
     assert refused.last.startswith(topic)
-    assert defects.told == []
+    assert defects.texts == []
 
 
 @pytest.mark.slow
-def test_a_trajectory_whose_stamp_is_none_ends_no_node(hostile: Hostile) -> None:
+def test_a_trajectory_with_an_invalid_stamp_ends_no_node(hostile: Hostile) -> None:
     publisher = hostile.client.node.create_publisher(JointTrajectory, "joint_trajectory", 1)
     wait_until(lambda: publisher.get_subscription_count() == 1, "the mock of servo_node")
     wrong = JointTrajectory(joint_names=list(JOINTS), points=[JointTrajectoryPoint(positions=[0.5] * 3)])
     publisher.publish(stamped(-5, 0)(wrong))
     assert publisher.wait_for_all_acked()
     hostile.client.node.destroy_publisher(publisher)
-    wait_until(lambda: not hostile.states[-1].duplicate_sources, "nobody else")
+    wait_until(lambda: not hostile.states[-1].duplicate_sources, "no second source")
     hostile.charge()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers that come late, twice or again and again, and sensors that repeat themselves under new stamps.
+"""Late, double and repeated answers, and sensors that repeat their readings with new stamps.
 
-A late answer belongs to the goal that asked for it, or to nobody. A sensor that freezes is not looked for: its readings
-may stand still honestly. What this file holds is what that costs: the push stays bounded, nothing is energised that
-the other sensors do not bear out, and while current flows any two of the three inputs notice a target that leaves.
+A late answer belongs to the goal that requested it, or is dropped. Docking does not search for a frozen sensor, whose
+readings may really be constant. This file shows the consequences: the push stays bounded, nothing is energised that
+the other sensors do not confirm, and while current flows any two of the three inputs detect a target that leaves.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from deltacharger_lab.campaigns.virtual_charger import GOAL
 from .dockings import quick_charger
 from .silences import Faulty
 
-_PUSH_BOUND = 30.0  # N; what the current bound of the servos allows at the dock, however far the command goes
+_PUSH_BOUND = 30.0  # N; limit by the servos' current bound at the dock, for any command
 
 
 class Repeating(Faulty):
-    """A charger that can hold answers back, and say them again in every tick that follows."""
+    """A charger that can delay answers, and repeat them in every following tick."""
 
     held: Service | None = None
 
@@ -68,21 +68,21 @@ BAD = FeltPose(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
-def test_an_answer_that_comes_in_the_next_goal_is_nobodys(
+def test_an_answer_that_arrives_in_the_next_goal_is_ignored(
     service: Service, first: Code, own: dict[str, object], code: Code
 ) -> None:
-    """The late one is a good one, said in every tick of the next goal, whose own answer is bad."""
+    """The late answer is good and repeated in every tick of the next goal, whose own answer is bad."""
     run = Repeating()
     goal = DockGoal(None if service is Service.DETECT else GOAL)
     run.held = service
     assert run.dock(goal).code is first
     run.run(4.0)
     run.held = None
-    run._torque = False  # as a person would have left it, so that it is asked for again
+    run._torque = False  # as after manual handling, so that it is requested again
     assert run.echoes
     late = run.echoes
-    run.distort = lambda observation, told=run.distort: replace(
-        told(observation), replies=(*late, *observation.replies, *late)
+    run.distort = lambda observation, base=run.distort: replace(
+        base(observation), replies=(*late, *observation.replies, *late)
     )
     run.answer[service] = lambda reply: replace(reply, message="out of order", **own)
     assert run.dock(goal).code is code
@@ -98,7 +98,7 @@ def test_every_answer_twice_and_then_in_every_tick_changes_nothing() -> None:
     assert once.states == often.states
     assert once.undock().success
     assert often.undock().success
-    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was asked anew"
+    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was repeated"
 
 
 NOT_NOTICED = None
@@ -144,7 +144,7 @@ def test_a_sensor_that_repeats_itself(
 
 
 def drag_off(run: Faulty) -> None:
-    """Move the platform away from the target by force, as somebody would who rolls the robot away."""
+    """Move the platform away from the target by force, as if the robot were rolled away."""
     home = run.machine.parameters.home
     run._follow = lambda command: run.plant.open_contactor(True) if not command.energise else None  # type: ignore[assignment]
     angles = run.machine._context.kinematics.inverse(*home)
@@ -164,7 +164,7 @@ def test_one_frozen_sensor_does_not_hide_a_target_that_leaves(frozen: str) -> No
 
 
 def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None:
-    """Nothing shows that the contactor opened: pulling would draw an arc if it had not."""
+    """The contactor may still be closed: pulling could draw an arc."""
     run = Faulty()
     run.reach(State.CHARGING)
     run.frozen = ("charger_power",)
@@ -174,8 +174,8 @@ def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None
     run.assert_never_hurt()
 
 
-def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
-    """The first estimate, 6 mm off, is answered to every question: the arm goes after it until it can go no further."""
+def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
+    """The first estimate, 6 mm off, answers every request: the arm follows it to its limit."""
     run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
     felt: list[FeltPose] = []
 
@@ -194,7 +194,7 @@ def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
     run.assert_never_hurt()
 
 
-def test_a_goal_that_follows_at_once_is_not_misled_by_a_servo_state_from_before_the_torque_was_off() -> None:
+def test_an_immediate_next_goal_is_not_misled_by_a_servo_state_from_before_torque_off() -> None:
     run = quick_charger()
     seen: list[bool] = []
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lean that is known before contact, in virtual time: what surely lies too far off is refused before anything moves."""
+"""Lean that is known before contact, in virtual time: a sure lean beyond the limit is refused before anything moves."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def assert_nothing_was_moved(run: VirtualCharger) -> None:
 
 @pytest.mark.parametrize("seen", [True, False])
 @pytest.mark.parametrize(("yaw", "side"), [(6.5, "left"), (-6.5, "right")])
-def test_a_yaw_is_refused_before_anything_moves_with_the_stand_that_faces_it(yaw: float, side: str, seen: bool) -> None:
+def test_a_large_yaw_is_refused_before_moving_with_a_suggested_base_pose(yaw: float, side: str, seen: bool) -> None:
     pose = leaning(yaw, 0.0)
     run, outcome = dock_at(pose, seen)
     assert (outcome.code, outcome.retriable) == (Code.LEANING, False)
-    for told in (f"yawed by {yaw:+.1f}°", "more than 5.0°", f"turn it by 6.5° to the {side}"):
-        assert told in outcome.message
+    for part in (f"yawed by {yaw:+.1f}°", "more than 5.0°", f"turn it by 6.5° to the {side}"):
+        assert part in outcome.message
     assert_nothing_was_moved(run)
     base = outcome.suggested_base
     assert base is not None
     assert base.yaw == pose.yaw
-    # From there the electrodes lie straight ahead: R_y(yaw)ᵀ (electrodes − base).
+    # From there the electrodes are straight ahead: R_y(yaw)ᵀ (electrodes − base).
     x, y, z = (a - b for a, b in zip(pose.position, (base.x, base.y, base.z), strict=True))
     sine, cosine = math.sin(base.yaw), math.cos(base.yaw)
     assert (cosine * x - sine * z, y, sine * x + cosine * z) == pytest.approx((0.0, 0.0, 0.080))
@@ -59,11 +59,11 @@ def test_a_yaw_is_refused_before_anything_moves_with_the_stand_that_faces_it(yaw
 
 @pytest.mark.parametrize("seen", [True, False])
 @pytest.mark.parametrize("yaw", [0.0, 9.0])
-def test_a_pitch_is_refused_before_anything_moves_and_no_stand_mends_it(yaw: float, seen: bool) -> None:
+def test_a_large_pitch_is_refused_before_anything_moves_without_a_suggested_base_pose(yaw: float, seen: bool) -> None:
     run, outcome = dock_at(leaning(yaw, -6.5), seen)
     assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
-    for told in ("pitched by -6.5°", "more than 5.0°", "level the target or the charger", "floor", "suspension"):
-        assert told in outcome.message
+    for part in ("pitched by -6.5°", "more than 5.0°", "level the target or the charger", "floor", "suspension"):
+        assert part in outcome.message
     assert_nothing_was_moved(run)
 
 
@@ -80,7 +80,7 @@ def test_a_pitch_is_refused_before_anything_moves_and_no_stand_mends_it(yaw: flo
     ],
     ids=["within two sigmas", "yaw", "pitch", "to the right", "unknown", "of unknown error", "of endless error"],
 )
-def test_only_what_surely_lies_beyond_the_limits_is_refused_the_rest_is_left_to_the_pads(
+def test_only_a_sure_lean_beyond_the_limits_is_refused_and_the_pads_check_the_rest(
     pose: ElectrodePose, refused: bool
 ) -> None:
     run, outcome = dock_at(pose, seen=True)
@@ -91,12 +91,12 @@ def test_only_what_surely_lies_beyond_the_limits_is_refused_the_rest_is_left_to_
         assert outcome.success, outcome
 
 
-def test_as_many_sigmas_count_as_the_parameter_says() -> None:
+def test_the_parameter_sets_the_number_of_sigmas() -> None:
     assert dock_at(leaning(6.0, 0.0), True, lean_sigmas=0.0)[1].code is Code.LEANING
     assert dock_at(leaning(8.0, 0.0, stddev=1.0), True, lean_sigmas=4.0)[1].success
 
 
-def test_electrodes_out_of_reach_are_faced_squarely_where_their_yaw_is_known() -> None:
+def test_the_suggested_base_pose_faces_electrodes_of_known_yaw_squarely() -> None:
     far = replace(leaning(8.0, 0.0), position=(0.0, 0.02, 0.5))
     _, outcome = dock_at(far, seen=True)
     assert outcome.code is Code.UNREACHABLE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Targets whose faces lean, in virtual time: what is charged all the same, and what is refused with what to do."""
+"""Targets whose faces lean, in virtual time: which are charged, and which are refused with a remedy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def leaning(
     stiffness: float = 1e5,
     seed: int = 1,
 ) -> QuickCharger:
-    """A charger whose target stands (mm, mm, degrees) beside the goal's and leans, in degrees."""
+    """A charger whose target differs from the goal's by (mm, mm, degrees) and leans, in degrees."""
     x, y, roll = place
     target = TargetParameters(
         x=x * MILLIMETRE,
@@ -45,16 +45,14 @@ def leaning(
 
 
 def dock(run: QuickCharger, pitch: float = math.nan) -> DockingOutcome:
-    """Dock where the goal says; `pitch` (degrees) as a camera sees it within 0.5°."""
+    """Dock at the goal's place; `pitch` (degrees) as a camera measures it within 0.5°."""
     stddev = math.radians(0.5) if math.isfinite(pitch) else math.nan
     return run.dock(DockGoal(replace(GOAL, pitch=math.radians(pitch), pitch_stddev=stddev)))
 
 
 @pytest.mark.parametrize("yaw", [2.0, -2.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_faces_yawed_by_two_degrees_are_charged_and_called_aligned_only_within_the_overlap(
-    yaw: float, seed: int
-) -> None:
+def test_faces_yawed_by_two_degrees_are_charged_and_aligned_only_within_the_overlap(yaw: float, seed: int) -> None:
     run = leaning((2.0, -1.0, 2.0), yaw=yaw, seed=seed)
     outcome = dock(run)
     assert outcome.success, outcome.message
@@ -72,7 +70,7 @@ def test_faces_yawed_by_two_degrees_are_charged_and_called_aligned_only_within_t
 
 
 @pytest.mark.parametrize(("place", "yaw"), [((2.0, -1.0, 2.0), 5.0), ((-2.0, 1.0, -3.0), -5.0)])
-def test_a_yaw_that_empties_a_pad_ends_with_its_degrees_and_the_stand_that_faces_it(
+def test_a_yaw_that_empties_a_pad_ends_with_its_angle_and_a_suggested_base_pose(
     place: tuple[float, float, float], yaw: float
 ) -> None:
     run = leaning(place, yaw=yaw, compliance=0.01)
@@ -90,7 +88,7 @@ def test_a_yaw_that_empties_a_pad_ends_with_its_degrees_and_the_stand_that_faces
 @pytest.mark.parametrize("compliance", [0.0, 0.005])
 @pytest.mark.parametrize("pitch", [2.0, -2.0])
 @pytest.mark.parametrize(("camera", "code"), [(False, Code.NO_CHARGE_CURRENT), (True, Code.LEANING)])
-def test_a_pitch_that_lifts_a_bar_is_never_live_and_named_where_a_camera_has_seen_it(
+def test_a_pitch_that_lifts_a_bar_is_never_energised_and_reported_if_a_camera_saw_it(
     camera: bool, code: Code, pitch: float, compliance: float
 ) -> None:
     run = leaning((1.0, 0.0, 1.0), pitch=pitch, compliance=compliance, stiffness=STIFF)
@@ -105,7 +103,7 @@ def test_a_pitch_that_lifts_a_bar_is_never_live_and_named_where_a_camera_has_see
     assert_safe_at_home(run)
 
 
-def test_a_pitch_that_was_seen_counts_while_charging_as_it_did_before() -> None:
+def test_a_known_pitch_also_counts_while_charging() -> None:
     run = leaning((1.0, 0.0, 1.0), pitch=0.5)
     outcome = dock(run, 0.5)
     assert outcome.success, outcome.message

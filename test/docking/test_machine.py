@@ -67,7 +67,7 @@ def test_between_eight_and_twelve_degrees_charges_or_refuses_but_never_shorts(de
 
 
 @pytest.mark.parametrize("degrees", [12, -12, slow(13), slow(-15), slow(19), -24])
-def test_from_twelve_degrees_on_it_is_refused_with_the_arm_back(degrees: float) -> None:
+def test_targets_from_twelve_degrees_on_are_refused_with_the_arm_home(degrees: float) -> None:
     run = charger(degrees=degrees, seed=13)
     outcome = run.dock()
     assert not outcome.success
@@ -116,7 +116,7 @@ def test_paper_steps_overshoot_the_band_on_a_stiff_arm_and_guarded_ones_do_not()
     assert not all(value <= 0.5 for value in resting["paper"])
 
 
-def test_a_target_nearer_than_told_is_backed_off_from_once() -> None:
+def test_the_arm_backs_off_once_from_a_target_nearer_than_given() -> None:
     parameters = DockingParameters(approach="paper")
     target = TargetParameters(z=0.068)
     run = VirtualCharger(WorldParameters(target=target), parameters)
@@ -132,7 +132,7 @@ def test_the_raw_sum_of_currents_reads_docked_in_free_air(signal: str, code: Cod
     assert_safe_at_home(run)
 
 
-def test_pads_that_miss_are_no_tactile_contact() -> None:
+def test_pads_that_miss_give_no_tactile_contact() -> None:
     run = charger(y=18.0)
     outcome = run.dock()
     assert outcome.code is Code.NO_TACTILE_CONTACT
@@ -141,7 +141,7 @@ def test_pads_that_miss_are_no_tactile_contact() -> None:
 
 
 @pytest.mark.parametrize("y", [14.0, -14.0])
-def test_a_pad_that_lost_its_ridge_still_tells_the_direction_across_the_bars(y: float) -> None:
+def test_a_pad_that_lost_its_ridge_still_shows_the_direction_across_the_bars(y: float) -> None:
     run = charger(x=0.0, y=y)
     outcome = run.dock()
     assert outcome.success, outcome.message
@@ -150,16 +150,16 @@ def test_a_pad_that_lost_its_ridge_still_tells_the_direction_across_the_bars(y: 
 
 
 @pytest.mark.parametrize("yaw_stddev", [math.radians(1.2), 0.0], ids=["may lean", "parallel"])
-def test_along_the_bars_a_pad_without_load_moves_nothing_as_a_lean_may_leave_it_empty(yaw_stddev: float) -> None:
+def test_a_pad_without_load_causes_no_move_along_the_bars_since_a_lean_may_empty_it(yaw_stddev: float) -> None:
     run = charger(x=25.0, y=0.0, parameters={"yaw_stddev": yaw_stddev})
     outcome = run.dock()
-    assert outcome.code is Code.ESTIMATE_UNSURE  # so far aside the magnets hardly pull: no lean, then
+    assert outcome.code is Code.ESTIMATE_UNSURE  # this far away the magnets hardly pull, so it is not a lean
     assert outcome.alignments == 0
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
 
 
-def test_an_unsure_estimate_is_measured_again_by_docking_once_more_then_given_up() -> None:
+def test_after_an_unsure_estimate_contact_is_repeated_once_and_then_fails() -> None:
     run = charger(0, 0)
 
     def doubt(reply: Reply) -> Reply:
@@ -188,7 +188,7 @@ def test_an_unsure_estimate_is_measured_again_by_docking_once_more_then_given_up
         (DockGoal(ElectrodePose((0, 0, 0.5), 0.0)), Unreachable),
     ],
 )
-def test_goals_that_cannot_be_served_move_nothing(goal: DockGoal, error: type[Exception]) -> None:
+def test_impossible_goals_move_nothing(goal: DockGoal, error: type[Exception]) -> None:
     run = charger()
     with pytest.raises(error):
         run.begin(goal)
@@ -223,7 +223,7 @@ def test_the_camera_is_asked_when_no_pose_is_given() -> None:
         (None, Code.ELECTRODES_NOT_FOUND),
     ],
 )
-def test_what_the_camera_cannot_support_leaves_the_arm_unmoved(reply: Reply | None, code: Code) -> None:
+def test_an_invalid_detection_moves_nothing(reply: Reply | None, code: Code) -> None:
     run = charger()
     run.answer[Service.DETECT] = lambda asked: None if reply is None else replace(reply, number=asked.number)
     outcome = run.dock(DockGoal(None))
@@ -233,7 +233,7 @@ def test_what_the_camera_cannot_support_leaves_the_arm_unmoved(reply: Reply | No
         assert outcome.suggested_base == BasePose(0.0, 0.2, pytest.approx(0.22))
 
 
-def test_moves_are_told_as_corrections_and_as_contacts_made_anew() -> None:
+def test_moves_are_reported_as_corrections_and_repeated_contacts() -> None:
     run = charger(seed=4, parameters={"redocking_gain_min": 0.0, "alignments_max": 4})
     outcome = run.dock()
     assert outcome.success, outcome.message
@@ -243,28 +243,28 @@ def test_moves_are_told_as_corrections_and_as_contacts_made_anew() -> None:
 
 
 @pytest.mark.parametrize(("degrees", "seed"), [(10.0, 3), (10.5, 2), (11.0, 5), (11.5, 1)])
-def test_what_was_refused_is_never_called_aligned(degrees: float, seed: int) -> None:
+def test_a_refused_target_is_never_aligned(degrees: float, seed: int) -> None:
     outcome = charger(degrees=degrees, seed=seed, parameters={"alignments_max": 3}).dock()
     assert outcome.code in (Code.MISALIGNED, Code.CRITICAL_ANGLE)
     assert not outcome.aligned
 
 
 @pytest.mark.parametrize(
-    ("service", "told"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
+    ("service", "name"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
 )
-def test_what_a_docking_waits_for_is_told_while_it_does(service: Service, told: str) -> None:
+def test_docking_reports_what_it_waits_for(service: Service, name: str) -> None:
     run = charger()
     run.answer[service] = lambda reply: None
     run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.waiting_for == told, 30.0)
+    run.until(lambda: run.machine.status.waiting_for == name, 30.0)
     run.run(1.0)
-    assert run.machine.status.waiting_for == told
+    assert run.machine.status.waiting_for == name
     run.machine.cancel()
     assert run.finish(30.0).code is Code.CANCELED
     assert run.machine.status.waiting_for == ""
 
 
-def test_nodes_that_have_not_spoken_yet_are_waited_for_by_name() -> None:
+def test_nodes_without_messages_are_awaited_by_name() -> None:
     run = charger()
     run.distort = lambda observation: replace(observation, servo_age=math.inf, servos_valid=False)
     run.begin(DockGoal(GOAL))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with docking in virtual time: every way out is safe."""
+"""Faults of docking in virtual time: it always ends safely."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_every_fault_in_every_phase_opens_the_contactor(state: State, fault: dic
     }
     if not watched.get(code, True):
         run.run(0.1)
-        assert run.machine.status.code is Code.NONE, "nobody asks for it in this phase"
+        assert run.machine.status.code is Code.NONE, "it is not called in this phase"
         return
     run.until(lambda: run.machine.status.code is not Code.NONE, 5.0)
     assert run.machine.status.code is code
@@ -74,7 +74,7 @@ MOVING = [State.APPROACH, State.CONTACT, State.ALIGN]
 
 @pytest.mark.parametrize("state", MOVING)
 @pytest.mark.parametrize("fault", [{"servo_age": 0.15}, {"tactile_age": 0.15}])
-def test_old_data_hold_the_arm_and_fresh_ones_let_it_go_on(state: State, fault: dict[str, float]) -> None:
+def test_old_data_stop_the_arm_and_fresh_data_let_it_continue(state: State, fault: dict[str, float]) -> None:
     run = moving_in(state)
     run.distort = lambda observation: replace(observation, **fault)
     run.run(0.06)
@@ -89,12 +89,10 @@ def test_old_data_hold_the_arm_and_fresh_ones_let_it_go_on(state: State, fault: 
 
 @pytest.mark.parametrize(("fault", "code"), [("servo_age", Code.SERVO_FAULT), ("tactile_age", Code.TACTILE_STALE)])
 @pytest.mark.parametrize("state", MOVING)
-def test_an_input_that_stays_away_holds_the_arm_first_and_ends_the_goal_then(
-    state: State, fault: str, code: Code
-) -> None:
+def test_a_missing_input_first_stops_the_arm_and_then_ends_the_goal(state: State, fault: str, code: Code) -> None:
     run = moving_in(state)
     since, z = run.now, run.world.snapshot().position[2]
-    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it strikes nothing, however fast
+    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it cannot strike anything
     run.distort = lambda observation: replace(observation, **{fault: run.now - since})
     run.run(0.2)
     assert run.outcome is None
@@ -103,7 +101,7 @@ def test_an_input_that_stays_away_holds_the_arm_first_and_ends_the_goal_then(
     assert run.world.snapshot().position[2] < max(z + 3.0 * MILLIMETRE, free), "it was never carried on"
 
 
-def test_an_arm_that_is_held_does_not_stop_the_clock() -> None:
+def test_the_time_limit_runs_while_the_arm_is_stopped() -> None:
     run = quick_charger(parameters={"approach_timeout": 3.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: moves(run, 3 * TICK), 10.0)
@@ -113,7 +111,7 @@ def test_an_arm_that_is_held_does_not_stop_the_clock() -> None:
     assert_safe_at_home(run)
 
 
-def test_the_way_back_needs_no_touch() -> None:
+def test_retracting_needs_no_tactile_data() -> None:
     run = moving_in(State.CONTACT)
     run.distort = lambda observation: replace(observation, tactile_age=9.0)
     assert run.finish(30.0).code is Code.TACTILE_STALE
@@ -121,8 +119,8 @@ def test_the_way_back_needs_no_touch() -> None:
 
 
 @pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT])
-def test_torque_lost_on_the_way_ends_the_goal_at_once(state: State) -> None:
-    """Else the command would run on to the arm's limit, and pressing would resume from there."""
+def test_torque_lost_during_a_motion_ends_the_goal_at_once(state: State) -> None:
+    """Otherwise the command would reach the arm's limit, and pressing would resume from there."""
     run = moving_in(state)
     run.distort = lambda observation: replace(observation, torque_enabled=False)
     assert run.finish(2.0).code is Code.SERVO_FAULT
@@ -131,7 +129,7 @@ def test_torque_lost_on_the_way_ends_the_goal_at_once(state: State) -> None:
 @pytest.mark.parametrize(
     ("state", "stiffness"), [*((state, 15.0) for state in (*MOVING, State.RETRACT)), (State.APPROACH, 5.0)]
 )
-def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
+def test_motion_ends_with_the_machine(state: State, stiffness: float) -> None:
     servo = ServoParameters(stiffness=stiffness)
     if state is State.RETRACT:
         run = quick_charger(servo=servo)
@@ -148,7 +146,7 @@ def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
     assert not moves(run, 1.0)
 
 
-def test_a_pull_dies_with_the_machine_even_when_it_has_just_come_off() -> None:
+def test_a_pull_ends_with_the_machine_even_just_after_release() -> None:
     for ticks in range(1, 9, 3):
         run = quick_charger(6, 6)
         run.begin(DockGoal(GOAL))
@@ -183,7 +181,7 @@ def test_contact_lost_while_charging_opens_within_a_tenth_of_a_second() -> None:
         ({"target_accepts": False}, Code.NO_CHARGE_CURRENT),
     ],
 )
-def test_what_the_probe_and_the_stage_find_ends_docking(circuit: dict[str, float], code: Code) -> None:
+def test_findings_of_the_probe_and_the_power_stage_end_docking(circuit: dict[str, float], code: Code) -> None:
     run = quick_charger(circuit=CircuitParameters(**circuit))
     outcome = run.dock()
     assert not outcome.success
@@ -200,7 +198,7 @@ def test_what_the_probe_and_the_stage_find_ends_docking(circuit: dict[str, float
         (Service.PROBE, Code.POWER_STALE),
     ],
 )
-def test_services_that_fail(service: Service, code: Code) -> None:
+def test_failing_services_end_docking(service: Service, code: Code) -> None:
     run = quick_charger()
     run.answer[service] = lambda reply: Reply(reply.number, False, "out of order")
     outcome = run.dock()
@@ -209,7 +207,7 @@ def test_services_that_fail(service: Service, code: Code) -> None:
     assert not run.world.snapshot().contactor_closed
 
 
-def test_emergency_leaves_everything_off() -> None:
+def test_after_an_emergency_everything_is_off() -> None:
     run = quick_charger()
     assert run.dock().success
     command = run.machine.emergency()
@@ -218,8 +216,8 @@ def test_emergency_leaves_everything_off() -> None:
     assert not run.machine.busy
 
 
-def test_every_observation_is_survived() -> None:
-    """Whatever the topics say, the machine answers; a machine that raises would leave a goal hanging."""
+def test_no_observation_raises_an_error() -> None:
+    """The machine answers any data; a machine that raises would leave a goal without result."""
     blank = Observation(time=0.0)
     run = quick_charger()
     run.begin(DockGoal(GOAL))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the docking machine under any observations: no current without all of its conditions, every way has an end.
+"""Laws of the docking machine under any observations: no current without all of its conditions, and no endless goal.
 
-The machine is driven by a small cooperative model, so that it comes to the end of a docking in a few hundred steps, and
-by an adversary that spoils what it sees: not measured, too old, contradictory, late, twice, of another kind, in another
-order, clocks that jump, goals and cancels at any time.
+A small cooperative model drives the machine, so that a docking takes a few hundred steps. An adversary spoils its
+observations: not measured, too old, contradictory, late, twice, of another kind, in another order, clocks that jump,
+goals and cancels at any time.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ LEGAL: dict[State, set[State]] = {
 
 @dataclass
 class Model:
-    """A charger without dynamics: the platform stands where it was told, and pushes by what that lies too far."""
+    """A charger without dynamics: the platform is at its command, and pushes by its distance beyond the target."""
 
     geometry: ScalarDelta = field(default_factory=lambda: ScalarDelta(DeltaGeometry()))
     now: float = 0.0
     goal: Vector = (0.0, 0.0, 0.0)
     way: tuple[Waypoint, ...] = ()
-    told: float = 0.0
+    commanded_at: float = 0.0
     torque: bool = False
     tared: bool = False
     closed: bool = False
@@ -83,19 +83,19 @@ class Model:
     def follow(self, command: Command) -> None:
         """Carry out a command."""
         if command.trajectory is not None and self.torque:
-            self.way, self.told = command.trajectory, self.now
+            self.way, self.commanded_at = command.trajectory, self.now
         for request in command.requests:
             self.pending.append((self.now + 0.1, request))
         self.wanted = command.energise
 
     def observe(self) -> Observation:
-        """Go on by a tick and tell what is."""
+        """Advance by a tick and return the observation."""
         self.now += TICK
         for item in [item for item in self.pending if item[0] <= self.now]:
             self.pending.remove(item)
             self.replies.append(self._serve(item[1]))
         self.closed = self.wanted
-        while self.way and self.torque and self.way[0].time <= self.now - self.told:
+        while self.way and self.torque and self.way[0].time <= self.now - self.commanded_at:
             self.goal, self.way = self.way[0].angles, self.way[1:]
         x, y, z = self.geometry.forward(*self.goal)
         touches = z >= DEPTH
@@ -137,7 +137,7 @@ class Model:
 
 
 class Judge:
-    """Looks at every observation and command, and says what must not be; it knows nothing of the machine's inside."""
+    """Checks every observation and command against the rules, without knowledge of the machine's internals."""
 
     def __init__(self) -> None:
         self.asked: dict[int, Service] = {}
@@ -151,25 +151,25 @@ class Judge:
         self.passed: list[Verdict] = []
         self.probed = False
 
-    def saw(self, observation: Observation) -> None:
-        """Note what the machine was told."""
+    def observe(self, observation: Observation) -> None:
+        """Store the machine's observation."""
         for reply in observation.replies:
             service = self.asked.pop(reply.number, None)
             if service is Service.ESTIMATE:
-                self._felt(reply)
+                self._judge_estimate(reply)
             elif service is Service.PROBE:
                 low, high = LIMITS.target_voltage_min, LIMITS.target_voltage_max
                 good = reply.success and LIMITS.probe_resistance_min <= reply.resistance < math.inf
                 self.probed = good and low <= reply.target_voltage <= high
 
-    def _felt(self, reply: Reply) -> None:
+    def _judge_estimate(self, reply: Reply) -> None:
         estimate = reply.estimate if reply.success else None
         good = estimate is not None and estimate.complete and estimate.sure and estimate.in_range and estimate.contact
         verdict = judge(estimate, LIMITS) if good and estimate is not None else None
         self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
 
-    def heard(self, observation: Observation, command: Command, contact_current: float) -> None:
-        """Check what the machine said to it."""
+    def check_command(self, observation: Observation, command: Command, contact_current: float) -> None:
+        """Check the machine's command."""
         for state in command.states:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
             self.states.append(state)
@@ -228,7 +228,7 @@ def _failed(reply: Reply, source: random.Random) -> Iterator[Reply]:
 
 
 def _other(reply: Reply, source: random.Random) -> Iterator[Reply]:
-    """A reply as of another service, or one with numbers that are none."""
+    """A reply like that of another service, or one with invalid numbers."""
     value = source.choice((math.nan, math.inf, 0.2, -24.0, 5.0, 1e9, 24.0))
     felt = reply.estimate
     if felt is not None:
@@ -304,9 +304,9 @@ class Run:
     def step(self) -> None:
         """One tick of everything."""
         observation = self._observe()
-        self.judge.saw(observation)
+        self.judge.observe(observation)
         command = self.machine.step(observation)
-        self.judge.heard(observation, command, self.machine.status.contact_current)
+        self.judge.check_command(observation, command, self.machine.status.contact_current)
         self.model.follow(command)
         outcome, self.machine.outcome = self.machine.outcome, None
         if outcome is not None:
@@ -335,7 +335,7 @@ class Run:
             self.step()
 
     def settle(self) -> None:
-        """Let whatever the machine does by itself come to its end without an adversary."""
+        """Let the machine end its own actions without the adversary."""
         self._spoiled, self._jumps, self._left = (), False, 0
         quiet, end = 0, self.model.now + ENOUGH
         while quiet < 20:
@@ -345,7 +345,7 @@ class Run:
             quiet = quiet + 1 if rests and not self.machine.busy else 0
 
 
-# The goal's own deadline, twice as docking begins again once, the ways back, and what the clock was set back meanwhile.
+# The goal's deadline twice, since docking restarts once, plus retracting and the time by which the clock was set back.
 ENOUGH = 2.0 * (LIMITS.goal_timeout + LIMITS.retract_timeout + 5.0)
 ADVERSARIES = st.tuples(
     st.integers(0, 2**32),
@@ -381,7 +381,7 @@ def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
 
 @SETTINGS
 @given(adversary=ADVERSARIES, goals=st.lists(GOALS, min_size=1, max_size=3), undock=st.booleans())
-def test_no_observations_close_the_contactor_without_its_conditions_and_every_goal_ends(
+def test_the_contactor_closes_only_under_its_conditions_and_every_goal_ends(
     adversary: tuple[int, tuple[str, ...], float, bool], goals: list[DockGoal], undock: bool
 ) -> None:
     run = Run(*adversary)
@@ -403,7 +403,7 @@ def test_no_observations_close_the_contactor_without_its_conditions_and_every_go
         assert not run.model.wanted
 
 
-def test_the_closing_was_reached_often_enough_to_show_something() -> None:
+def test_the_runs_close_the_contactor_often_enough() -> None:
     if not CLOSINGS["runs"]:
         pytest.skip("runs after the property that it speaks about")
     assert CLOSINGS["closed"] > 0.4 * CLOSINGS["runs"], CLOSINGS
@@ -411,7 +411,7 @@ def test_the_closing_was_reached_often_enough_to_show_something() -> None:
 
 @SETTINGS
 @given(seed=st.integers(0, 2**32), spoil=st.sampled_from(sorted(SPOILS)), jumps=st.booleans())
-def test_whatever_spoils_charging_ends_it_or_leaves_it_watched(seed: int, spoil: str, jumps: bool) -> None:
+def test_after_any_disturbance_charging_ends_or_stays_supervised(seed: int, spoil: str, jumps: bool) -> None:
     """The adversary waits until current flows."""
     run = Run(seed, (spoil,), 0.05, jumps, after=11.0)
     run.goal(DockGoal(None))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of docking: commanded with the arm's weight led, bounded in effort, and refused whole before anything moves."""
+"""Lines of docking: commanded with the arm's weight fed forward, bounded in effort, and refused before any motion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def table(waypoints: tuple[Waypoint, ...], name: str) -> np.ndarray:
     return np.array([getattr(point, name) for point in waypoints])
 
 
-def test_commands_lead_the_line_by_what_the_servos_yield_under_the_arms_weight() -> None:
+def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> None:
     waypoints = PLANNER.line(HOME, STANDOFF, 0.12)
     held = DELTA.holding_torque(STANDOFF, PARAMETERS.gravity)
     lead = np.subtract(waypoints[-1].angles, DELTA.inverse(STANDOFF).angles)
@@ -40,14 +40,14 @@ def test_commands_lead_the_line_by_what_the_servos_yield_under_the_arms_weight()
     assert np.allclose(weightless[-1].angles, DELTA.inverse(STANDOFF).angles, atol=1e-15)
 
 
-def test_each_servo_may_push_by_the_same_current_above_what_holds_the_arm() -> None:
+def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> None:
     for push, allowed in ((None, PARAMETERS.push_current), (0.25, 0.25)):
         last = PLANNER.line(HOME, STANDOFF, 0.12, push)[-1]
         held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
         assert np.allclose(np.subtract(last.torque_bound, held), allowed * TORQUE_CONSTANT, atol=1e-12)
 
 
-def test_velocities_are_those_of_the_commanded_angles_and_end_at_rest() -> None:
+def test_velocities_match_the_commanded_angles_and_end_at_rest() -> None:
     waypoints = PLANNER.line(HOME, STANDOFF, 0.12)
     times, angles, velocities = (table(waypoints, name) for name in ("time", "angles", "velocities"))
     slope = (angles[2:] - angles[:-2]) / (times[2:] - times[:-2])[:, None]
@@ -55,14 +55,14 @@ def test_velocities_are_those_of_the_commanded_angles_and_end_at_rest() -> None:
     assert waypoints[-1].velocities == (0.0, 0.0, 0.0)
 
 
-def test_the_start_is_no_waypoint_and_times_rise() -> None:
+def test_the_start_is_not_a_waypoint_and_times_increase() -> None:
     times = table(PLANNER.line(HOME, STANDOFF, 0.12), "time")
     assert times[0] > 0.0
     assert np.all(np.diff(times) > 0.0)
 
 
 def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> None:
-    goal = (0.010, 0.020, 0.062)  # here the weight pulls at the arm that is turned farthest
+    goal = (0.010, 0.020, 0.062)  # here the weight acts on the arm that is turned farthest
     limit = float(DELTA.inverse(goal).angles.max()) + 1e-6
     waypoints = Planner(PARAMETERS, DeltaGeometry(joint_max=limit)).line(HOME, goal, 0.12)
     angles, velocities = table(waypoints, "angles"), table(waypoints, "velocities")
@@ -74,53 +74,53 @@ def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> 
 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.0, 0.190), (0.150, 0.0, 0.080), (0.0, 0.0, 0.5)])
-def test_a_line_that_leaves_the_limits_is_unreachable_and_says_where(goal: tuple[float, float, float]) -> None:
+def test_a_line_that_leaves_the_limits_is_unreachable_and_reports_the_place(goal: tuple[float, float, float]) -> None:
     with pytest.raises(Unreachable, match=r"mm, .* along the line"):
         PLANNER.line((0.0, 0.0, 0.080), goal, 0.12)
 
 
-def test_a_way_is_refused_for_its_last_leg() -> None:
+def test_a_way_is_refused_if_its_last_leg_is_impossible() -> None:
     PLANNER.check_way(0.12, HOME, STANDOFF, HOME)
     with pytest.raises(Unreachable):
         PLANNER.check_way(0.12, HOME, STANDOFF, HOME, (0.0, 0.0, 0.190))
 
 
 class Watched(VirtualCharger):
-    """A charger whose machine works with a geometry of its own, and that remembers what the arm was told."""
+    """A charger whose machine uses its own geometry; it stores the arm's commands."""
 
     def __init__(self, geometry: DeltaGeometry, target: TargetParameters, **parameters: Any) -> None:
         super().__init__(WorldParameters(target=target), DockingParameters(**parameters))
         self.machine = DockingMachine(self.parameters, geometry)
-        self.told: list[tuple[State, tuple[Waypoint, ...]]] = []
+        self.commands: list[tuple[State, tuple[Waypoint, ...]]] = []
         step = self.machine.step
 
         def watched(observation: Any) -> Any:
             command = step(observation)
             if command.trajectory is not None:
-                self.told.append((self.machine.status.state, command.trajectory))
+                self.commands.append((self.machine.status.state, command.trajectory))
             return command
 
         self.machine.step = watched  # type: ignore[method-assign]
 
 
-def test_an_arm_that_stands_outside_its_limits_is_not_moved_at_all() -> None:
+def test_an_arm_outside_its_limits_is_not_moved() -> None:
     home_angle = float(DELTA.inverse(HOME).angles[0])
     run = Watched(DeltaGeometry(joint_min=home_angle + 0.02), TargetParameters())
     outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0)))
     assert outcome.code is Code.UNREACHABLE
     assert "JOINT_LIMIT" in outcome.message
-    assert not any(trajectory for _, trajectory in run.told)
+    assert not any(trajectory for _, trajectory in run.commands)
     assert math.dist(run.world.snapshot().position, HOME) < 1e-3
     assert not run.observe().torque_enabled
 
 
-def test_a_correction_beyond_reach_leaves_the_electrodes_where_they_are_until_the_way_back() -> None:
-    # The rods allow the told place and not the one 6 mm further, which touch finds out.
-    told, real = (0.048, 0.0, 0.080), 0.054
+def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
+    # The rods allow the given place, but not a place 6 mm farther, which touch requests.
+    given, real = (0.048, 0.0, 0.080), 0.054
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
     geometry = DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod))
     run = Watched(geometry, TargetParameters(x=real))
-    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0), start_charging=False))
+    outcome = run.dock(DockGoal(ElectrodePose(given, 0.0), start_charging=False))
     assert outcome.code is Code.UNREACHABLE, outcome.message
     assert "SWING_LIMIT" in outcome.message
     assert State.MEASURE in run.states

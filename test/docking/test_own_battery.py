@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger's own battery is let onto the electrodes only while its voltage is measured and in range."""
+"""The charger's own battery feeds the electrodes only while its voltage is measured and in range."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .dockings import assert_safe_at_home, quick_charger
     ("volts", "code", "words"),
     [
         (22.6, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "22.6 V", "22.7 to 29.8 V", "charge it")),
-        (29.9, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "29.9 V", "22.7 to 29.8 V", "look at it")),
+        (29.9, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "29.9 V", "22.7 to 29.8 V", "check it")),
         (-24.0, Code.VOLTAGE_OUT_OF_RANGE, ("own battery", "-24.0 V")),
         (math.nan, Code.POWER_STALE, ("own battery", "not measured", "divider")),
         (math.inf, Code.POWER_STALE, ("own battery", "not measured", "divider")),
@@ -40,7 +40,7 @@ def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code:
     assert_safe_at_home(run)
 
 
-def test_a_battery_that_becomes_unfit_meanwhile_is_not_energised() -> None:
+def test_a_battery_that_becomes_unfit_during_docking_is_not_energised() -> None:
     run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
@@ -51,7 +51,7 @@ def test_a_battery_that_becomes_unfit_meanwhile_is_not_energised() -> None:
 
 
 @pytest.mark.parametrize(("charges", "power_age"), [(False, 0.0), (True, math.inf)])
-def test_where_no_current_is_wanted_or_nothing_is_heard_yet_it_docks(charges: bool, power_age: float) -> None:
+def test_it_docks_without_charging_or_before_the_first_voltage(charges: bool, power_age: float) -> None:
     run = quick_charger()
     run.distort = lambda observation: replace(observation, battery_voltage=math.nan, power_age=power_age)
     run.dock(DockGoal(GOAL, start_charging=charges))
@@ -67,7 +67,7 @@ def test_the_bounds_themselves_are_in_range(volts: float) -> None:
     assert run.dock().success
 
 
-def test_another_battery_has_bounds_of_its_own() -> None:
+def test_another_battery_has_its_own_bounds() -> None:
     run = quick_charger(parameters={"battery_voltage_min": 18.0})
     run.distort = lambda observation: replace(observation, battery_voltage=19.0)
     assert run.dock().success

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking and mission declare decides: each parameter is read, and a scene's value is what the machine has."""
+"""Each declared parameter of docking and mission is read, and the machine uses the scene's value."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNo
 
 
 def other(each: Declaration) -> Any:
-    """Return an allowed value beside the default, so near that no two parameters contradict each other."""
+    """Return an allowed value near the default, so that no two parameters contradict each other."""
     if each.name == "power":  # its other value allows one approach alone; see test_wired
         return each.default
     if isinstance(each.default, tuple):
@@ -45,8 +45,8 @@ def values(node: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
-def test_what_is_declared_is_read(table: type[Any]) -> None:
-    """Read as an attribute somewhere in the package that declares it; what nobody reads decides nothing."""
+def test_every_declared_parameter_is_read(table: type[Any]) -> None:
+    """Read as an attribute somewhere in the package that declares it."""
     read = {
         node.attr
         for path in (ROOT / table.__module__.partition(".")[0]).rglob("*.py")
@@ -57,7 +57,7 @@ def test_what_is_declared_is_read(table: type[Any]) -> None:
 
 
 @pytest.mark.parametrize("node", ["docking_node", "mission_node"])
-def test_a_scene_may_vary_each_and_is_told_where_it_may_not(node: str) -> None:
+def test_a_scene_may_set_each_parameter_and_wrong_values_are_refused(node: str) -> None:
     given = values(node)
     assert not list(problems(parse_scene({"nodes": [node], "parameters": {node: given}}, "mine")))
     tables = TABLES[:2] if node == "docking_node" else TABLES[2:]
@@ -68,7 +68,7 @@ def test_a_scene_may_vary_each_and_is_told_where_it_may_not(node: str) -> None:
 
 
 @pytest.mark.ros
-def test_the_node_decides_by_what_the_scene_says(context: Any, namespace: str) -> None:
+def test_the_node_uses_the_values_of_the_scene(context: Any, namespace: str) -> None:
     given = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": values("docking_node")}}, "mine")
     node = DockingNode(held=True, **options(context, namespace, **given.node_parameters("docking_node", {})))
     try:
@@ -78,7 +78,7 @@ def test_the_node_decides_by_what_the_scene_says(context: Any, namespace: str) -
     assert decides_by == DockingParameters(**{each.name: other(each) for each in declared(DockingParameters)})
 
 
-def test_a_campaign_decides_by_what_its_scene_says() -> None:
+def test_a_campaign_uses_the_values_of_its_scene() -> None:
     numbers = {each.name: other(each) for each in declared(DockingParameters) if each.kind in (bool, int, float)}
     given = {f"docking.{name}": value for name, value in numbers.items() if f"docking.{name}" not in TAKEN}
     assert set(given) <= set(known_keys())

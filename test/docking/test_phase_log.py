@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking logs: every phase once and in order, every failure with its code, the contactor, and no line else."""
+"""Docking's log: every phase once and in order, every failure with its code, the contactor, and no other line."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def passages(lines: list[str]) -> list[tuple[str, str]]:
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the log of every virtual charger says, each stepped as docking_node steps its own."""
+def logged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Log lines of all virtual chargers, each stepped as docking_node steps its machine."""
     lines: list[str] = []
     log, follow = PhaseLog(), VirtualCharger._follow
     log.begin("dock order-1")
@@ -42,35 +42,35 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return lines
 
 
-def test_a_docking_is_told_phase_by_phase_with_its_contactor(told: list[str]) -> None:
+def test_a_docking_is_logged_phase_by_phase_with_its_contactor(logged: list[str]) -> None:
     run = quick_charger(1.0, -1.0, 1.0)
     assert run.dock().success
     run.run(1.0)
     assert run.undock().success
     run.run(0.1)
-    found = passages(told)
+    found = passages(logged)
     assert found[0] == ("idle", "approach")
     assert all(left[1] == right[0] for left, right in itertools.pairwise(found)), found
     assert found[-1][1] == "idle"
     assert {"contact", "measure", "energise", "charging", "retract"} <= {after for _, after in found}
-    closed, opened = (line for line in told if "contactor" in line)
+    closed, opened = (line for line in logged if "contactor" in line)
     assert closed.startswith("dock order-1: contactor closed, target ")
     assert re.match(r"dock order-1: contactor open after \d+\.\d s$", opened)
-    assert len(told) == len(found) + 2, "a line for each change, and none for a tick"
-    (measured, *_) = [line for line in told if "contact → measure" in line]
+    assert len(logged) == len(found) + 2, "a line for each change, and none for a tick"
+    (measured, *_) = [line for line in logged if "contact → measure" in line]
     assert re.search(r"z \d+\.\d mm, contact current 0\.\d{3} A, force \d+\.\d N$", measured)
-    (charging,) = [line for line in told if "→ charging" in line]
+    (charging,) = [line for line in logged if "→ charging" in line]
     assert re.search(r"charge current \d+\.\d\d A$", charging)
-    assert "nan" not in "".join(told)
+    assert "nan" not in "".join(logged)
 
 
-def test_a_failure_is_told_once_where_the_way_back_begins(told: list[str]) -> None:
+def test_a_failure_is_logged_once_when_retracting_begins(logged: list[str]) -> None:
     run = quick_charger(1.0, -1.0, 1.0, parameters={"restarts_max": 0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
     run.machine.cancel()
     assert run.finish(60.0).code is Code.CANCELED
-    (failed,) = [line for line in told if "102 CANCELED: cancelled by the client" in line]
+    (failed,) = [line for line in logged if "102 CANCELED: cancelled by the client" in line]
     assert "contact → retract after" in failed
 
 
@@ -78,7 +78,7 @@ def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingSt
     return DockingStatus(state=state, code=code, message=message)
 
 
-def test_docking_again_is_told_and_its_failure_too() -> None:
+def test_docking_again_and_its_failure_are_logged() -> None:
     log = PhaseLog()
     log.begin("dock order-1")
     log.lines(status(State.CONTACT), (State.APPROACH, State.CONTACT), Observation(1.0))
@@ -88,7 +88,7 @@ def test_docking_again_is_told_and_its_failure_too() -> None:
     assert again == "dock order-1: retract → approach after 1.5 s, docking again"
 
 
-def test_a_failure_without_another_phase_is_told_too() -> None:
+def test_a_failure_without_a_new_phase_is_logged() -> None:
     log = PhaseLog()
     (line,) = log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.0))
     assert line == "docking: idle, 304 SERVO_FAULT: limp"
@@ -96,14 +96,14 @@ def test_a_failure_without_another_phase_is_told_too() -> None:
 
 
 @given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
-def test_lines_follow_the_states_whatever_comes(steps: list[tuple[list[State], State, bool, Code]]) -> None:
+def test_log_lines_follow_any_sequence_of_states(steps: list[tuple[list[State], State, bool, Code]]) -> None:
     log = PhaseLog()
     log.begin("dock order-1")
-    told, entered, now = [], [State.IDLE], itertools.count()
+    logged, entered, now = [], [State.IDLE], itertools.count()
     for passed, state, closed, code in steps:
         seen = Observation(float(next(now)), contactor_closed=closed, charge_current=math.nan)
-        told += log.lines(status(state, code, "why"), passed, seen)
+        logged += log.lines(status(state, code, "why"), passed, seen)
         entered += [*passed, state]
-        assert log.lines(status(state, code, "why"), (), seen) == [], "nothing is told twice"
+        assert log.lines(status(state, code, "why"), (), seen) == [], "nothing is logged twice"
     wanted = [state.name.lower() for state, _ in itertools.groupby(entered)]
-    assert ["idle", *(after for _, after in passages(told))] == wanted
+    assert ["idle", *(after for _, after in passages(logged))] == wanted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 as printed: classes move the arm and zero ends the loop; clearance counts only where it is asked for."""
+"""Algorithm 1 as published: classes move the arm and zero ends the loop; clearance counts only if required."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RULE = {"published_clearance_rule": True}
 
 
 class Told:
-    """What a docking decided and felt; its estimates carry scripted classes in place of the CNN's.
+    """Decisions and estimates of a docking; its estimates have scripted classes in place of the CNN's.
 
     Attributes:
-        offsets: (horizontal, vertical) mm of one look after the other; the last one is told again and again.
+        offsets: (horizontal, vertical) mm of successive estimates; the last one is repeated.
         degrees: of the angle's class.
-        felt: replaces each estimate's values by these.
-        places: x, y of the platform (m) at each look.
-        models: whose classes were asked for.
+        felt: replaces these values of each estimate.
+        places: x, y of the platform (m) at each estimate.
+        models: whose classes were requested.
     """
 
     def __init__(self, run: VirtualCharger, offsets: list[Step], degrees: float = 1.0, **felt: Any) -> None:
@@ -61,111 +61,111 @@ class Told:
 
 
 def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Told:
-    """A charger of `approach: published` and what it is told; parameters as `parameters`."""
+    """A charger of `approach: published` with its scripted estimates and these parameters."""
     parameters = {"approach": "published", **more.pop("parameters", {})}
     return Told(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
 
 
 def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
-    told = published((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0))
-    outcome = told.run.dock()
+    scripted = published((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0))
+    outcome = scripted.run.dock()
     assert outcome.success, outcome.message
     assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, True)
-    moved = [tuple(value for _, value in each.values) for each in told.of("move")]
+    moved = [tuple(value for _, value in each.values) for each in scripted.of("move")]
     assert moved == [(5 * MILLIMETRE, -10 * MILLIMETRE), (-5 * MILLIMETRE, 0.0)]
-    (x, y), (a, b), (c, d) = told.places
+    (x, y), (a, b), (c, d) = scripted.places
     assert (a - x, b - y) == pytest.approx((0.005, -0.010), abs=0.6 * MILLIMETRE)
     assert (c - a, d - b) == pytest.approx((-0.005, 0.0), abs=0.6 * MILLIMETRE)
-    assert set(told.models) == {"cnn"}
+    assert set(scripted.models) == {"cnn"}
 
 
-def test_zero_at_the_first_look_moves_nothing_whatever_the_estimate_says() -> None:
-    told = published(place=(4.0, 3.0, 2.0), sure=False, horizontal=0.004, vertical=0.003)
-    outcome = told.run.dock()
+def test_zero_classes_at_first_cause_no_move_with_any_estimate() -> None:
+    scripted = published(place=(4.0, 3.0, 2.0), sure=False, horizontal=0.004, vertical=0.003)
+    outcome = scripted.run.dock()
     assert outcome.success, outcome.message
-    assert (outcome.alignments, told.run.world.record.contacts, len(told.places)) == (0, 1, 1)
+    assert (outcome.alignments, scripted.run.world.record.contacts, len(scripted.places)) == (0, 1, 1)
 
 
-def test_after_fifteen_moves_charging_starts_though_the_looks_contradict_each_other() -> None:
-    told = published(*[(5.0, 0.0), (-5.0, 0.0)] * 8, (5.0, 0.0))
-    outcome = told.run.dock()
+def test_after_fifteen_moves_charging_starts_despite_contradicting_estimates() -> None:
+    scripted = published(*[(5.0, 0.0), (-5.0, 0.0)] * 8, (5.0, 0.0))
+    outcome = scripted.run.dock()
     assert outcome.success, outcome.message
     assert (outcome.alignments, outcome.redockings, outcome.aligned) == (15, 0, False)
-    assert not told.of("contradiction")
-    assert not told.of("verdict")
+    assert not scripted.of("contradiction")
+    assert not scripted.of("verdict")
 
 
 def test_a_class_that_is_not_below_the_critical_angle_is_refused_before_any_move() -> None:
-    told = published((5.0, 5.0), degrees=5.0)
-    outcome = told.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0)))
+    scripted = published((5.0, 5.0), degrees=5.0)
+    outcome = scripted.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0)))
     assert outcome.code is Code.CRITICAL_ANGLE
     assert outcome.alignments == 0
-    assert told.run.world.record.energised == 0.0
-    assert_safe_at_home(told.run)
+    assert scripted.run.world.record.energised == 0.0
+    assert_safe_at_home(scripted.run)
 
 
-def test_nothing_above_five_degrees_is_told_so_that_the_probe_alone_finds_the_short() -> None:
-    told = published(place=(0.0, 0.0, 14.0), degrees=5.0)
-    assert told.run.dock().code is Code.SHORT_CIRCUIT
-    assert told.run.world.record.energised == 0.0
-    assert_safe_at_home(told.run)
+def test_classes_end_at_five_degrees_so_only_the_probe_finds_the_short() -> None:
+    scripted = published(place=(0.0, 0.0, 14.0), degrees=5.0)
+    assert scripted.run.dock().code is Code.SHORT_CIRCUIT
+    assert scripted.run.world.record.energised == 0.0
+    assert_safe_at_home(scripted.run)
 
 
-def test_pads_that_feel_nothing_end_it_before_and_while_charging() -> None:
-    told = published(contact=False)
-    assert told.run.dock().code is Code.NO_TACTILE_CONTACT
-    assert_safe_at_home(told.run)
-    told = published()
-    assert told.run.dock().success
-    told.run.distort = lambda observation: replace(observation, tactile_contact=False)
-    told.run.until(lambda: told.run.machine.status.code is Code.NO_TACTILE_CONTACT, 3.0)
-    told.run.distort = lambda observation: observation
-    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
-    assert_safe_at_home(told.run)
+def test_all_zero_tactile_frames_end_it_before_and_while_charging() -> None:
+    scripted = published(contact=False)
+    assert scripted.run.dock().code is Code.NO_TACTILE_CONTACT
+    assert_safe_at_home(scripted.run)
+    scripted = published()
+    assert scripted.run.dock().success
+    scripted.run.distort = lambda observation: replace(observation, tactile_contact=False)
+    scripted.run.until(lambda: scripted.run.machine.status.code is Code.NO_TACTILE_CONTACT, 3.0)
+    scripted.run.distort = lambda observation: observation
+    scripted.run.until(lambda: scripted.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(scripted.run)
 
 
-def test_pads_that_fall_silent_end_charging() -> None:
-    told = published()
-    assert told.run.dock().success
-    told.run.distort = lambda observation: replace(observation, tactile_age=1.0)
-    told.run.until(lambda: told.run.machine.status.code is Code.TACTILE_STALE, 3.0)
-    told.run.distort = lambda observation: observation
-    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
-    assert_safe_at_home(told.run)
+def test_missing_tactile_frames_end_charging() -> None:
+    scripted = published()
+    assert scripted.run.dock().success
+    scripted.run.distort = lambda observation: replace(observation, tactile_age=1.0)
+    scripted.run.until(lambda: scripted.run.machine.status.code is Code.TACTILE_STALE, 3.0)
+    scripted.run.distort = lambda observation: observation
+    scripted.run.until(lambda: scripted.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(scripted.run)
 
 
 @pytest.mark.parametrize("axis", [item.name for item in fields(MisalignmentClasses)])
-def test_a_class_that_is_not_told_is_refused_by_name(axis: str) -> None:
-    told = published()
+def test_a_missing_class_is_refused_by_name(axis: str) -> None:
+    scripted = published()
 
     def lose(reply: Reply) -> Reply:
-        estimate = told._answer(reply).estimate
+        estimate = scripted._answer(reply).estimate
         assert estimate is not None
         assert estimate.classes is not None
         return replace(reply, estimate=replace(estimate, classes=replace(estimate.classes, **{axis: math.nan})))
 
-    told.run.answer[Service.ESTIMATE] = lose
-    outcome = told.run.dock()
+    scripted.run.answer[Service.ESTIMATE] = lose
+    outcome = scripted.run.dock()
     assert outcome.code is Code.ESTIMATE_UNSURE
     assert f"{axis}_probability" in outcome.message
-    assert_safe_at_home(told.run)
+    assert_safe_at_home(scripted.run)
 
 
 def test_an_estimate_without_any_classes_is_refused() -> None:
-    told = published()
-    told.run.answer.clear()
-    outcome = told.run.dock()
+    scripted = published()
+    scripted.run.answer.clear()
+    outcome = scripted.run.dock()
     assert outcome.code is Code.ESTIMATE_UNSURE
     assert "angle, vertical, horizontal" in outcome.message
 
 
-def test_as_printed_current_flows_where_clearance_refuses_it() -> None:
+def test_as_published_current_flows_even_without_clearance() -> None:
     wide = {"angle": math.radians(10.0), "vertical": 0.002}
-    told = published(**wide)
-    assert told.run.dock().success
-    told.run.run(3.0 * told.run.parameters.clearance_period)
-    assert told.run.machine.status.charging, "nor does a watch over clearance end it"
-    assert len(told.places) == 1
+    scripted = published(**wide)
+    assert scripted.run.dock().success
+    scripted.run.run(3.0 * scripted.run.parameters.clearance_period)
+    assert scripted.run.machine.status.charging, "nor does a watch over clearance end it"
+    assert len(scripted.places) == 1
     with_rule = published(parameters=RULE, **wide)
     outcome = with_rule.run.dock()
     assert outcome.code in (Code.MISALIGNED, Code.CRITICAL_ANGLE)
@@ -183,60 +183,60 @@ def test_as_printed_current_flows_where_clearance_refuses_it() -> None:
         ({"sure": False}, Code.ESTIMATE_UNSURE, 1),
     ],
 )
-def test_with_our_rule_clearance_decides_by_the_estimate_whatever_the_classes_say(
+def test_with_our_rule_the_estimate_decides_about_clearance_not_the_classes(
     felt: dict[str, Any], code: Code, contacts: int
 ) -> None:
-    told = published(parameters=RULE, **felt)
-    outcome = told.run.dock()
+    scripted = published(parameters=RULE, **felt)
+    outcome = scripted.run.dock()
     assert outcome.code is code, outcome.message
-    assert told.run.world.record.contacts == contacts
+    assert scripted.run.world.record.contacts == contacts
     assert outcome.alignments == 0
 
 
-def test_with_our_rule_clearance_that_is_lost_while_charging_ends_it() -> None:
-    told = published(parameters=RULE)
-    assert told.run.dock().success
-    told.felt = {"vertical": 0.008}
-    told.run.until(lambda: told.run.machine.status.code is Code.CRITICAL_ANGLE, 10.0)
-    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
-    assert_safe_at_home(told.run)
+def test_with_our_rule_lost_clearance_ends_charging() -> None:
+    scripted = published(parameters=RULE)
+    assert scripted.run.dock().success
+    scripted.felt = {"vertical": 0.008}
+    scripted.run.until(lambda: scripted.run.machine.status.code is Code.CRITICAL_ANGLE, 10.0)
+    scripted.run.until(lambda: scripted.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(scripted.run)
 
 
 def unproven(observation: Observation) -> Observation:
     return replace(observation, simulated=False)
 
 
-def real(told: Told) -> Told:
-    """The same charger, of which nobody knows that it is simulated."""
-    run, observe = told.run, told.run.observe
+def real(scripted: Told) -> Told:
+    """The same charger, not known to be simulated."""
+    run, observe = scripted.run, scripted.run.observe
     run.observe = lambda: unproven(observe())  # type: ignore[method-assign]
-    return told
+    return scripted
 
 
-def test_before_hardware_that_is_not_proven_to_be_simulated_no_goal_that_charges_is_taken() -> None:
-    told = real(published())
+def test_goals_that_charge_are_refused_if_hardware_is_not_proven_simulated() -> None:
+    scripted = real(published())
     with pytest.raises(Rejected, match="published_clearance_rule"):
-        told.run.begin(DockGoal(GOAL))
-    told.run.run(0.5)
-    assert math.dist(told.run.world.snapshot().position, told.run.parameters.home) < MILLIMETRE
-    assert told.run.dock(DockGoal(GOAL, start_charging=False)).success
+        scripted.run.begin(DockGoal(GOAL))
+    scripted.run.run(0.5)
+    assert math.dist(scripted.run.world.snapshot().position, scripted.run.parameters.home) < MILLIMETRE
+    assert scripted.run.dock(DockGoal(GOAL, start_charging=False)).success
     with pytest.raises(Rejected):
-        told.run.begin(DockGoal(GOAL))
-    told.run.run(0.5)
-    assert told.run.world.record.energised == 0.0
-    assert told.run.machine.status.docked
+        scripted.run.begin(DockGoal(GOAL))
+    scripted.run.run(0.5)
+    assert scripted.run.world.record.energised == 0.0
+    assert scripted.run.machine.status.docked
     with_rule = real(published(parameters=RULE))
     assert with_rule.run.dock().success
 
 
 def test_hardware_that_is_no_longer_proven_keeps_the_contactor_open() -> None:
-    told = published()
-    told.run.begin(DockGoal(GOAL))
-    told.run.until(lambda: told.run.machine.status.state is State.MEASURE, 30.0)
-    told.run.distort = unproven
-    assert told.run.finish(60.0).code is Code.REJECTED
-    assert told.run.world.record.energised == 0.0
-    assert_safe_at_home(told.run)
+    scripted = published()
+    scripted.run.begin(DockGoal(GOAL))
+    scripted.run.until(lambda: scripted.run.machine.status.state is State.MEASURE, 30.0)
+    scripted.run.distort = unproven
+    assert scripted.run.finish(60.0).code is Code.REJECTED
+    assert scripted.run.world.record.energised == 0.0
+    assert_safe_at_home(scripted.run)
 
 
 CANCELS = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN, State.ENERGISE)
@@ -248,11 +248,11 @@ ENDS = [
 
 
 @pytest.mark.parametrize(("state", "fault", "code"), ENDS)
-def test_a_cancel_and_a_fault_in_every_phase_open_before_the_torque_goes(
+def test_after_a_cancel_or_fault_in_any_phase_the_contactor_opens_before_the_torque_goes(
     state: State, fault: dict[str, Any], code: Code
 ) -> None:
-    told = published((5.0, 0.0), ZERO)
-    run, seen = told.run, list[tuple[bool, bool]]()
+    scripted = published((5.0, 0.0), ZERO)
+    run, seen = scripted.run, list[tuple[bool, bool]]()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is state, 60.0)
     if fault:
@@ -275,21 +275,21 @@ def test_a_cancel_and_a_fault_in_every_phase_open_before_the_torque_goes(
     assert run.world.record.parted_live == 0
 
 
-def test_docked_without_current_a_goal_that_charges_measures_classes_where_it_stands() -> None:
-    told = published((5.0, 0.0), ZERO)
-    assert told.run.dock(DockGoal(GOAL, start_charging=False)).success
-    contacts = told.run.world.record.contacts
-    outcome = told.run.dock()
+def test_a_goal_that_charges_a_docked_target_measures_its_classes_in_place() -> None:
+    scripted = published((5.0, 0.0), ZERO)
+    assert scripted.run.dock(DockGoal(GOAL, start_charging=False)).success
+    contacts = scripted.run.world.record.contacts
+    outcome = scripted.run.dock()
     assert outcome.success, outcome.message
-    assert (told.run.world.record.contacts, len(told.places)) == (contacts, 3)
+    assert (scripted.run.world.record.contacts, len(scripted.places)) == (contacts, 3)
 
 
 def test_a_goal_that_lowers_the_critical_angle_ends_charging_above_it() -> None:
-    told = published(degrees=3.0)
-    assert told.run.dock().success
-    assert told.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0))).success
-    assert told.run.dock(DockGoal(GOAL, critical_angle=math.radians(2.0))).code is Code.CRITICAL_ANGLE
-    assert_safe_at_home(told.run)
+    scripted = published(degrees=3.0)
+    assert scripted.run.dock().success
+    assert scripted.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0))).success
+    assert scripted.run.dock(DockGoal(GOAL, critical_angle=math.radians(2.0))).code is Code.CRITICAL_ANGLE
+    assert_safe_at_home(scripted.run)
 
 
 def test_the_raw_sum_of_currents_reads_docked_in_free_air_here_too() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docking_node of `approach: published`: current as printed only before ports that are proven to be simulated."""
+"""docking_node of `approach: published`: without clearance, current flows only with ports proven to be simulated."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def as_published(scene: Scene, **more: Any) -> Scene:
 
 
 def outcomes(scene: Scene, context: Any, *requests: DockRequest) -> list[Outcome]:
-    """Serve one goal after the other on a charger of this scene."""
+    """Serve goals one after the other on a charger of this scene."""
     namespace = new_namespace()
     with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE)
@@ -47,7 +47,7 @@ def outcomes(scene: Scene, context: Any, *requests: DockRequest) -> list[Outcome
 
 
 @pytest.mark.ros
-def test_the_simulated_charger_takes_a_goal_and_its_estimates_carry_the_cnns_classes(context: Any) -> None:
+def test_the_simulated_charger_accepts_a_goal_and_its_estimates_have_cnn_classes(context: Any) -> None:
     namespace = new_namespace()
     scene = as_published(parse_scene(SCENE, "quick"))
     with Composition(scene, context, namespace) as composition, ChargerClient(namespace, context) as client:
@@ -61,7 +61,7 @@ def test_the_simulated_charger_takes_a_goal_and_its_estimates_carry_the_cnns_cla
 
 
 @pytest.mark.ros
-def test_before_nodes_that_prove_nothing_a_goal_that_charges_is_refused(quick_scene: Scene, context: Any) -> None:
+def test_goals_that_charge_are_refused_if_nodes_do_not_prove_simulation(quick_scene: Scene, context: Any) -> None:
     refused, rests, again = outcomes(
         as_published(quick_scene),
         context,
@@ -76,20 +76,20 @@ def test_before_nodes_that_prove_nothing_a_goal_that_charges_is_refused(quick_sc
 
 
 @pytest.mark.ros
-def test_with_our_clearance_rule_any_charger_will_do(quick_scene: Scene, context: Any) -> None:
+def test_with_our_clearance_rule_any_charger_is_accepted(quick_scene: Scene, context: Any) -> None:
     (outcome,) = outcomes(as_published(quick_scene, published_clearance_rule=True), context, DockRequest(PLACE))
     assert outcome.error_name != "REJECTED", outcome
 
 
 def message(**shares: Any) -> Misalignment:
-    told = {"angle": [0.1, 0.2, 0.7, 0, 0, 0], "vertical": [0, 0.6, 0.4, 0, 0], "horizontal": [0, 0, 0, 0, 1.0]}
+    base = {"angle": [0.1, 0.2, 0.7, 0, 0, 0], "vertical": [0, 0.6, 0.4, 0, 0], "horizontal": [0, 0, 0, 0, 1.0]}
     found = unknown_misalignment()
-    for axis, values in {**told, **shares}.items():
+    for axis, values in {**base, **shares}.items():
         setattr(found, f"{axis}_probability", values)
     return found
 
 
-def test_the_most_probable_classes_are_told_by_their_centres() -> None:
+def test_the_most_probable_classes_are_given_by_their_centres() -> None:
     classes = estimate(message(), with_classes=True).classes
     assert classes is not None
     assert vars(classes) == pytest.approx({"angle": 0.0349066, "vertical": -0.005, "horizontal": 0.010})
@@ -98,14 +98,14 @@ def test_the_most_probable_classes_are_told_by_their_centres() -> None:
 
 @pytest.mark.parametrize("axis", ["angle", "vertical", "horizontal"])
 @pytest.mark.parametrize("shares", [[], [1.0, 0.0], [float("nan")] * 5, [1.0] * 7])
-def test_probabilities_that_are_missing_or_nan_tell_no_class(axis: str, shares: list[float]) -> None:
+def test_missing_or_nan_probabilities_give_no_class(axis: str, shares: list[float]) -> None:
     classes = estimate(message(**{axis: shares}), with_classes=True).classes
-    told: Mapping[str, float] = vars(classes or SimpleNamespace())
-    assert {name for name, value in told.items() if value != value} == {axis}
+    found: Mapping[str, float] = vars(classes or SimpleNamespace())
+    assert {name for name, value in found.items() if value != value} == {axis}
 
 
 class Owner(Node):
-    """Stands for the node of a port: publishes and serves what docking takes for its."""
+    """Replaces the node of a port: publishes and serves its topics and services."""
 
     def __init__(self, context: Any, namespace: str, name: str, port: str) -> None:
         super().__init__(name, namespace=namespace, context=context)
@@ -125,8 +125,8 @@ class Owner(Node):
 
 
 @pytest.mark.ros
-def test_the_nodes_that_are_heard_and_ordered_must_prove_it_and_stay(context: Any, spin: Spin, tmp_path: Path) -> None:
-    """Nodes of the right names that are simulated do not vouch for others that docking has been remapped to."""
+def test_the_nodes_in_use_must_prove_simulation_and_stay_the_same(context: Any, spin: Spin, tmp_path: Path) -> None:
+    """Simulated nodes of the right names prove nothing about other nodes to which docking is remapped."""
     ours, robot = (f"/{new_namespace().strip('/')}" for _ in range(2))
     with SimulatedCharger(
         parse_scene({"nodes": [], "simulation": {}}, "test").simulation, tmp_path / "ports"

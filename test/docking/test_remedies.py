@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do about an error stands in the code as docs/errors.md begins it."""
+"""The remedy for each error in the code is the beginning of the one in docs/errors.md."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runtime of docking's and the mission's scripts: what they wait for, what is thrown into them, who is answered."""
+"""The runtime of docking's and the mission's scripts: waiting, errors thrown into them, and replies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Told:
     text: str = ""
 
 
-def test_a_script_goes_on_step_by_step_and_says_what_it_waits_for() -> None:
+def test_a_script_runs_step_by_step_and_reports_what_it_waits_for() -> None:
     done = []
 
     def script() -> Script[None]:
@@ -70,7 +70,7 @@ def test_a_script_that_is_replaced_or_forgotten_is_closed() -> None:
     assert not runner.is_running
 
 
-def test_only_what_somebody_waits_for_is_taken_and_only_its_first_reply() -> None:
+def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
     calls: Calls[Told] = Calls()
     asked, untold = calls.number(), calls.number(awaited=False)
     calls.hear([Told(untold), Told(asked, "first"), Told(asked, "second"), Told(99)])
@@ -80,7 +80,7 @@ def test_only_what_somebody_waits_for_is_taken_and_only_its_first_reply() -> Non
     assert calls.take(99) is None
 
 
-def test_what_is_forgotten_is_answered_to_nobody() -> None:
+def test_replies_to_forgotten_requests_are_dropped() -> None:
     calls: Calls[Told] = Calls()
     early, late = calls.number(), calls.number()
     calls.hear([Told(early)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strangers who publish or serve beside the charger's own nodes: they are named, and no contactor closes meanwhile."""
+"""Foreign nodes that publish or serve the charger's inputs: they are named, and the contactor stays open."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ SERVICES: dict[str, Any] = {
     "set_contactor": SetContactor,
 }
 ACTIONS: dict[str, Any] = {"dock": Dock, "undock": Undock}
-_EARLY = 8  # frames of before the question that docking bears: so many earlier than the true server can it answer
+_EARLY = 8  # frames sampled before the request that docking accepts: the false server can answer this much earlier
 TILT = math.radians(9.0)  # past the clearance rule, before the angle at which the electrodes short
 
 
 class Liar(Node):
-    """Answers predict_misalignment first, with a target that stands straight; names the frames it heard, or none."""
+    """Answers predict_misalignment first, with a target without tilt; names the frames it received, or none."""
 
     def __init__(self, context: Any, namespace: str, names_frames: bool) -> None:
         super().__init__("liar", **options(context, namespace))
@@ -89,9 +89,9 @@ def named(hostile: Hostile) -> str:
 
 def test_every_second_source_is_named_until_it_is_gone(hostile: Hostile) -> None:
     node = Node("stranger", **options(hostile.context, hostile.namespace))
-    told: list[str] = []
+    texts: list[str] = []
     hostile.client.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: told.extend(status.message for status in array.status), 10
+        DiagnosticArray, "/diagnostics", lambda array: texts.extend(status.message for status in array.status), 10
     )
     for topic, (kind, qos) in TOPICS.items():
         node.create_publisher(kind, f"heard/{topic}", qos)
@@ -104,14 +104,14 @@ def test_every_second_source_is_named_until_it_is_gone(hostile: Hostile) -> None
     stranger, own = f"/{hostile.namespace}/stranger", f"/{hostile.namespace}/docking_node"
     assert named(hostile).count(stranger) == len(expected)
     assert named(hostile).count(own) == 1 + len(ACTIONS), "its own trajectories and goals"
-    wait_until(lambda: any("stranger" in text for text in told), "a warning in /diagnostics")
+    wait_until(lambda: any("stranger" in text for text in texts), "a warning in /diagnostics")
     for server in servers:
         server.destroy()
     node.destroy_node()
-    wait_until(lambda: not named(hostile), "nobody named any more")
+    wait_until(lambda: not named(hostile), "no second source")
 
 
-def test_docking_waits_for_a_second_to_go_and_one_that_comes_later_is_told(hostile: Hostile) -> None:
+def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(hostile: Hostile) -> None:
     node = Node("stranger", **options(hostile.context, hostile.namespace))
     node.create_service(Probe, "probe", lambda request, response: response)
     wait_until(lambda: named(hostile), "a second source")
@@ -144,14 +144,14 @@ def test_docking_waits_for_a_second_to_go_and_one_that_comes_later_is_told(hosti
     wait_until(lambda: "stranger" in named(hostile), "a second source while charging")
     assert hostile.is_closed
     second.destroy_node()
-    wait_until(lambda: not named(hostile), "nobody named any more")
+    wait_until(lambda: not named(hostile), "no second source")
     assert hostile.is_closed
     hostile.heal()
 
 
 @pytest.mark.parametrize("beside", [True, slow(False)])
-def test_a_liar_about_the_angle_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
-    """The target is tilted past the rule. Beside the true server it may name frames; in its place it names none."""
+def test_a_false_angle_estimate_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
+    """The target is tilted past the rule. Next to the true server it may name frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")
     mocks = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}
     nodes = tuple(name for name in quick_scene.nodes if beside or name != "misalignment_node")
@@ -173,7 +173,7 @@ def test_a_liar_about_the_angle_never_closes_the_contactor(quick_scene: Scene, c
             )
         else:
             assert outcome.error_name == "TACTILE_STALE"
-            assert "vouch" in outcome.error_message
+            assert "not confirmed" in outcome.error_message
     finally:
         spinner.close()
         hostile.close()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every node killed, and stopped for a second, in every phase, in virtual time.
 
-Whatever falls silent: an energised contactor is open within its limit, the goal ends with a code that names what is
-missing (or goes on where nothing was missed), nothing moves on meanwhile, nothing is let go or pulled apart while it is
-live, and when the node is back the next goal works on the same charger, which lifts off first where it was pressing.
-What real processes add to that is in test/scenes/test_killed_nodes.py.
+With any node silent: an energised contactor opens within its limit, the goal ends with a code that names what is
+missing (or continues if it needed nothing), nothing keeps moving, nothing is released or pulled apart while it is
+live. After the node is back the next goal succeeds on the same charger, which lifts off first if it was pressing.
+Real processes are tested in test/scenes/test_killed_nodes.py.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ TOUCHING = (State.LOCATE, State.APPROACH, State.CONTACT, State.MEASURE, State.AL
 NODES = ("servo_node", "tactile_node", "misalignment_node", "electrode_detector_node", "docking_node")
 QUICK = (State.CONTACT, State.ENERGISE, State.CHARGING, State.RETRACT)
 STOPPED = 1.0  # s
-NOTICED = 0.3  # s after which no line goes on
-SETTLING = 0.003  # m by which a loaded arm comes to rest where it was stopped
+NOTICED = 0.3  # s after which no line continues
+SETTLING = 0.003  # m: settling of a loaded arm where it was stopped
 
 
 def allowed(node: str, phase: State, killed: bool) -> set[Code]:
-    """Return the codes with which the goal, or the watch after its success, may end; NONE = it is not disturbed."""
+    """Return the codes with which the goal, or supervision after its success, may end; NONE = it is not disturbed."""
     if node == "servo_node":
         return {Code.SERVO_FAULT}
     if node == "tactile_node":
         if phase in TOUCHING:
             return {Code.TACTILE_STALE}
-        if phase is State.RETRACT:  # nothing shows that the contactor is open: the arm stays
+        if phase is State.RETRACT:  # the contactor may be closed: the arm stays
             return {Code.CONTACTOR_WELDED}
         return {Code.POWER_STALE} if killed or phase is State.CHARGING else {Code.POWER_STALE, NONE}
     if node == "misalignment_node":
@@ -61,7 +61,7 @@ def shared() -> list[Faulty]:
 
 @pytest.fixture
 def run(shared: list[Faulty]) -> Iterator[Faulty]:
-    """One charger for all: that it was served before is what recovery means here. A failed cell starts afresh."""
+    """One charger for all cells, which shows recovery. After a failed cell there is a new one."""
     charger = shared.pop() if shared else Faulty()
     yield charger
     if charger.machine.status.state is State.IDLE and not (charger.silent or charger.has_torque):
@@ -69,7 +69,7 @@ def run(shared: list[Faulty]) -> Iterator[Faulty]:
 
 
 def stays_away(run: Faulty, node: str, phase: State, seconds: float) -> None:
-    """Let a node be silent for so long; what carries current opens meanwhile, and nothing moves on."""
+    """Let a node be silent for this time; a closed contactor opens, and nothing keeps moving."""
     closed, start, z = run.closed, run.now, run.world.snapshot().position[2]
     run.silence(node)
     if closed and node in OPEN_WITHIN:
@@ -91,7 +91,7 @@ def stays_away(run: Faulty, node: str, phase: State, seconds: float) -> None:
 
 
 def cells() -> list[tuple[str, State]]:
-    """Return what can matter: docking calls the detector in LOCATE only; one later phase stands for the others."""
+    """Return the relevant phases: docking calls the detector only in LOCATE; one later phase represents the others."""
     detector = (State.LOCATE, State.CHARGING)
     return [(node, phase) for phase in PHASES for node in NODES if node != NODES[3] or phase in detector]
 
@@ -102,7 +102,7 @@ def test_a_node_that_is_killed(run: Faulty, node: str, phase: State) -> None:
     stays_away(run, node, phase, 2.0)
     expected = allowed(node, phase, True)
     if node == "docking_node":
-        run.restart()  # its client has learnt that the server is gone
+        run.restart()  # its client knows that the server is gone
     else:
         code = run.end(phase, expected)
         assert code in expected, run.machine.status.message
@@ -118,7 +118,7 @@ def test_a_node_that_is_killed(run: Faulty, node: str, phase: State) -> None:
     ids=lambda value: getattr(value, "name", value),
 )
 def test_a_node_that_is_stopped_for_a_second(run: Faulty, node: str, phase: State) -> None:
-    """Its late answers come all at once, the trajectories it missed do not; nothing that was opened closes again."""
+    """Its late answers arrive together, the trajectories it missed do not; an opened contactor does not close again."""
     run.reach(phase)
     stays_away(run, node, phase, STOPPED)
     run.resume()
@@ -132,8 +132,8 @@ def test_a_node_that_is_stopped_for_a_second(run: Faulty, node: str, phase: Stat
     run.go_home()
 
 
-def test_backing_off_ends_with_what_is_silent() -> None:
-    """The paper's first push backs off where the target stands nearer than told."""
+def test_backing_off_ends_with_the_code_of_the_silent_node() -> None:
+    """The paper's first push backs off if the target is nearer than given."""
     run = Faulty(nearer=0.006, approach="paper")
     for node, code in (("servo_node", Code.SERVO_FAULT), ("tactile_node", Code.TACTILE_STALE)):
         run.reach(State.BACK_OFF)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""use_sim_time over a real /clock: refused by name before the first, docked after it at any rate, safe when it ends.
+"""use_sim_time with a real /clock: goals are refused before its first message, served at any rate, and end safely.
 
-Control, the contactor's lease and the arm's watchdogs live on the monotonic clock; stamps alone are of /clock.
+Control, the contactor's lease and the arm's watchdogs use the monotonic clock; only stamps use /clock.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Simulator:
     """Publishes /clock as a simulator does.
 
     Attributes:
-        rate: simulated s per real s; 0 = paused: the same time again and again.
+        rate: simulated s per real s; 0 = paused: the same time repeatedly.
         now: simulated s.
     """
 
@@ -124,7 +124,7 @@ def simulate(context: Any) -> Iterator[Callable[[], Simulator]]:
         each.close()
 
 
-def test_before_the_first_clock_a_goal_is_refused_by_name_and_after_it_docks(
+def test_before_the_first_clock_message_a_goal_is_refused_and_afterwards_it_docks(
     charge: Callable[..., Charger], simulate: Callable[[], Simulator]
 ) -> None:
     charger = charge()
@@ -142,7 +142,7 @@ def test_before_the_first_clock_a_goal_is_refused_by_name_and_after_it_docks(
     assert not charger.is_closed
 
 
-def test_a_charger_that_never_heard_a_clock_ends_safely(charge: Callable[..., Charger]) -> None:
+def test_a_charger_without_any_clock_message_ends_safely(charge: Callable[..., Charger]) -> None:
     charger = charge()
     charger.dock()
     charger.close()
@@ -163,10 +163,10 @@ def test_it_docks_at_half_and_at_double_rate(
 
 
 @pytest.mark.parametrize(
-    ("change", "says"), [("pause", "stood still"), ("stop", "stood still"), ("back", "went back by 60")]
+    ("change", "reason"), [("pause", "stood still"), ("stop", "stood still"), ("back", "went back by 60")]
 )
-def test_a_clock_that_no_longer_goes_on_ends_charging_by_name_or_is_borne(
-    charge: Callable[..., Charger], simulate: Callable[[], Simulator], change: str, says: str
+def test_a_stopped_clock_is_tolerated_or_ends_charging_by_name(
+    charge: Callable[..., Charger], simulate: Callable[[], Simulator], change: str, reason: str
 ) -> None:
     simulator = simulate()
     charger = charge()
@@ -181,7 +181,7 @@ def test_a_clock_that_no_longer_goes_on_ends_charging_by_name_or_is_borne(
         time.sleep(1.0)
     if change != "back":
         wait_until(lambda: not charger.is_closed, "an open contactor", 2.0)
-    if charger.is_closed:  # borne: what is stale is told from what is fresh behind the step as before it
+    if charger.is_closed:  # tolerated: stale and fresh data are distinguished after the step as before it
         servos = charger.composition.node("mock_servo_node")
         servos._fault.active = lambda: "silence"
         wait_until(lambda: not charger.is_closed, "an open contactor", 2.0)
@@ -189,11 +189,11 @@ def test_a_clock_that_no_longer_goes_on_ends_charging_by_name_or_is_borne(
     wait_until(lambda: charger.states[-1].error_code, "a code")
     assert CODES[charger.states[-1].error_code] in ("SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
     assert "/clock, which use_sim_time follows" in charger.states[-1].error_message
-    assert says in charger.states[-1].error_message
+    assert reason in charger.states[-1].error_message
 
 
 @pytest.mark.parametrize("follows", ["docking_node", "mock_servo_node"])
-def test_nodes_of_two_clocks_are_named(
+def test_nodes_with_different_clocks_are_named(
     charge: Callable[..., Charger], simulate: Callable[[], Simulator], follows: str
 ) -> None:
     simulate()

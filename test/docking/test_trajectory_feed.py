@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line told piece by piece: the same line to whoever hears it, and an early end where nobody tells it any more."""
+"""A line sent piece by piece: the receiver follows the same line, and stops early if the sender stops."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIMITS = driver.JointLimits(("a", "b", "c"), -math.pi, math.pi, 10.0)
 
 
 def checked(piece: Sequence[Waypoint]) -> driver.Trajectory:
-    """The piece as servo_node takes it; refused ones raise."""
+    """The piece as servo_node reads it; refused pieces raise."""
     points = [driver.ServoWaypoint(point.time, point.angles, point.torque_bound) for point in piece]
     return driver.check(LIMITS.names if points else (), points, LIMITS)
 
@@ -36,7 +36,7 @@ def peak_speed(line: Piece) -> float:
 
 
 class Listener:
-    """Follows pieces from their arrival on, as linear motion of the goal; behind it an arm of first order."""
+    """Follows pieces from their arrival on, as linear motion of the goal, with a first-order arm."""
 
     def __init__(self, lag: float = LAG) -> None:
         self._lag = lag
@@ -65,16 +65,16 @@ def drive(
     feed: TrajectoryFeed,
     listener: Listener,
     end: float,
-    heard: Callable[[float], bool] = lambda now: True,
+    received: Callable[[float], bool] = lambda now: True,
     held: Callable[[float], bool] = lambda now: False,
 ) -> np.ndarray:
-    """Run sender and listener for `end` s; rows of time, goal and arm angles."""
+    """Run sender and receiver for `end` s; rows of time, goal and arm angles."""
     rows = []
     for step in range(1 + round(end / TICK)):
         now = step * TICK
         listener.advance(now, TICK if step else 0.0)
         rows.append((now, *listener.goal, *listener.arm))
-        if heard(now):
+        if received(now):
             listener.hear(feed.piece(now, held(now)), now)
     return np.array(rows)
 
@@ -85,7 +85,7 @@ def begun(line: Piece = LINE, lag: float = LAG) -> TrajectoryFeed:
     return feed
 
 
-def test_told_in_time_the_goal_is_that_of_the_whole_line_at_every_tick() -> None:
+def test_pieces_sent_in_time_give_the_goal_of_the_complete_line_at_every_tick() -> None:
     listener, whole = Listener(), checked(LINE)
     for now, *goal in drive(begun(), listener, END + 0.1)[:, :4]:
         assert goal == pytest.approx(whole.goal_at(now, LINE[0].angles), abs=1e-12)
@@ -94,7 +94,7 @@ def test_told_in_time_the_goal_is_that_of_the_whole_line_at_every_tick() -> None
 
 @pytest.mark.parametrize("lag", [0.02, LAG, 0.364])
 @pytest.mark.parametrize("line", [LINE, SLOW, LINE[:2], LINE[:1]])
-def test_pieces_are_short_are_never_refused_and_lead_exactly_to_the_end(line: Piece, lag: float) -> None:
+def test_pieces_are_short_never_refused_and_end_exactly_at_the_goal(line: Piece, lag: float) -> None:
     draw, feed, now = random.Random(3), begun(line, lag), 0.0
     pieces: list[Piece] = []
     while feed.is_under_way(now):
@@ -117,14 +117,14 @@ def test_late_ticks_within_the_horizon_neither_stop_nor_delay_the_goal(seed: int
     draw = random.Random(seed)
     due = [0.0]
 
-    def heard(now: float) -> bool:
+    def received(now: float) -> bool:
         if now < due[0]:
             return False
         due[0] = now + draw.uniform(0.0, HORIZON - 2 * TICK)
         return True
 
     rows, whole = drive(begun(), Listener(), END), checked(LINE)
-    late = drive(begun(), Listener(), END, heard)
+    late = drive(begun(), Listener(), END, received)
     goals = np.array([whole.goal_at(now, LINE[0].angles) for now in late[:, 0]])
     assert np.abs(late[:, 1:4] - goals).max() < 0.003, "chords of a curved way, in rad"
     assert np.abs(late[-1, 1:4] - rows[-1, 1:4]).max() < 1e-9
@@ -134,7 +134,7 @@ def test_late_ticks_within_the_horizon_neither_stop_nor_delay_the_goal(seed: int
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(share: float, lag: float) -> None:
     gone = share * END
-    rows = drive(begun(lag=lag), Listener(lag), END + 1.0, heard=lambda now: now < gone)
+    rows = drive(begun(lag=lag), Listener(lag), END + 1.0, received=lambda now: now < gone)
     stopped = rows[rows[:, 0] >= gone + HORIZON + TURN + TICK]
     assert np.ptp(stopped[:, 1:4], axis=0).max() == 0.0, "the goal rests"
     drift = np.abs(stopped[-1, 4:] - stopped[0, 4:]).max()
@@ -144,16 +144,16 @@ def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(sh
 
 
 @pytest.mark.parametrize("silence", [0.2, 3.0])
-def test_a_sender_that_comes_back_goes_on_from_where_it_left_the_arm(silence: float) -> None:
+def test_a_returning_sender_continues_from_where_it_left_the_arm(silence: float) -> None:
     gone = 0.4 * END
-    rows = drive(begun(), Listener(), END + silence + 0.2, heard=lambda now: not gone < now < gone + silence)
+    rows = drive(begun(), Listener(), END + silence + 0.2, received=lambda now: not gone < now < gone + silence)
     back = rows[:, 0] > gone + silence
     steps = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1)
     assert steps[back[1:]].max() < 1.1 * TICK * peak_speed(LINE), "nothing jumps to catch up"
     assert rows[-1, 1:4] == pytest.approx(LINE[-1].angles, abs=1e-9)
 
 
-def test_held_it_stops_at_once_and_goes_on_with_all_that_is_left() -> None:
+def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
     feed, listener = begun(), Listener()
     since, until = 0.4 * END, 0.4 * END + 0.5
     rows = drive(feed, listener, END + 0.7, held=lambda now: since <= now < until)
@@ -164,7 +164,7 @@ def test_held_it_stops_at_once_and_goes_on_with_all_that_is_left() -> None:
     steps = np.abs(np.diff(goal, axis=0)).max(axis=1)
     assert steps[time[1:] > until].max() < 1.1 * TICK * peak_speed(LINE)
     assert goal[-1] == pytest.approx(LINE[-1].angles, abs=1e-9)
-    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is said once"
+    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is sent once"
     arrival = time[np.abs(goal - LINE[-1].angles).max(axis=1) < 1e-9][0]
     assert arrival >= END + 0.5, "the time held is not made up for"
 
@@ -180,18 +180,18 @@ def test_a_line_held_before_it_began_leaves_the_goal_where_it_is() -> None:
     assert first[0].time == LINE[0].time
 
 
-def test_velocities_are_those_of_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
+def test_velocities_match_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
     piece = begun().piece(0.5 * END)
     assert piece is not None
     assert max(map(abs, piece[0].velocities or ())) == pytest.approx(peak_speed(LINE), rel=0.1)
     assert piece[-1].velocities == (0.0, 0.0, 0.0)
     bare = tuple(Waypoint(point.time, point.angles, point.torque_bound) for point in LINE)
-    told = begun(bare).piece(0.0)
-    assert told is not None
-    assert {point.velocities for point in told} == {None}
+    piece = begun(bare).piece(0.0)
+    assert piece is not None
+    assert {point.velocities for point in piece} == {None}
 
 
-def test_a_line_that_is_stopped_or_replaced_is_not_told_any_more() -> None:
+def test_a_line_that_is_stopped_or_replaced_is_no_longer_sent() -> None:
     feed = begun()
     feed.piece(0.0)
     feed.stop()
@@ -205,7 +205,7 @@ def test_a_line_that_is_stopped_or_replaced_is_not_told_any_more() -> None:
     assert piece[0] == SLOW[0]
 
 
-def test_a_pull_that_nobody_repeats_ends_where_the_arm_was_under_the_weaker_bound() -> None:
+def test_a_pull_that_is_not_repeated_ends_at_the_arms_place_under_the_weaker_bound() -> None:
     goal, rest = (0.0, 0.0, 0.0), (0.2, 0.2, 0.2)
     trajectory = checked(pull(goal, (4.0,) * 3, rest, (0.9,) * 3))
     for elapsed in (0.0, 0.03, PULL_HORIZON - 1e-6):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's live parameters are set between goals: they decide the next one, and never one that runs."""
+"""Docking's live parameters are set between goals: they apply to the next goal, never to a running one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..chargers import DEADLINE, dock_at_last, new_namespace
 
 PLACE = Pose(0.0, 0.0, 0.080)
 LIVE = [each for each in declared(DockingParameters) if each.live]
-GUARDS = {  # of live electrodes, or told to what keeps a copy
+GUARDS = {  # of live electrodes, or copied by another part
     "approach", "published_clearance_rule", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
     "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",
     "unsafe_max", "blind_max", "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
@@ -34,7 +34,7 @@ GUARDS = {  # of live electrodes, or told to what keeps a copy
 
 
 def changed(name: str) -> DockingParameters:
-    """Return parameters of which one differs, towards the bound that contradicts no other."""
+    """Return parameters with one different value, toward the bound that contradicts no other."""
     about, usual = next(each for each in LIVE if each.name == name), DockingParameters()
     value = getattr(usual, name)
     if about.kind is bool:
@@ -50,7 +50,7 @@ def changed(name: str) -> DockingParameters:
 
 
 def content(thing: Any, seen: set[int]) -> Any:
-    """Return all that can be reached from a thing, as values."""
+    """Return all values that can be reached from an object."""
     if id(thing) in seen or callable(thing):
         return type(thing).__name__
     if isinstance(thing, dict | list | tuple) or hasattr(thing, "__dict__"):
@@ -65,7 +65,7 @@ def content(thing: Any, seen: set[int]) -> Any:
 
 
 @pytest.mark.parametrize("name", [each.name for each in LIVE])
-def test_a_machine_that_was_tuned_is_one_that_was_made_so(name: str) -> None:
+def test_a_tuned_machine_equals_one_created_with_these_values(name: str) -> None:
     wanted = changed(name)
     tuned = DockingMachine(DockingParameters())
     assert tuned.tune(wanted) == ""
@@ -73,13 +73,13 @@ def test_a_machine_that_was_tuned_is_one_that_was_made_so(name: str) -> None:
     assert content(tuned, set()) != content(DockingMachine(DockingParameters()), set())
 
 
-def test_what_guards_live_electrodes_and_what_describes_the_machine_is_fixed() -> None:
+def test_parameters_that_protect_live_electrodes_or_describe_the_machine_are_fixed() -> None:
     assert len(LIVE) > 50
     assert not GUARDS & {each.name for each in LIVE}
     assert {each.name for each in declared(DockingParameters)} >= GUARDS
 
 
-def test_the_arm_on_its_way_back_is_waited_for() -> None:
+def test_tuning_is_refused_while_the_arm_retracts() -> None:
     machine = DockingMachine(DockingParameters())
     machine.start_undock("", Observation(0.0))
     assert machine.tune(DockingParameters(home_z=0.01)).startswith("a goal is running")
@@ -98,7 +98,7 @@ def charger(quick_scene: Scene, context: Any) -> Iterator[tuple[Any, ChargerClie
 
 
 @pytest.mark.ros
-def test_a_goal_is_left_alone_and_the_next_one_goes_by_what_was_set(charger: tuple[Any, ChargerClient]) -> None:
+def test_a_running_goal_keeps_its_values_and_the_next_one_uses_the_new_ones(charger: tuple[Any, ChargerClient]) -> None:
     node, client = charger
     seen: list[Progress] = []
     reasons: list[str] = []

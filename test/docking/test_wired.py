@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Electrodes that hang on the battery (power: none): live at every touch, looked at early, never called charging."""
+"""Electrodes wired to the battery (power: none): live at every touch, measured early, never reported as charging."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRESSED = 0.3  # A of contact current that no touch reaches
 
 
 def wired(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **circuit: Any) -> Watched:
-    """A charger without a contactor before a target so many mm and degrees off."""
+    """A charger without a contactor; its target is off by these mm and degrees."""
     run = quick_charger(*place, parameters={**NONE, **parameters}, circuit=CircuitParameters(wired=True, **circuit))
     return Watched(run)
 
@@ -35,9 +35,9 @@ class Watched:
 
     Attributes:
         run: the charger.
-        asked: the services that were asked for.
+        asked: the services that were called.
         decisions: in their order.
-        pressed: largest contact current while it had not been told to retract, A.
+        pressed: largest contact current before retracting, A.
     """
 
     def __init__(self, run: VirtualCharger) -> None:
@@ -59,18 +59,18 @@ class Watched:
 
     @property
     def kinds(self) -> list[str]:
-        """What was decided, in words."""
+        """Texts of the decisions."""
         return [decision.kind for decision in self.decisions]
 
     def docked(self) -> VirtualCharger:
-        """Dock; the current of two batteries flows then."""
+        """Dock; then current flows between two batteries."""
         outcome = self.run.dock()
         assert outcome.success, outcome
         assert self.run.world.snapshot().charge_current > 1.0
         return self.run
 
     def ends(self, code: Code, within: float) -> None:
-        """See the arm go back for that reason, begun within so many s, and come home."""
+        """Check that the arm retracts for this reason, begins within this time (s), and reaches home."""
         run = self.run
         run.until(lambda: run.machine.status.state is State.RETRACT, within)
         run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
@@ -79,7 +79,7 @@ class Watched:
 
 
 def assert_home(run: VirtualCharger) -> None:
-    """The arm is home and limp: nothing touches any more."""
+    """The arm is home and limp, without contact."""
     truth = run.world.snapshot()
     assert truth.charge_current == 0.0
     assert math.dist(truth.position, run.parameters.home) < 0.003
@@ -87,7 +87,7 @@ def assert_home(run: VirtualCharger) -> None:
     assert not run.machine.status.docked
 
 
-def test_it_docks_and_aligns_and_says_nothing_that_it_does_not_know() -> None:
+def test_it_docks_and_aligns_and_reports_only_known_values() -> None:
     watched = wired(parameters={"overlap_loss_max": 0.004, "landing_limit": 0.0025})  # as by default
     run = watched.docked()
     outcome, status = run.outcome, run.machine.status
@@ -111,7 +111,7 @@ def test_it_docks_and_aligns_and_says_nothing_that_it_does_not_know() -> None:
     assert record.unpowered_live == 0
 
 
-def test_each_touch_is_looked_at_before_it_is_pressed_home() -> None:
+def test_each_first_touch_is_measured_before_pressing() -> None:
     watched = wired(6.0, 2.0)
     watched.docked()
     order = [kind for kind in watched.kinds if kind in ("touched", "contact")]
@@ -119,7 +119,7 @@ def test_each_touch_is_looked_at_before_it_is_pressed_home() -> None:
     assert len(order) >= 4, "more than one contact"
 
 
-def test_a_tilt_that_the_first_touch_tells_is_not_pressed_home() -> None:
+def test_a_tilt_measured_at_first_touch_is_not_pressed() -> None:
     watched = wired(0.0, 0.0, 13.0)
     outcome = watched.run.dock()
     assert outcome.code is Code.CRITICAL_ANGLE
@@ -130,7 +130,7 @@ def test_a_tilt_that_the_first_touch_tells_is_not_pressed_home() -> None:
     assert_home(watched.run)
 
 
-def test_an_offset_across_the_bars_is_corrected_before_it_is_pressed_home() -> None:
+def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
     watched = wired(0.0, 6.0, 4.0)
     run = watched.run
     run.begin(DockGoal(GOAL))
@@ -141,7 +141,7 @@ def test_an_offset_across_the_bars_is_corrected_before_it_is_pressed_home() -> N
 
 
 def spoil(run: VirtualCharger, change: Callable[[Reply], Reply], times: int = 1) -> None:
-    """Let the next answers of the estimator be changed."""
+    """Change the estimator's next answers."""
     left = [times]
 
     def answer(reply: Reply) -> Reply:
@@ -152,7 +152,7 @@ def spoil(run: VirtualCharger, change: Callable[[Reply], Reply], times: int = 1)
 
 
 def unsure(degrees: float) -> Callable[[Reply], Reply]:
-    """Make an estimate unsure, and tell that angle."""
+    """Make an estimate unsure, with this angle."""
 
     def change(reply: Reply) -> Reply:
         assert reply.estimate is not None
@@ -161,24 +161,24 @@ def unsure(degrees: float) -> Callable[[Reply], Reply]:
     return change
 
 
-def test_a_touch_that_tells_nothing_sure_is_pressed_home_and_judged_there() -> None:
+def test_after_an_unsure_first_touch_it_presses_and_judges_then() -> None:
     watched = wired(0.0, 0.0)
     spoil(watched.run, unsure(2.0))
     watched.docked()
     assert watched.kinds.index("contact") == watched.kinds.index("touched") + 1, "no verdict between"
 
 
-def test_a_touch_that_tells_a_tilt_beyond_the_limit_is_never_pressed_home_however_unsure() -> None:
+def test_a_first_touch_with_a_tilt_beyond_the_limit_is_never_pressed_even_if_unsure() -> None:
     watched = wired(0.0, 0.0)
     spoil(watched.run, unsure(14.0), 10)
     outcome = watched.run.dock()
     assert outcome.code is Code.CRITICAL_ANGLE
-    assert watched.run.world.record.contacts == 2, "once made anew"
+    assert watched.run.world.record.contacts == 2, "one repeated contact"
     assert watched.pressed < PRESSED
     assert_home(watched.run)
 
 
-def test_an_estimator_that_fails_at_the_first_touch_takes_the_arm_back() -> None:
+def test_an_estimator_failure_at_first_touch_retracts_the_arm() -> None:
     watched = wired()
     watched.run.answer[Service.ESTIMATE] = lambda reply: Reply(reply.number, False, "out of order")
     assert watched.run.dock().code is Code.TACTILE_STALE
@@ -189,12 +189,12 @@ def test_an_estimator_that_fails_at_the_first_touch_takes_the_arm_back() -> None
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        (DockGoal(GOAL, start_charging=False), "no contact without current"),
+        (DockGoal(GOAL, start_charging=False), "contact without current is impossible"),
         (DockGoal(GOAL, stop_energy=100.0), "does not measure energy"),
     ],
 )
 @pytest.mark.parametrize("docked", [False, True])
-def test_what_it_cannot_do_is_refused(goal: DockGoal, words: str, docked: bool) -> None:
+def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, words: str, docked: bool) -> None:
     watched = wired()
     run = watched.docked() if docked else watched.run
     before = run.world.snapshot().position
@@ -207,7 +207,7 @@ def test_what_it_cannot_do_is_refused(goal: DockGoal, words: str, docked: bool) 
     assert run.machine.status.docked == docked
 
 
-def test_a_given_roll_beyond_the_limit_is_refused_before_it_moves() -> None:
+def test_a_given_roll_beyond_the_limit_is_refused_before_any_motion() -> None:
     watched = wired()
     outcome = watched.run.dock(DockGoal(replace(GOAL, roll=math.radians(12.5))))
     assert outcome.code is Code.CRITICAL_ANGLE
@@ -215,8 +215,8 @@ def test_a_given_roll_beyond_the_limit_is_refused_before_it_moves() -> None:
 
 
 @pytest.mark.parametrize("approach", ["paper", "published"])
-def test_only_the_approach_that_looks_may_dock_without_a_contactor(approach: str) -> None:
-    with pytest.raises(ParameterError, match="only approach guarded"):
+def test_only_the_guarded_approach_may_dock_without_a_contactor(approach: str) -> None:
+    with pytest.raises(ParameterError, match="set approach guarded"):
         DockingParameters(power="none", approach=approach)
 
 
@@ -231,7 +231,7 @@ def test_only_the_approach_that_looks_may_dock_without_a_contactor(approach: str
         ({"currents": (0.0, 0.0, 0.0)}, Code.NO_CONTACT, 0.3),
     ],
 )
-def test_docked_it_is_watched_as_charging_is(wrong: dict[str, Any], code: Code, within: float) -> None:
+def test_a_docked_charger_is_supervised_as_while_charging(wrong: dict[str, Any], code: Code, within: float) -> None:
     watched = wired()
     run = watched.docked()
     run.distort = lambda observation: replace(observation, **wrong)
@@ -241,21 +241,21 @@ def test_docked_it_is_watched_as_charging_is(wrong: dict[str, Any], code: Code, 
     assert run.machine.status.code is code
 
 
-def test_the_silence_of_charger_power_ends_nothing_since_it_tells_nothing() -> None:
+def test_missing_charger_power_ends_nothing_since_it_measures_nothing() -> None:
     run = wired().docked()
     run.distort = lambda observation: replace(observation, power_age=math.inf)
     run.run(10.0)
     assert run.machine.status.docked
 
 
-def test_docking_that_stood_still_takes_the_arm_back() -> None:
+def test_the_arm_retracts_after_docking_was_suspended() -> None:
     watched = wired()
     run = watched.docked()
     run.now += run.parameters.clearance_period + 2.0
     watched.ends(Code.POWER_STALE, 0.1)
 
 
-def test_a_clearance_that_is_lost_while_docked_takes_the_arm_back() -> None:
+def test_the_arm_retracts_if_clearance_is_lost_while_docked() -> None:
     watched = wired()
     run = watched.docked()
 
@@ -271,7 +271,7 @@ def second_source(observation: Observation) -> Observation:
     return replace(observation, duplicate_sources="servo_state: a and b")
 
 
-def test_beside_a_second_source_it_does_not_touch() -> None:
+def test_with_a_second_source_it_does_not_touch() -> None:
     watched = wired(parameters={"duplicate_source_timeout": 2.0})
     run = watched.run
     run.distort = second_source
@@ -281,7 +281,7 @@ def test_beside_a_second_source_it_does_not_touch() -> None:
     assert_home(run)
 
 
-def test_it_touches_once_the_second_source_has_gone() -> None:
+def test_it_touches_after_the_second_source_has_disappeared() -> None:
     watched = wired()
     run = watched.run
     run.distort = second_source
@@ -293,7 +293,7 @@ def test_it_touches_once_the_second_source_has_gone() -> None:
     assert run.finish(60.0).success
 
 
-def test_what_was_felt_beside_a_second_source_is_felt_again() -> None:
+def test_an_estimate_made_during_a_second_source_is_repeated() -> None:
     watched = wired()
     run = watched.run
     run.begin(DockGoal(GOAL))
@@ -308,7 +308,7 @@ def test_what_was_felt_beside_a_second_source_is_felt_again() -> None:
 
 
 @pytest.mark.parametrize("hold", [False, True])
-def test_a_stop_condition_takes_the_electrodes_off_since_nothing_else_ends_the_current(hold: bool) -> None:
+def test_a_stop_condition_undocks_since_nothing_else_ends_the_current(hold: bool) -> None:
     run = wired().run
     outcome = run.dock(DockGoal(GOAL, hold=hold, stop_after=5.0))
     assert outcome.success
@@ -343,15 +343,15 @@ def test_a_further_goal_on_the_docked_target_moves_nothing() -> None:
     assert {decision.kind for decision in watched.decisions[before:]} <= {"accepted", "ended"}
 
 
-def test_a_lower_critical_angle_on_the_docked_target_counts_at_once() -> None:
+def test_a_lower_critical_angle_on_the_docked_target_applies_at_once() -> None:
     watched = wired(0.0, 0.0, 4.0)
     run = watched.docked()
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(2.0))).code is Code.CRITICAL_ANGLE
     assert_home(run)
 
 
-def test_a_target_of_higher_voltage_feeds_back_and_nobody_knows() -> None:
-    """What the documentation warns of: nothing measures, so nothing is said."""
+def test_a_target_of_higher_voltage_feeds_back_unnoticed() -> None:
+    """The documentation warns of this: nothing is measured, so nothing is reported."""
     run = wired(target_voltage=29.0).run
     outcome = run.dock()
     assert outcome.success

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames behind an estimate: sampled after the question, each once, and half of them heard by docking itself."""
+"""The frames of an estimate: sampled after the request, each once, and half of them received by docking itself."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ FELT = FeltPose(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 
 def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:
-    """One that heard a second of frames before ASKED, and every n-th of those after it."""
-    heard = Witness()
+    """A witness that received a second of frames before ASKED, and every n-th frame after it."""
+    found = Witness()
     for frame in before:
-        heard.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least so long
+        found.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
     for frame in after[::every]:
-        heard.hear(frame, ASKED + (frame - after.start) * PERIOD)
-    return heard
+        found.hear(frame, ASKED + (frame - after.start) * PERIOD)
+    return found
 
 
-def is_believed(heard: Witness, *named: int) -> bool:
-    reply = heard.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
+def is_believed(found: Witness, *named: int) -> bool:
+    reply = found.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
     assert reply.number == 7
     assert reply.success == (reply.estimate is not None)
-    assert reply.success or "vouch" in reply.message
+    assert reply.success or "not confirmed" in reply.message
     return reply.success
 
 
-def test_frames_after_the_question_are_believed_also_where_half_of_them_were_lost() -> None:
+def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() -> None:
     assert is_believed(witness(), *AFTER)
     assert is_believed(witness(every=2), *AFTER)
     assert not is_believed(witness(every=3), *AFTER)
@@ -52,27 +52,27 @@ def test_frames_after_the_question_are_believed_also_where_half_of_them_were_los
         (tuple(range(1000, 1024)), "of an earlier question"),
         (tuple(range(1108, 1132)), "half of them from before"),
         ((1119, *AFTER[1:]), "one from before"),
-        (tuple(range(5000, 5024)), "never heard"),
-        ((*AFTER[:11], *range(5000, 5013)), "less than half heard"),
+        (tuple(range(5000, 5024)), "never received"),
+        ((*AFTER[:11], *range(5000, 5013)), "less than half received"),
         ((2**64 - 1,), "the largest number"),
     ],
 )
-def test_what_no_frames_stand_behind_is_refused(named: tuple[int, ...], why: str) -> None:
+def test_an_estimate_without_matching_frames_is_refused(named: tuple[int, ...], why: str) -> None:
     assert not is_believed(witness(), *named), why
 
 
 @pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
-def test_a_tactile_node_that_was_started_anew_and_a_board_that_rebooted_are_believed(start: int) -> None:
-    """The sequence begins anew with the first, and jumps ahead with the second."""
+def test_frames_after_a_restart_of_tactile_node_or_board_are_accepted(start: int) -> None:
+    """The sequence restarts with the first, and jumps ahead with the second."""
     after = range(start, start + 24)
     assert is_believed(witness(after), *after)
     assert is_believed(witness(after, every=2), *after)
 
 
-def test_who_heard_nothing_believes_nothing() -> None:
+def test_without_received_frames_no_estimate_is_accepted() -> None:
     assert not is_believed(Witness(), *AFTER)
 
 
-def test_answers_without_an_estimate_pass_as_they_are() -> None:
+def test_answers_without_an_estimate_are_not_changed() -> None:
     reply = Reply(3, True, "tared", resistance=math.pi)
     assert Witness().checked(reply) is reply

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world for missions in virtual time: a base on the ground, electrodes somewhere, and others that answer as told.
+"""A world for missions in virtual time: a base on the ground, electrodes, and other nodes with scripted answers.
 
-It checks by itself, at every tick, what must never happen: a drive while anything ties the robot to its target, and two
+It checks at every tick for errors: a drive while the robot may be connected to its target, and two
 requests at once.
 """
 
@@ -37,7 +37,7 @@ TARGET = Place(2.0, 1.0, 2.5)
 REACH = 0.04  # m about the place where the arm docks
 
 Answer = Callable[["World", TaskRequest], tuple[float, TaskReply] | None]
-"""How long a request takes and its reply; None = nobody ever answers, not even a cancel."""
+"""Duration of a request and its reply; None = there is never an answer, not even to a cancel."""
 
 
 def matrix(pose: tuple[float, ...]) -> np.ndarray:
@@ -61,9 +61,9 @@ def on_ground(place: Place) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where things really are: electrodes on the map at a height (m), and by how much the navigator stops elsewhere.
+    """True places: electrodes on the map at a height (m), and the error of the navigator's stops.
 
-    The camera tells their lean with `lean_stddev` (rad); NaN = it tells none, though docking may find it.
+    The camera reports their lean with `lean_stddev` (rad); NaN = it reports none, though docking may find it.
     """
 
     electrodes: Place = TARGET
@@ -77,10 +77,10 @@ class World:
     """Steps a machine through a mission.
 
     Args:
-        truth: where things are.
+        truth: true places.
         parameters: of the machine.
         drives: whether there is a navigator.
-        answers: by task, in place of the usual ones.
+        answers: by task, in place of the default ones.
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class World:
         self.attached = False
         self.requests: list[TaskRequest] = []
         self.stages: list[Stage] = []
-        self.bases: list[Place] = []  # where the robot stood at each docking, and
-        self.believed: list[Place | None] = []  # where the machine believed it to stand
+        self.bases: list[Place] = []  # true place of the robot at each docking, and
+        self.believed: list[Place | None] = []  # its place as known to the machine
         self.answers: dict[Task, Answer] = {
             Task.DRIVE: drive,
             Task.DETECT: detect,
@@ -112,9 +112,9 @@ class World:
         self._silent: set[int] = set()
 
     def seen(self) -> ElectrodePose:
-        """How the electrodes really are in charger_base, as the camera tells it."""
+        """True pose of the electrodes in charger_base, as the camera reports it."""
         truth = self.truth
-        away = on_ground(truth.electrodes)[:3, 0]  # which way they face; their z axis points the other way
+        away = on_ground(truth.electrodes)[:3, 0]  # direction that they face; their z axis points the other way
         here = np.linalg.inv(on_ground(self.base) @ matrix(truth.mount))
         x, y, z = map(float, (here @ [truth.electrodes.x, truth.electrodes.y, truth.height, 1.0])[:3])
         right, up, forward = map(float, -here[:3, :3] @ away)
@@ -124,7 +124,7 @@ class World:
     def run(
         self, goal: MissionGoal | None = None, limit: float = 1e5, cancel_in: Stage | None = None
     ) -> MissionOutcome:
-        """Serve a goal and return its outcome; `cancel_in` cancels as soon as that stage is seen."""
+        """Serve a goal and return its outcome; `cancel_in`: cancel as soon as this stage begins."""
         self.machine.start(goal or MissionGoal(TARGET), self._observe(()))
         end = self.time + limit
         while self.machine.outcome is None:
@@ -179,7 +179,7 @@ class World:
                 self._due[index] = (self.time + 0.3, request, reply)
 
     def _take_effect(self, request: TaskRequest, reply: TaskReply) -> None:
-        """Let the world become what the end of a request makes of it."""
+        """Change the world by the result of a request."""
         if request.task is Task.DRIVE and reply.end is End.DONE:
             assert request.place is not None
             self.base = request.place.at(*self.truth.miss)
@@ -193,13 +193,13 @@ class World:
 
 
 def drive(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-    """Arrive, and say where."""
+    """Arrive, and report the place."""
     assert request.place is not None
     return 5.0, TaskReply(request.number, End.DONE, place=request.place.at(*world.truth.miss))
 
 
 def detect(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-    """See what is before the camera, not too far aside."""
+    """Detect electrodes in front of the camera, not too far aside."""
     seen = world.seen()
     x, y, z = seen.position
     if 0.02 < z < 0.8 and math.hypot(x, y) < 0.5 * (z + 0.12):
@@ -209,7 +209,7 @@ def detect(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
 
 
 def dock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-    """Refuse what is out of reach; else dock, and charge for a while."""
+    """Refuse electrodes out of reach; else dock, and charge for a while."""
     seen = world.seen().position
     if math.dist(seen, (0.0, 0.0, 0.08)) > REACH:
         where = BasePose.before(seen)
@@ -220,7 +220,7 @@ def dock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
 
 
 def squarely(limit: float, code: Code = Code.LEANING) -> Answer:
-    """Return docking that refuses a yaw beyond `limit` (rad) with a code and the stand without it."""
+    """Return docking that refuses a yaw beyond `limit` (rad) with a code and a suggested base pose without it."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
         seen = world.seen()
@@ -233,12 +233,12 @@ def squarely(limit: float, code: Code = Code.LEANING) -> Answer:
 
 
 def undock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-    """Let go."""
+    """Undock."""
     return 3.0, TaskReply(request.number, End.DONE)
 
 
 def fails(code: Code, retriable: bool = False, after: float = 1.0, charging: bool = False) -> Answer:
-    """Return docking that fails with a code, after charging for a while where `charging`."""
+    """Return docking that fails with a code, after charging for a while if `charging`."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         world.attached = request.task is Task.DOCK or world.attached
@@ -252,7 +252,7 @@ def fails(code: Code, retriable: bool = False, after: float = 1.0, charging: boo
 
 
 def ends(end: End, message: str = "") -> Answer:
-    """Return somebody whose requests end that way."""
+    """Return a server whose requests end in this way."""
     return lambda world, request: (1.0, TaskReply(request.number, end, message=message))
 
 

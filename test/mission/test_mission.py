@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of a mission, in virtual time: every way ends in a named code, undocked before it drives, and home if it can."""
+"""Laws of a mission, in virtual time: it ends with a code, undocks before it drives, and returns home if possible."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ QUICK = MissionParameters(
     mission_timeout=1000.0,
 )
 LONGEST = 1000.0 + 2 * 10.0 + 2 * (20.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
-"""s that any mission with QUICK may last: its own limit, and all of the way out."""
+"""Longest time (s) of a mission with QUICK: its limit and its final steps."""
 
 angles = st.floats(-math.pi, math.pi)
 
@@ -51,7 +51,7 @@ def level_mount(heading: float, x: float, y: float, z: float) -> tuple[float, ..
     return (x, y, z, *turned)
 
 
-def test_a_mission_drives_looks_stands_docks_charges_undocks_and_returns() -> None:
+def test_a_mission_drives_searches_docks_charges_undocks_and_returns() -> None:
     world = quick()
     outcome = world.run(MissionGoal(TARGET, stop_energy=1000.0))
     assert outcome.success, outcome
@@ -69,32 +69,32 @@ def test_a_mission_drives_looks_stands_docks_charges_undocks_and_returns() -> No
     offset=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(0.0, 0.5)),
     facing=angles,
     shift=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
-    # 0.01 m each way and 0.03 rad at 0.79 m from the base's centre lie within REACH, each time anew.
+    # Errors of 0.01 m each way and of 0.03 rad at 0.79 m from the base's centre are within REACH.
     miss=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01), st.floats(-0.03, 0.03)),
 )
-def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
+def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
     heading: float,
     offset: tuple[float, float, float],
     facing: float,
     shift: tuple[float, float],
     miss: tuple[float, float, float],
 ) -> None:
-    """The target stands beside where it was said to stand, and the navigator stops beside its goals and says so."""
-    told = Place(2.0, 1.0, facing)
-    truth = Truth(told.at(*shift), offset[2], miss, level_mount(heading, *offset))
+    """The target is not exactly at its given place, and the navigator stops near its goals and reports it."""
+    given = Place(2.0, 1.0, facing)
+    truth = Truth(given.at(*shift), offset[2], miss, level_mount(heading, *offset))
     world = quick(truth=truth)
-    outcome = world.run(MissionGoal(told))
+    outcome = world.run(MissionGoal(given))
     assert outcome.success, (outcome, world.stages)
     world.base, believed = world.bases[-1], world.believed[-1]
     assert believed is not None
-    assert believed.distance(world.base) < 1e-6, "it goes by where the navigator says that it stopped"
+    assert believed.distance(world.base) < 1e-6, "it uses the place reported by the navigator"
     x, y, z = world.seen().position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
     assert world.machine.status.stands <= QUICK.stands_max
 
 
-def test_parameters_are_changed_between_missions_and_never_in_one() -> None:
+def test_parameters_change_only_between_missions() -> None:
     world = quick()
     elsewhere, wanted = Place(1.0, -2.0, 0.3), replace(QUICK, charge_timeout=100.0)
 
@@ -112,8 +112,8 @@ def test_parameters_are_changed_between_missions_and_never_in_one() -> None:
     assert world.base.distance(elsewhere) < 1e-9
 
 
-def test_the_electrodes_are_where_their_robot_carries_them() -> None:
-    """electrodes_* is added by the shell; a target whose electrodes are told is stood before like any other."""
+def test_electrodes_follow_from_the_target_and_its_parameters() -> None:
+    """The shell adds electrodes_*; a target with given electrodes is approached like any other."""
     robot = Place(5.0, -2.0, 1.0)
     carried = robot.at(-0.3, 0.1, math.pi)
     assert (carried.x, carried.y) == pytest.approx(
@@ -124,7 +124,7 @@ def test_the_electrodes_are_where_their_robot_carries_them() -> None:
     assert base.turn(carried) == pytest.approx(math.pi)
 
 
-def test_docking_and_the_mission_mean_the_same_place() -> None:
+def test_docking_and_the_mission_use_the_same_distance() -> None:
     assert suggested_base(Unreachable("", (0.0, 0.0, DOCK_DISTANCE))) == BasePose(0.0, 0.0, 0.0)
 
 
@@ -135,14 +135,14 @@ def test_wrapped_angles_differ_by_whole_turns(a: float, b: float) -> None:
     assert math.remainder(angle - a - b, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_mount_that_faces_the_ground_or_is_no_pose_is_refused() -> None:
+def test_a_mount_that_faces_the_ground_or_is_not_a_pose_is_refused() -> None:
     for pose in ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (0.0,) * 7, (math.nan, *FORWARD[1:]), FORWARD[:6]):
         with pytest.raises(ValueError, match="base_pose"):
             BaseMount(pose)
 
 
 @given(st.integers(0, 5), st.integers(0, 8), st.floats(0.08, 2.0), angles)
-def test_the_views_are_bounded_never_nearer_than_the_first_and_end_where_they_should(
+def test_the_views_are_bounded_and_never_nearer_than_the_first(
     steps: int, turns: int, distance: float, facing: float
 ) -> None:
     parameters = MissionParameters(search_steps=steps, search_turns=turns)
@@ -157,7 +157,7 @@ def test_the_views_are_bounded_never_nearer_than_the_first_and_end_where_they_sh
         assert place.turn(first) <= turns * parameters.search_turn + 1e-9 or turns * parameters.search_turn > math.pi
 
 
-def test_where_nothing_is_found_it_looks_from_every_view_and_returns() -> None:
+def test_without_a_detection_it_searches_every_view_and_returns() -> None:
     world = quick({Task.DETECT: ends(End.FAILED, "no electrodes in the image")})
     outcome = world.run()
     assert (outcome.success, outcome.code, outcome.returned) == (False, Code.ELECTRODES_NOT_FOUND, True)
@@ -183,7 +183,7 @@ def test_electrodes_beside_the_first_view_are_found_from_another() -> None:
         (Code.NO_CHARGE_CURRENT, True),
     ],
 )
-def test_what_docking_refuses_is_told_with_its_code_undocked_and_returned(code: Code, retriable: bool) -> None:
+def test_a_docking_failure_is_reported_with_its_code_after_undocking_and_return(code: Code, retriable: bool) -> None:
     world = quick({Task.DOCK: fails(code, retriable)})
     outcome = world.run()
     assert (outcome.success, outcome.code, outcome.retriable, outcome.returned) == (False, code, retriable, True)
@@ -191,7 +191,7 @@ def test_what_docking_refuses_is_told_with_its_code_undocked_and_returned(code: 
     assert world.base == HOME
 
 
-def test_stands_are_bounded_where_docking_always_finds_the_target_out_of_reach() -> None:
+def test_moves_are_bounded_if_docking_always_finds_the_target_out_of_reach() -> None:
     def unreachable(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         return 0.1, TaskReply(
             request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=BasePose(0.3, 0.0, 0.0)
@@ -206,15 +206,15 @@ def test_stands_are_bounded_where_docking_always_finds_the_target_out_of_reach()
 
 FIVE = math.radians(5.0)
 SIDEWAYS = level_mount(-2.0, 0.2, -0.1, 0.0)
-"""A charger_base that looks back and to the right."""
-# y along the ground, to the robot's right: there a turn of the robot is a pitch
+"""A charger_base that points back and to the right."""
+# y along the ground, to the robot's right: so a turn of the robot is a pitch
 ON_ITS_SIDE = (0.0, 0.0, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 
 
 @pytest.mark.parametrize("yaw", [FIVE, -FIVE])
 @pytest.mark.parametrize("mount", [FORWARD, SIDEWAYS, level_mount(2.0, 0.0, 0.1, 0.0)])
-def test_a_target_that_is_seen_askew_is_faced_squarely_after_one_stand(yaw: float, mount: tuple[float, ...]) -> None:
-    """The errand's own search tells it: docking is asked once, from a stand that any errand takes."""
+def test_a_target_detected_askew_is_faced_squarely_after_one_move(yaw: float, mount: tuple[float, ...]) -> None:
+    """The mission's own search finds it: docking is called once, after the usual move."""
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, yaw), mount=mount, lean_stddev=0.01))
     outcome = world.run()
     assert outcome.success, outcome
@@ -227,10 +227,10 @@ def test_a_target_that_is_seen_askew_is_faced_squarely_after_one_stand(yaw: floa
 @pytest.mark.parametrize("code", [Code.LEANING, Code.UNREACHABLE])
 @pytest.mark.parametrize("yaw", [2.0 * FIVE, -2.0 * FIVE])
 @pytest.mark.parametrize("mount", [FORWARD, SIDEWAYS])
-def test_a_stand_that_docking_suggests_is_taken_with_its_heading(
+def test_the_robot_takes_a_suggested_base_pose_with_its_heading(
     yaw: float, mount: tuple[float, ...], code: Code
 ) -> None:
-    """The search tells no lean, so that the robot faces the target as told until docking says how far it is off."""
+    """The search reports no lean, so the robot faces the target as given until docking reports the error."""
     world = quick({Task.DOCK: squarely(FIVE, code)}, Truth(TARGET.at(0.0, 0.0, yaw), mount=mount))
     outcome = world.run()
     assert outcome.success, outcome
@@ -242,7 +242,7 @@ def test_a_stand_that_docking_suggests_is_taken_with_its_heading(
     assert world.seen().position == pytest.approx((0.0, 0.0, DOCK_DISTANCE), abs=1e-9)
 
 
-def test_an_arm_mounted_on_its_side_sees_the_turn_as_a_pitch() -> None:
+def test_with_an_arm_mounted_on_its_side_a_turn_is_a_pitch() -> None:
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), mount=ON_ITS_SIDE, lean_stddev=0.01))
     outcome = world.run()
     assert outcome.success, outcome
@@ -250,12 +250,12 @@ def test_an_arm_mounted_on_its_side_sees_the_turn_as_a_pitch() -> None:
     assert world.seen().pitch == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_yaw_that_is_not_sure_is_no_reason_to_turn() -> None:
+def test_an_unsure_yaw_causes_no_turn() -> None:
     stddev = 1.01 * QUICK.facing_stddev_max
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), lean_stddev=stddev))
     assert world.run().success
     world.base = world.bases[0]
-    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as that was told"
+    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as given"
 
 
 def leaning(base: BasePose | None) -> Answer:
@@ -272,7 +272,7 @@ def leaning(base: BasePose | None) -> Answer:
     ],
     ids=["always askew", "a turn that is not worth it", "a pitch"],
 )
-def test_leaning_ends_the_errand_where_no_stand_is_left_or_would_help(base: BasePose | None, stands: int) -> None:
+def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePose | None, stands: int) -> None:
     world = quick({Task.DOCK: leaning(base)})
     outcome = world.run()
     assert (outcome.code, outcome.retriable, outcome.returned) == (Code.LEANING, False, True)
@@ -280,7 +280,7 @@ def test_leaning_ends_the_errand_where_no_stand_is_left_or_would_help(base: Base
     assert "askew" in outcome.message
 
 
-def test_what_is_merely_too_high_is_not_driven_at() -> None:
+def test_electrodes_that_are_only_too_high_cause_no_drive() -> None:
     world = quick(truth=Truth(height=0.10))
     outcome = world.run()
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
@@ -297,7 +297,7 @@ def test_what_is_merely_too_high_is_not_driven_at() -> None:
         (silent, Code.TIMEOUT),
     ],
 )
-def test_a_navigator_that_fails_is_told_with_a_code_and_home_is_tried(answer: Answer, code: Code) -> None:
+def test_a_failing_navigator_is_reported_with_a_code_and_the_robot_tries_to_return(answer: Answer, code: Code) -> None:
     world = quick({Task.DRIVE: answer})
     outcome = world.run()
     assert (outcome.code, outcome.returned) == (code, False)
@@ -306,7 +306,7 @@ def test_a_navigator_that_fails_is_told_with_a_code_and_home_is_tried(answer: An
     assert world.requests[-1].place == HOME
 
 
-def test_a_way_that_is_blocked_once_still_leads_home() -> None:
+def test_the_robot_returns_after_one_blocked_drive() -> None:
     count = iter(range(100))
 
     def blocked_once(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
@@ -319,7 +319,7 @@ def test_a_way_that_is_blocked_once_still_leads_home() -> None:
     assert "blocked" in outcome.message
 
 
-def test_after_charging_a_blocked_way_home_is_no_reason_to_charge_again() -> None:
+def test_after_charging_a_blocked_way_home_is_not_retriable() -> None:
     def not_home(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         return 1.0, TaskReply(request.number, End.FAILED if request.place == HOME else End.DONE)
 
@@ -340,7 +340,7 @@ def test_a_robot_that_may_hold_its_target_stays(code: Code) -> None:
     assert world.stages[-1] is Stage.UNDOCK
 
 
-def test_undocking_that_works_the_second_time_lets_it_return() -> None:
+def test_the_robot_returns_if_the_second_undocking_succeeds() -> None:
     count = iter(range(100))
 
     def second(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
@@ -352,7 +352,7 @@ def test_undocking_that_works_the_second_time_lets_it_return() -> None:
     assert (outcome.success, outcome.returned) == (True, True)
 
 
-def test_the_first_error_is_kept_and_the_later_told() -> None:
+def test_the_first_error_is_kept_and_the_later_one_reported() -> None:
     outcome = quick({Task.DOCK: fails(Code.CRITICAL_ANGLE), Task.UNDOCK: fails(Code.STUCK)}).run()
     assert outcome.code is Code.CRITICAL_ANGLE
     assert "CRITICAL_ANGLE" in outcome.message
@@ -360,7 +360,7 @@ def test_the_first_error_is_kept_and_the_later_told() -> None:
 
 
 @pytest.mark.parametrize("stage", list(Stage))
-def test_a_cancel_in_any_stage_undocks_and_returns_but_on_the_way_back_it_stops(stage: Stage) -> None:
+def test_a_cancel_undocks_and_returns_but_during_the_return_it_stops(stage: Stage) -> None:
     world = quick()
     if stage is Stage.WAIT:
         world.served.discard(Task.DOCK)
@@ -389,7 +389,7 @@ def test_silence_ends_at_the_limit_of_its_stage(task: Task, code: Code, named: s
     assert named in outcome.message
 
 
-def test_charging_and_the_whole_mission_have_limits_of_their_own() -> None:
+def test_charging_and_the_mission_have_their_own_limits() -> None:
     charges_for_ever: Answer = fails(Code.INTERNAL, after=1e6, charging=True)
     world = quick({Task.DOCK: charges_for_ever})
     outcome = world.run()
@@ -402,7 +402,7 @@ def test_charging_and_the_whole_mission_have_limits_of_their_own() -> None:
 
 
 def rests(after: float = 100.0) -> Answer:
-    """Return docking without a contactor (power: none): it rests on the target and knows nothing of a current."""
+    """Return docking without a contactor (power: none): it rests on the target and measures no current."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         world.attached, world.docking = True, DockingReport(State.IDLE, docked=True)
@@ -411,7 +411,7 @@ def rests(after: float = 100.0) -> Answer:
     return answer
 
 
-def test_a_charge_that_nobody_measures_is_not_claimed() -> None:
+def test_an_unmeasured_charge_is_not_claimed() -> None:
     world = World(answers={Task.DOCK: rests()})
     outcome = world.run()
     assert (outcome.success, outcome.returned) == (True, True)
@@ -421,7 +421,7 @@ def test_a_charge_that_nobody_measures_is_not_claimed() -> None:
     assert quick({}).run().notice == "", "what is measured needs no notice"
 
 
-def test_resting_on_the_battery_has_the_time_of_charging() -> None:
+def test_docking_with_power_none_has_the_time_limit_of_charging() -> None:
     limits = MissionParameters(dock_timeout=50.0, charge_timeout=500.0, home_x=HOME.x, home_y=HOME.y, home_yaw=HOME.yaw)
     assert World(parameters=limits, answers={Task.DOCK: rests(400.0)}).run().success
     outcome = World(parameters=limits, answers={Task.DOCK: rests(600.0)}).run()
@@ -430,7 +430,7 @@ def test_resting_on_the_battery_has_the_time_of_charging() -> None:
 
 
 @pytest.mark.parametrize("task", list(Task))
-def test_who_is_not_there_is_named_before_anything_moves(task: Task) -> None:
+def test_missing_nodes_are_named_before_anything_moves(task: Task) -> None:
     world = quick()
     world.served.discard(task)
     outcome = world.run()
@@ -439,7 +439,7 @@ def test_who_is_not_there_is_named_before_anything_moves(task: Task) -> None:
     assert world.requests == []
 
 
-def test_a_charger_that_is_docked_already_is_not_driven() -> None:
+def test_a_docked_charger_is_not_driven() -> None:
     for docking in (
         DockingReport(State.CHARGING, True, True),
         DockingReport(State.IDLE, True),
@@ -453,7 +453,7 @@ def test_a_charger_that_is_docked_already_is_not_driven() -> None:
         assert world.requests == []
 
 
-def test_a_charger_that_somebody_else_sets_to_work_meanwhile_is_not_driven() -> None:
+def test_a_charger_that_another_client_uses_is_not_driven() -> None:
     def looks(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         world.docking = DockingReport(State.CONTACT)
         return 1.0, TaskReply(request.number, End.FAILED, message="no electrodes in the image")
@@ -464,7 +464,7 @@ def test_a_charger_that_somebody_else_sets_to_work_meanwhile_is_not_driven() -> 
     assert [request.task for request in world.requests] == [Task.DRIVE, Task.DETECT]
 
 
-def test_one_mission_at_a_time_and_no_impossible_ones() -> None:
+def test_a_second_mission_and_impossible_goals_are_refused() -> None:
     world = quick()
     observation = world._observe(())
     for wrong in (MissionGoal(TARGET, stop_energy=math.nan), MissionGoal(TARGET, stop_after=-1.0), MissionGoal(None)):
@@ -476,7 +476,7 @@ def test_one_mission_at_a_time_and_no_impossible_ones() -> None:
     assert caught.value.retriable
 
 
-def test_cancels_on_the_way_home_end_it_once() -> None:
+def test_several_cancels_during_the_return_end_the_mission_once() -> None:
     world = quick({Task.DRIVE: lambda world, request: None if request.place == HOME else drive(world, request)})
     world.machine.start(MissionGoal(TARGET), world._observe(()))
     while world.machine.outcome is None:
@@ -486,16 +486,16 @@ def test_cancels_on_the_way_home_end_it_once() -> None:
     assert (world.machine.outcome.code, world.machine.outcome.returned) == (Code.CANCELED, False)
 
 
-def test_a_mission_leaves_no_limit_and_no_wish_to_the_next() -> None:
+def test_a_mission_passes_no_limit_and_no_cancel_to_the_next() -> None:
     world = quick()
     assert world.run(cancel_in=Stage.RETURN).code is Code.CANCELED
     world.time += 1e6
-    world.machine.cancel()  # of nobody
+    world.machine.cancel()  # without a goal
     outcome = world.run()
     assert (outcome.success, outcome.returned) == (True, True), outcome
 
 
-def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -> None:
+def test_a_stationary_charger_waits_for_its_target_and_does_not_drive() -> None:
     looks = iter(range(100))
 
     def comes(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
@@ -511,7 +511,7 @@ def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -
     assert all(request.task is not Task.DRIVE for request in world.requests)
 
 
-def test_a_charger_that_stands_still_gives_up_in_time_and_says_where_it_should_stand() -> None:
+def test_a_stationary_charger_gives_up_in_time_and_suggests_a_base_pose() -> None:
     world = quick({Task.DETECT: ends(End.FAILED, "nothing")}, drives=False)
     outcome = world.run(MissionGoal(None), limit=QUICK.search_timeout + 30.0)
     assert (outcome.code, outcome.returned) == (Code.ELECTRODES_NOT_FOUND, True)
@@ -521,7 +521,7 @@ def test_a_charger_that_stands_still_gives_up_in_time_and_says_where_it_should_s
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
 
 
-def test_an_emergency_calls_off_what_is_under_way_and_forgets_the_goal() -> None:
+def test_an_emergency_cancels_open_requests_and_forgets_the_goal() -> None:
     world = quick()
     world.machine.start(MissionGoal(TARGET), world._observe(()))
     while not world.requests:
@@ -539,7 +539,7 @@ WAYS = ("done",) * 12 + ("failed", "retriable", "refused", "canceled", "lost", "
 
 
 def _drawn(draw: st.DataObject) -> Answer:
-    """Return somebody who answers each time as it is drawn."""
+    """Return a server whose answers are drawn at random."""
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
         way = draw.draw(st.sampled_from(WAYS))
@@ -567,10 +567,10 @@ def _drawn(draw: st.DataObject) -> Answer:
 
 @settings(max_examples=150, deadline=None)
 @given(st.data(), st.one_of(st.none(), st.integers(0, 3000)), st.booleans())
-def test_whatever_the_others_do_it_ends_in_time_with_a_named_code(
+def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     data: st.DataObject, cancel_at: int | None, drives: bool
 ) -> None:
-    """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, an honest `returned`."""
+    """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, a true `returned`."""
     world = quick(dict.fromkeys(Task, _drawn(data)), drives=drives)
     start = world.time
     world.machine.start(MissionGoal(TARGET if drives else None), world._observe(()))

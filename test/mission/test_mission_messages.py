@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What others tell the mission, as nobody should tell it: a refusal or nothing, and never a place without numbers."""
+"""Malformed data for the mission: it refuses or ignores them, and never gets a place that is not finite."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NUMBERS = (0.0, 1.0, -1e-300, 1e308, -math.inf, math.nan)
 LONG = "x" * 5_000_000
 
 
-def test_a_pose_is_a_place_of_finite_numbers_or_none() -> None:
+def test_a_pose_becomes_a_place_of_finite_numbers_or_none() -> None:
     for x, z, w in itertools.product(NUMBERS, repeat=3):
         pose = PoseStamped()
         pose.pose.position.x, pose.pose.orientation.z, pose.pose.orientation.w = x, z, w
@@ -41,7 +41,7 @@ def test_a_pose_is_a_place_of_finite_numbers_or_none() -> None:
 
 
 @pytest.mark.parametrize("x", [math.nan, math.inf, -1e308, 1000.0])
-def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
+def test_the_robot_is_not_sent_to_implausible_electrodes(x: float) -> None:
     answer = DetectElectrodes.Response(success=True)
     answer.detection.pose.pose.position.x = x
     reply = io.read_detection(1, answer)
@@ -54,13 +54,13 @@ def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
 
 
 @pytest.mark.parametrize(("energy", "unmeasured"), [(math.nan, True), (0.0, False), (500.0, False)])
-def test_energy_that_is_not_a_number_is_a_charge_that_nobody_measured(energy: float, unmeasured: bool) -> None:
+def test_nan_energy_means_an_unmeasured_charge(energy: float, unmeasured: bool) -> None:
     result = Dock.Result(success=True, energy=energy, error_message="it hangs on the battery")
     reply = io.read_dock(2, End.DONE, result, None)
     assert (reply.unmeasured, reply.message) == (unmeasured, "it hangs on the battery")
 
 
-def test_a_suggested_stand_is_read_with_its_turn_and_a_turn_that_is_none_is_no_stand() -> None:
+def test_a_suggested_base_pose_is_read_with_its_yaw_and_an_invalid_yaw_gives_none() -> None:
     result = Dock.Result(error_code=Dock.Result.LEANING)
     result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
     reply = io.read_dock(2, End.FAILED, result, None)
@@ -72,7 +72,7 @@ def test_a_suggested_stand_is_read_with_its_turn_and_a_turn_that_is_none_is_no_s
         assert io.read_dock(2, End.FAILED, result, None).suggested is None
 
 
-def test_what_the_camera_sees_is_told_with_its_lean_and_what_contradicts_itself_is_nothing() -> None:
+def test_a_detection_is_read_with_its_lean_and_a_contradictory_one_fails() -> None:
     answer = DetectElectrodes.Response(success=True)
     seen = answer.detection.pose
     seen.pose.orientation.y, seen.pose.orientation.w = math.sin(0.05), math.cos(0.05)
@@ -87,7 +87,7 @@ def test_what_the_camera_sees_is_told_with_its_lean_and_what_contradicts_itself_
     assert "contradicts itself" in reply.message
 
 
-def test_long_words_are_cut_and_long_names_refused() -> None:
+def test_long_messages_are_cut_and_long_frame_names_refused() -> None:
     answer, result = DetectElectrodes.Response(message=LONG), Dock.Result(error_message=LONG)
     for reply in (io.read_detection(1, answer), io.read_dock(2, End.FAILED, result, None)):
         assert len(reply.message) < 2 * MESSAGE_MAX
@@ -101,7 +101,7 @@ def test_long_words_are_cut_and_long_names_refused() -> None:
         machine.start(MissionGoal(None, 0.0, 0.0, LONG), MissionObservation(0.0, frozenset(), None, ()))
 
 
-def test_a_state_that_there_is_not_is_not_heard() -> None:
+def test_an_invalid_docking_state_is_ignored() -> None:
     assert io.read_state(DockingState(state=200)) is None
     report = io.read_state(DockingState(state=DockingState.STATE_CHARGING, charging=True))
     assert report is not None

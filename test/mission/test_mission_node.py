@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """mission_node over real topics, actions and services: charged and home, or a code and home.
 
-What docking decides is tried over the real docking_node on mocks; what is about the errand around it over a node with
-docking_node's face alone. The laws themselves stand in test/mission/test_mission.py, in virtual time.
+Docking's decisions are tested with the real docking_node on mocks; the rest of a mission with a node that has only
+docking_node's interface. The laws are in test/mission/test_mission.py, in virtual time.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ REAL = Path(__file__).with_name("mission.yaml")
 STANDS = read_yaml(REAL)["parameters"]["mission_node"]["stands_max"]
 
 
-class Errand:
-    """A ChargeRobot goal on its way: its stages as they are told, and its result."""
+class ActiveGoal:
+    """A running ChargeRobot goal: its stages as reported, and its result."""
 
     def __init__(self) -> None:
         self.stages: list[Stage] = []
@@ -96,7 +96,7 @@ class Errand:
 
 
 class Robot:
-    """The charging robot under test and a client of its mission; `docking` stands in for docking_node, or is None."""
+    """The charging robot under test and a client of its mission; `docking` replaces docking_node, or is None."""
 
     def __init__(self, scene: Scene, context: Any) -> None:
         self.namespace = new_namespace()
@@ -108,16 +108,16 @@ class Robot:
         self._spinner = Spinner(self._client_node)
         wait_until(self._client.server_is_ready, "charge_robot")
 
-    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map", at: Place = TARGET) -> Errand:
+    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map", at: Place = TARGET) -> ActiveGoal:
         goal = ChargeRobot.Goal(request_id=request_id, stop_after=duration(stop_after))
         fill_pose(goal.target, replace(at, frame=frame))
-        errand = Errand()
-        self._spinner.call_soon(errand.send, self._client, goal)
-        return errand
+        active = ActiveGoal()
+        self._spinner.call_soon(active.send, self._client, goal)
+        return active
 
-    def run(self, **fields: Any) -> tuple[Any, Errand]:
-        errand = self.send(**fields)
-        return errand.end(), errand
+    def run(self, **fields: Any) -> tuple[Any, ActiveGoal]:
+        active = self.send(**fields)
+        return active.end(), active
 
     def node(self, name: str) -> Any:
         return self.composition.node(name)
@@ -158,7 +158,7 @@ class Robot:
 
 
 def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:
-    """Return a scene of detector, navigator and mission alone; `change` may change it."""
+    """Return a scene of detector, navigator and mission only; `change` may change it."""
     content = read_yaml(REAL)
     content["nodes"] = ["mock_detector_node", "mock_navigator_node", "mission_node"]
     content["parameters"] = {name: content["parameters"].get(name, {}) for name in content["nodes"]}
@@ -169,7 +169,7 @@ def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:
 
 @pytest.fixture(scope="module")
 def shared(context: Any) -> Iterator[Callable[[bool], Robot]]:
-    """The robots of all scenarios, each made when it is first wanted: with the real docking_node, and with a mock."""
+    """The robots of all scenarios, each created on first use: with the real docking_node, and with a mock."""
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
     robots: dict[bool, Robot] = {}
 
@@ -204,11 +204,11 @@ def named(result: Any) -> tuple[bool, str, bool]:
 
 def test_it_drives_docks_charges_and_comes_home(real: Robot) -> None:
     real.node("mock_navigator_node").arrived.clear()
-    result, errand = real.run(request_id="r1", stop_after=1.0)
+    result, active = real.run(request_id="r1", stop_after=1.0)
     assert named(result) == (True, "NONE", True), result
     assert result.energy > 0.0
-    assert set(errand.stages) == set(Stage)
-    assert errand.stages[-4:] == [Stage.DOCK, Stage.CHARGE, Stage.UNDOCK, Stage.RETURN]
+    assert set(active.stages) == set(Stage)
+    assert active.stages[-4:] == [Stage.DOCK, Stage.CHARGE, Stage.UNDOCK, Stage.RETURN]
     assert real.place == HOME
     first = real.node("mock_navigator_node").arrived[0]
     assert (first.x, first.y) == pytest.approx((1.0 - 0.2, 0.0), abs=1e-6), "before a target at x = 1 that faces −x"
@@ -220,10 +220,10 @@ def test_home_is_moved_between_missions(robot: Robot) -> None:
         both = [Parameter("home_x", value=x), Parameter("stands_max", value=STANDS)]
         return str(robot.node("mission_node").set_parameters_atomically(both).reason)
 
-    errand = robot.send(stop_after=1.0)
-    errand.reach(Stage.DRIVE)
+    active = robot.send(stop_after=1.0)
+    active.reach(Stage.DRIVE)
     assert home(HOME.x + 0.5).startswith("home_x, stands_max not set: a goal is running")
-    assert errand.end().success
+    assert active.end().success
     assert robot.place == HOME
     assert home(HOME.x + 0.5) == ""
     result, _ = robot.run()
@@ -232,20 +232,20 @@ def test_home_is_moved_between_missions(robot: Robot) -> None:
     assert home(HOME.x) == ""
 
 
-def test_out_of_reach_it_stands_again_and_docks(real: Robot) -> None:
+def test_if_the_target_is_out_of_reach_the_robot_moves_and_docks(real: Robot) -> None:
     real.set("mock_detector_node", "beyond_reach")
     real.node("mock_navigator_node").arrived.clear()
-    errand = real.send()
+    active = real.send()
     wait_until(lambda: len(real.node("mock_navigator_node").arrived) > 1, "a second stand")
     real.set("mock_detector_node", "none")
-    result = errand.end()
+    result = active.end()
     assert named(result) == (True, "NONE", True), result
     first, second = real.node("mock_navigator_node").arrived[:2]
     assert second.x - first.x == pytest.approx(0.5 - 0.08, abs=1e-6), "it came nearer by what was missing"
     assert real.place == HOME
 
 
-def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stand(real: Robot) -> None:
+def test_a_target_that_stays_out_of_reach_fails_with_a_suggested_base_pose(real: Robot) -> None:
     real.set("mock_detector_node", "beyond_reach")
     result, _ = real.run()
     assert named(result) == (False, "UNREACHABLE", True), result
@@ -254,8 +254,8 @@ def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stan
     assert len(real.node("mock_navigator_node").arrived) > 2
 
 
-def test_what_stays_askew_is_stood_before_again_and_then_given_up(real: Robot) -> None:
-    """The mock's electrodes travel along with the base, so that every stand leaves them as askew."""
+def test_a_target_that_stays_askew_fails_after_the_allowed_moves(real: Robot) -> None:
+    """The mock's electrodes move with the base, so every move leaves them askew."""
     real.set("mock_detector_node", "leaning")
     arrived = real.node("mock_navigator_node").arrived
     arrived.clear()
@@ -272,27 +272,27 @@ def test_a_cancelled_mission_opens_undocks_and_comes_home(robot: Robot, stage: S
         robot.set("mock_navigator_node", "slow")
     if stage is Stage.SEARCH:
         robot.set("mock_detector_node", "nothing")
-    errand = robot.send(stop_after=100.0)
-    errand.reach(stage)
-    errand.cancel()
+    active = robot.send(stop_after=100.0)
+    active.reach(stage)
+    active.cancel()
     robot.set("mock_navigator_node", "none")
-    result = errand.end()
+    result = active.end()
     assert named(result) == (False, "CANCELED", True), result
     assert result.retriable
     assert not robot.live
     assert robot.place == HOME
     if stage is Stage.CHARGE:
         assert result.energy > 0.0
-        assert errand.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
+        assert active.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
 
 
-def test_a_cancel_on_the_way_back_stops_it_there(robot: Robot) -> None:
-    errand = robot.send()
-    errand.reach(Stage.CHARGE)
+def test_a_cancel_during_the_return_stops_the_robot(robot: Robot) -> None:
+    active = robot.send()
+    active.reach(Stage.CHARGE)
     robot.set("mock_navigator_node", "slow")
-    errand.reach(Stage.RETURN)
-    errand.cancel()
-    result = errand.end()
+    active.reach(Stage.RETURN)
+    active.cancel()
+    result = active.end()
     assert named(result) == (False, "CANCELED", False), result
     assert robot.place != HOME
 
@@ -313,54 +313,54 @@ def test_a_second_goal_is_rejected_and_the_same_request_joins(robot: Robot) -> N
 
 
 @pytest.mark.parametrize(
-    ("fault", "name", "says"),
+    ("fault", "name", "reason"),
     [
         ("refuse", "REJECTED", "active"),
         ("abort", "UNREACHABLE", "the way is blocked (error 9000 of the navigator)"),
         ("lost", "UNREACHABLE", "unknown in that frame"),
     ],
 )
-def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, says: str) -> None:
+def test_a_failing_navigator_is_reported(robot: Robot, fault: str, name: str, reason: str) -> None:
     robot.set("mock_navigator_node", fault)
-    errand = robot.send()
-    errand.reach(Stage.RETURN)
-    result = errand.end()
+    active = robot.send()
+    active.reach(Stage.RETURN)
+    result = active.end()
     assert named(result) == (False, name, False), result
-    assert says in result.error_message
+    assert reason in result.error_message
     assert "then" in result.error_message
     assert result.contact_force != result.contact_force, "what was not measured is NaN"
 
 
 @pytest.mark.parametrize("frame", ["", "the_moon"])
-def test_a_place_in_no_frame_of_the_navigator_is_refused(robot: Robot, frame: str) -> None:
+def test_a_target_in_an_unknown_frame_is_refused(robot: Robot, frame: str) -> None:
     result, _ = robot.run(frame=frame)
     assert not result.success
     assert CODES[result.error_code] == ("UNREACHABLE" if frame and not installed() else "REJECTED")
 
 
-def test_a_target_in_another_frame_of_tf_is_the_same_target_in_map(robot: Robot, context: Any, spin: Spin) -> None:
-    """A navigator that knows no frame but map is sent to the same place."""
+def test_a_target_in_another_tf_frame_is_transformed_to_map(robot: Robot, context: Any, spin: Spin) -> None:
+    """A navigator that knows only the frame map is sent to the same place."""
     broadcaster = spin(Broadcaster(context))
-    errand = robot.send(stop_after=60.0)
-    errand.reach(Stage.CHARGE)
+    active = robot.send(stop_after=60.0)
+    active.reach(Stage.CHARGE)
     stand = robot.place
-    errand.cancel()
-    errand.end()
+    active.cancel()
+    active.end()
     odom = Place(3.0, -2.0, 0.7)
     wait_until(lambda: broadcaster.heard, "mission_node")
     pose = (odom.x, odom.y, 0.0, 0.0, 0.0, math.sin(0.5 * odom.yaw), math.cos(0.5 * odom.yaw))
     timer = broadcaster.create_timer(0.02, lambda: broadcaster.move(("map", "odom", pose)))
     origin = Place(0.0, 0.0, -odom.yaw).at(-odom.x, -odom.y)  # of map in odom
-    errand = robot.send(stop_after=60.0, frame="odom", at=origin.at(TARGET.x, TARGET.y, TARGET.yaw))
-    errand.reach(Stage.CHARGE)
+    active = robot.send(stop_after=60.0, frame="odom", at=origin.at(TARGET.x, TARGET.y, TARGET.yaw))
+    active.reach(Stage.CHARGE)
     assert robot.place.distance(stand) < 1e-6
     assert robot.place.turn(stand) < 1e-6
-    errand.cancel()
-    errand.end()
+    active.cancel()
+    active.end()
     timer.cancel()
 
 
-def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
+def test_the_base_pose_follows_the_charger_mount_in_tf(
     made: Callable[[Scene], Robot], context: Any, spin: Spin
 ) -> None:
     def without(content: dict[str, Any]) -> None:
@@ -373,11 +373,11 @@ def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
     broadcaster = spin(Broadcaster(context))
     broadcaster.fix("base_link", "charger_base", (0.25, 0.0, 0.4, 0.5, 0.5, 0.5, 0.5))
     robot = made(mocked(without))
-    errand = robot.send(stop_after=60.0)
-    errand.reach(Stage.CHARGE)
+    active = robot.send(stop_after=60.0)
+    active.reach(Stage.CHARGE)
     assert robot.place.x == pytest.approx(TARGET.x - 0.25 - 0.2, abs=1e-6), "view_distance before it"
-    errand.cancel()
-    errand.end()
+    active.cancel()
+    active.end()
     robot = made(mocked(given))
     wait_until(lambda: robot.node("mission_node")._frames._tf.knows("charger_base"), "tf")
     result, _ = robot.run()
@@ -385,17 +385,17 @@ def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
     assert "base_pose contradicts tf" in result.error_message
 
 
-def test_a_charger_that_is_docked_already_is_not_driven(robot: Robot) -> None:
+def test_a_docked_charger_is_not_driven(robot: Robot) -> None:
     assert robot.docking is not None
     undockings = robot.docking.undockings
     robot.docking.tell(DockingState.STATE_CHARGING, docked=True, charging=True)
     node = robot.node("mission_node")
     wait_until(lambda: node._others.is_at_work, "docking_state")
-    result, errand = robot.run()
+    result, active = robot.run()
     assert named(result) == (False, "REJECTED", False)
     assert "undock" in result.error_message
-    assert errand.stages == [Stage.WAIT]
-    assert robot.docking.undockings == undockings, "somebody else's charging goes on"
+    assert active.stages == [Stage.WAIT]
+    assert robot.docking.undockings == undockings, "another client's charging continues"
 
 
 @pytest.fixture
@@ -411,7 +411,7 @@ def made(context: Any) -> Iterator[Callable[[Scene], Robot]]:
         robot.close()
 
 
-def test_who_is_missing_is_named_and_nothing_moves(made: Callable[[Scene], Robot]) -> None:
+def test_missing_nodes_are_named_and_nothing_moves(made: Callable[[Scene], Robot]) -> None:
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
 
     def change(content: dict[str, Any]) -> None:
@@ -419,51 +419,51 @@ def test_who_is_missing_is_named_and_nothing_moves(made: Callable[[Scene], Robot
         del content["parameters"]["mock_navigator_node"]
         content["parameters"]["mission_node"]["wait_timeout"] = 1.0
 
-    result, errand = made(mocked(change)).run()
+    result, active = made(mocked(change)).run()
     assert named(result) == (False, "REJECTED", False), result
     assert result.retriable
     assert "navigate_to_pose" in result.error_message
-    assert errand.stages == [Stage.WAIT]
+    assert active.stages == [Stage.WAIT]
 
 
 def standing(content: dict[str, Any]) -> None:
-    """Leave the navigator out: the charger stands still."""
+    """Remove the navigator: the charger is stationary."""
     content["nodes"].remove("mock_navigator_node")
     del content["parameters"]["mock_navigator_node"]
     content["parameters"]["mission_node"] |= {"navigation": "none", "undock_timeout": 1.0}
 
 
 @pytest.mark.slow
-def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is_gone(
+def test_a_stationary_charger_needs_no_navigator_and_reports_missing_docking(
     made: Callable[[Scene], Robot],
 ) -> None:
     robot = made(mocked(standing))
-    result, errand = robot.run(frame="")
+    result, active = robot.run(frame="")
     assert named(result) == (True, "NONE", True), result
-    assert not {Stage.DRIVE, Stage.RETURN} & set(errand.stages)
-    errand = robot.send(frame="", stop_after=100.0)
-    errand.reach(Stage.CHARGE)
+    assert not {Stage.DRIVE, Stage.RETURN} & set(active.stages)
+    active = robot.send(frame="", stop_after=100.0)
+    active.reach(Stage.CHARGE)
     assert robot.docking is not None
     robot.docking.stop()
-    result = errand.end()
+    result = active.end()
     assert named(result) == (False, "TIMEOUT", False), result
-    assert "docking_node went away" in result.error_message
+    assert "docking_node disappeared" in result.error_message
     assert "undock_timeout" in result.error_message
 
 
-def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_nowhere(
+def test_closing_mission_node_ends_charging_and_its_goal_and_drives_nowhere(
     made: Callable[[Scene], Robot],
 ) -> None:
     pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
     robot = made(mocked())
-    errand = robot.send(stop_after=100.0)
-    errand.reach(Stage.CHARGE)
+    active = robot.send(stop_after=100.0)
+    active.reach(Stage.CHARGE)
     stood = robot.place
     mission = next(running for running in robot.composition.nodes if running.name == "mission_node")
     closing = time.monotonic()
     mission.node.close()
     assert time.monotonic() - closing < DEADLINE
-    result = errand.end()
+    result = active.end()
     assert named(result) == (False, "CANCELED", False), result
     assert "undock before you drive it" in result.error_message
     wait_until(lambda: not robot.live, "an open contactor")
@@ -471,7 +471,7 @@ def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_now
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
-def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
+def test_the_process_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
     code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
     words = ["--ros-args", "-r", f"__ns:=/{namespace}"]
     process = start(sys.executable, "-c", code, *words)
@@ -483,7 +483,7 @@ def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any
     node.destroy_node()
 
 
-def test_without_nav2_msgs_the_node_says_what_to_install(
+def test_without_nav2_msgs_the_node_names_what_to_install(
     context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "nav2_msgs", None)
@@ -493,7 +493,7 @@ def test_without_nav2_msgs_the_node_says_what_to_install(
         Composition(scene, context, namespace).start()
 
 
-def test_a_mission_that_meets_a_defect_as_it_begins_leaves_the_node_free(
+def test_a_defect_at_the_beginning_of_a_mission_leaves_the_node_free(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = robot.node("mission_node")._machine
@@ -507,7 +507,7 @@ def test_a_mission_that_meets_a_defect_as_it_begins_leaves_the_node_free(
     monkeypatch.setattr(machine, "start", fail)
     result, _ = robot.run()
     assert named(result) == (False, "INTERNAL", False)
-    assert not machine.busy, "it drives for nobody"
+    assert not machine.busy, "it drives without a client"
     result, _ = robot.run()
     assert result.success, result
 

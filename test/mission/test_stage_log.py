@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mission logs: a line for each stage and each failure, and none without a change."""
+"""A mission's log: a line for each stage and each failure, and none without a change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deltacharger_mission.places import Place
 from deltacharger_mission.stage_log import StageLog
 
 
-def test_each_stage_and_each_failure_is_told_once() -> None:
+def test_each_stage_and_each_failure_is_logged_once() -> None:
     log = StageLog()
     log.begin("charge_robot order-1")
     status = MissionStatus()

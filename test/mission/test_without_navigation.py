@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where nav2_msgs is not installed, a node that needs it ends with one line and 2, as a process and in a charger."""
+"""Without nav2_msgs, a node that needs it ends with one line and 2, as a process and in a charger."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def without_navigation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", ["mock_navigator_node", "mission_node"])
-def test_a_node_that_needs_it_ends_with_2_and_one_line(
+def test_a_node_that_needs_nav2_msgs_ends_with_2_and_one_line(
     start: Callable[..., Process], namespace: str, name: str
 ) -> None:
     process = start(*arguments(load_scene("mission"), name, namespace))
@@ -35,7 +35,7 @@ def test_a_node_that_needs_it_ends_with_2_and_one_line(
     assert "needs the package nav2_msgs" in process.err[0]
 
 
-def test_a_charger_that_needs_it_ends_with_2(
+def test_a_charger_that_needs_nav2_msgs_ends_with_2(
     start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str
 ) -> None:
     process = start(*deltacharger, "up", "--scene", "mission", "--namespace", namespace)
