@@ -143,7 +143,7 @@ def test_references_of_the_device_are_learnt_from(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("generate", "--out", "data.csv"), "end it in .npz"),
+        (("generate", "--out", "data.csv"), "must end in .npz"),
         (("generate", "--out", "nowhere/data.npz"), "does not exist"),
         (("evaluate", "--data", "missing.npz", "--model", "missing.npz"), "no such file"),
         (("evaluate", "--data", "DATA", "--model", "DATA"), "no pose model"),

@@ -51,7 +51,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: 
     assert next(phase["phase"] for phase in result["phases"]) == "approach"
     assert result["picture"] is None or picture.is_file()
     assert any("contact" in line for line in dock.err)
-    assert any("the charger that runs already; of scene 'quick' only the goal" in line for line in dock.err)
+    assert any("using the running charger; only the goal of scene 'quick'" in line for line in dock.err)
     undock = run("undock", "--json")
     assert undock.end() == 0, undock.err
     assert json.loads("\n".join(undock.out))["success"] is True

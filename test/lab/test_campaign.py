@@ -260,7 +260,7 @@ def test_what_the_commands_refuse(capsys: pytest.CaptureFixture[str], tmp_path: 
         (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
         (("--out", quick, "--scenes", quick), "is a file"),
         (("compare", str(tmp_path), str(tmp_path)), "holds no campaign"),
-        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "end it in"),
+        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "must end in"),
     ):
         code, told, _ = run(capsys, *words)
         assert (code, told["success"]) == (2, False), words

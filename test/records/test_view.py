@@ -255,7 +255,7 @@ def write(path: Path, topics: dict[str, int]) -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (("--save", "view.png"), "end it in .rrd"),
+        (("--save", "view.png"), "must end in .rrd"),
         (("--save", "/no/such/folder/a.gif"), "does not exist"),
         (("--save", "/no/such/folder/a.rrd"), "does not exist"),
         (("--connect", "localhost"), "rerun+http"),
