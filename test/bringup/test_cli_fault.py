@@ -96,7 +96,7 @@ def test_what_lasts_is_listed_and_ends_with_clear(charger: SimulatedCharger, fau
     assert fault("board_drop", "--amount", "0.5").code == 0
     listed = fault("--list")
     assert listed.code == 0
-    assert "at present: servo_missing of servo 2; board_drop (0.5)" in listed.out
+    assert "active: servo_missing of servo 2; board_drop (0.5)" in listed.out
     assert all(kind in listed.out for kind in KINDS)
     assert silent(charger.servo_port, 2)
     assert fault("--clear", "--json").json == {"success": True, "active": []}
@@ -159,9 +159,9 @@ def test_every_kind_can_be_ordered_while_it_runs_and_cleared(
         (("board_drop", "--servo", "1"), "concerns no single servo"),
         (("servo_missing", "--servo", "4"), "outside 1 to 3"),
         (("servo_missing", "--for-s", "-1"), "outside 0 to"),
-        (("servo_missing", "--list"), "one of them only"),
-        ((), "give a KIND"),
-        (("--clear", "--amount", "1"), "go with a KIND"),
+        (("servo_missing", "--list"), "exactly one of"),
+        ((), "exactly one of KIND"),
+        (("--clear", "--amount", "1"), "need a KIND"),
     ],
 )
 def test_a_wrong_order_is_wrong_usage_and_says_what_is_allowed(

@@ -240,7 +240,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
         ("none", "none: there is no such file"),
         ("k.yaml", "give a folder or a recording"),
         ("nothing", "holds no images"),
-        ("bare", "holds no camera_info.yaml"),
+        ("bare", "contains no camera_info.yaml"),
         ("bag", "give bag/x_0.mcap"),
         ("bare --camera-info k.yaml --color-topic /x", "--color-topic is for a recording"),
         ("bare --camera-info k.yaml --pictures a.png", "cannot be a folder"),

@@ -97,7 +97,7 @@ def test_after_kill_9_the_same_command_has_every_docking_once(
     assert 4 <= len(before) < 14
     code, summary, err = run(capsys, *common, "--out", str(out), "--workers", "2")
     assert (code, summary["n"]) == (0, 14)
-    assert "of 14 dockings are there already" in err
+    assert "of 14 dockings exist already" in err
     rows = stored(out)
     assert [row["number"] for row in rows] == list(range(14))
     assert rows == comparable(run_batch(settings(14).to_json(), range(14)))
@@ -255,7 +255,7 @@ def test_wilson_holds_the_truth_as_often_as_it_says() -> None:
 def test_what_the_commands_refuse(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     for words, named in (
         ((), "--out DIR is missing"),
-        (("--out", str(Path(quick) / "no" / "where")), "cannot be made"),
+        (("--out", str(Path(quick) / "no" / "where")), "cannot be created"),
         (("--out", str(tmp_path / "x"), "--scenes", "defualt"), "did you mean 'default'"),
         (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
         (("--out", quick, "--scenes", quick), "is a file"),

@@ -324,8 +324,8 @@ def test_a_silent_charger_is_named_and_ctrl_c_ends_it(
 ) -> None:
     namespace, path = new_namespace(), tmp_path / "live.rrd"
     process = start(*deltacharger, "view", "--namespace", namespace, "--save", str(path))
-    process.wait_for_line("nothing came in 5 s", process.err)
-    line = next(line for line in process.err if "nothing came" in line)
+    process.wait_for_line("no messages for 5 s", process.err)
+    line = next(line for line in process.err if "no messages for" in line)
     for topic in ("servo_state", "tactile_frame", "charger_power", "docking_state"):
         assert f"/{namespace}/{topic}" in line
     assert process.end(signal.SIGINT) == 130

@@ -47,8 +47,8 @@ def test_people_read_levels_and_remedies_and_progress_goes_to_stderr(
     assert main(["doctor", "--set-baud", "1000000", "--servo-port", servo_port]) == 0
     captured = capsys.readouterr()
     assert "ok     servo 2" in captured.out
-    assert captured.out.rstrip().endswith("0 wrong, 0 worth a look, 4 as they should be")
-    assert "looking at the servos" in captured.err
+    assert captured.out.rstrip().endswith("0 wrong, 0 hints, 4 ok")
+    assert "checking the servos" in captured.err
     assert main(["doctor", "--set-baud", "1000000", "--servo-port", "/dev/nothing"]) == 1
     assert "-> plug" in capsys.readouterr().out
 
