@@ -100,7 +100,7 @@ def test_a_way_home_that_fails_costs_no_measurement(arm: type[Arm], capsys: pyte
 
 
 @pytest.mark.parametrize(
-    ("servo", "reason"), [({}, "does not tell its gains"), ({**TOLD, "position_i_gain": 7}, "position_i_gain.*is 7")]
+    ("servo", "reason"), [({}, "does not report its gains"), ({**TOLD, "position_i_gain": 7}, "position_i_gain.*is 7")]
 )
 def test_gains_that_are_unknown_or_hide_the_spring_are_refused_before_anything_moves(
     arm: type[Arm], servo: dict[str, Any], reason: str

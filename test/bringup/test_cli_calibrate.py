@@ -113,7 +113,7 @@ def test_a_fit_that_does_not_help_where_it_was_not_fitted_is_1(
     assert run(capsys, data, "--out", calibrated)[0] == 0
     code, _, err = run(capsys, data, "--nominal", calibrated, "--out", out)  # what is fitted already
     assert code == 1
-    assert "does not help" in err
+    assert "does not improve" in err
     assert not out.exists()
 
 

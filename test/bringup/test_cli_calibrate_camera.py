@@ -246,7 +246,7 @@ def test_too_few_views_and_one_line_are_refused(capsys: pytest.CaptureFixture[st
         (lambda lines: ["image,x_mm,y_mm,z_mm,angle_0_rad"], "one of x_mm,y_mm,z_mm"),
         (lambda lines: [*lines, "view_011.png,1,2"], "line 12: 3 cells for 4 columns"),
         (lambda lines: [*lines, lines[-1].replace("view_010", "view_999")], "line 12: there is no image view_999.png"),
-        (lambda lines: [*lines, lines[1]], "line 12: image view_001.png stands in line 2 already"),
+        (lambda lines: [*lines, lines[1]], "line 12: image view_001.png is already in line 2"),
         (lambda lines: [*lines, "../x.png,0,0,0"], "file of the same folder"),
         (lambda lines: [*lines, "x.txt,0,0,0"], "file of the same folder"),
         (lambda lines: [lines[0], "view_001.png,nan,0,0"], "line 2: angle_0_rad is 'nan'"),

@@ -106,7 +106,7 @@ def test_a_board_beside_electrodes_on_the_battery_is_not_probed(volts: float, le
 
 
 @pytest.mark.parametrize(
-    ("fixture", "words"), [("servo_port", "here are the servos"), ("silent_port", "no answer to HELLO")]
+    ("fixture", "words"), [("servo_port", "the servos are here"), ("silent_port", "no answer to HELLO")]
 )
 def test_where_the_board_is_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
     found = board_findings(request.getfixturevalue(fixture))

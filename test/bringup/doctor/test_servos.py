@@ -73,7 +73,7 @@ def test_a_bad_line_is_told_from_a_good_one(servos: ServoBusEmulator, servo_port
 
 
 @pytest.mark.parametrize(
-    ("fixture", "words"), [("board_port", "here is the board"), ("silent_port", "no servo answers")]
+    ("fixture", "words"), [("board_port", "the board is here"), ("silent_port", "no servo answers")]
 )
 def test_where_the_servos_are_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
     found = servo_findings(request.getfixturevalue(fixture))

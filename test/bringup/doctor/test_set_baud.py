@@ -54,4 +54,4 @@ def test_set_baud_refuses_what_it_cannot_tell_apart_or_does_not_know(servos: Ser
 def test_set_baud_on_the_board_writes_nothing(board_port: str) -> None:
     found = list(set_baud(board_port, 57600, None))
     assert [finding.level for finding in found] == ["wrong"]
-    assert "here is the board" in found[0].message
+    assert "the board is here" in found[0].message
