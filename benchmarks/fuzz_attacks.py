@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was thought up to harm a reader of files: each is put where every reader of its kind looks for its file."""
+"""Malicious files: each replaces the file of every reader of its kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 Attack = Callable[[Path], object]
-"""Puts something at a path."""
+"""Creates something at a path."""
 MEGABYTE = 2**20
 
 
@@ -24,7 +24,7 @@ def sparse(path: Path) -> None:
 
 
 def bound(path: Path) -> None:
-    """A socket; bound by its name in the folder, since the whole path may be too long."""
+    """Create a socket, bound by its name in the folder because the complete path may be too long."""
     here = os.getcwd()
     os.chdir(path.parent)
     try:
@@ -198,7 +198,7 @@ def recordings() -> dict[str, bytes]:
 
 
 def attacks(kind: str) -> dict[str, Attack]:
-    """Return every attack on a kind of files by name."""
+    """Return all attacks on a kind of files, by name."""
     made: dict[str, Callable[[], dict[str, bytes]]] = {
         "yaml": lambda: YAML,
         "csv": lambda: CSV,
