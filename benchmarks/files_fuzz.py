@@ -205,9 +205,7 @@ def main() -> int:
     if arguments.attacks:
         arguments.files = 1
     if arguments.out:  # a worker
-        resource.setrlimit(
-            resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30)
-        )  # so that a decompression bomb ends only this process
+        resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # so that a bomb ends only this process
         beat = os.open(arguments.beat, os.O_WRONLY | os.O_CREAT, 0o600)
         Path(arguments.out).write_text(json.dumps(work(arguments, beat)))
         return 0
