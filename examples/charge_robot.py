@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ChargeRobot for a fleet: one goal, told as VDA5050 2.x tells startCharging, in one JSON line a change.
+"""ChargeRobot for a fleet: one goal, reported like startCharging of VDA5050 2.x, one JSON line per change.
 
-Copy it into an adapter and put your MQTT client where it prints. The action's id is the goal's request_id, so that an
-order that is sent twice does not start a second mission. Ctrl-C is stopCharging: the goal is cancelled, and the charger
-undocks and returns. Exit code 0 where the robot was charged, else 1.
+Copy it into an adapter and replace the print by your MQTT client. The action's id is the goal's request_id, so that an
+order sent twice does not start a second mission. Ctrl-C is stopCharging: the goal is cancelled, and the charger undocks
+and returns. Exit code 0 if the robot was charged, else 1.
 
     deltacharger up --scene mission_standing     # in another shell
     python examples/charge_robot.py --stop-after-s 5
@@ -22,7 +22,7 @@ from typing import Any
 
 from deltacharger_core import environment
 
-environment.prepare()  # before rclpy, where ROS comes from pip; a ROS installation needs neither
+environment.prepare()  # before rclpy if ROS is from pip; a ROS installation needs neither call
 environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set
 
 import rclpy  # noqa: E402
@@ -41,7 +41,7 @@ A_PERSON_MUST_ACT = {  # the codes of errorLevel FATAL in docs/fleet.md
 
 
 class Action:
-    """The state of startCharging, told whenever it changes."""
+    """The state of startCharging, reported at every change."""
 
     def __init__(self, action_id: str) -> None:
         self.action_id = action_id
@@ -52,7 +52,7 @@ class Action:
 
     def on_feedback(self, message: Any) -> None:
         if self.status == "WAITING" and message.feedback.stage != FEEDBACK.STAGE_WAIT:
-            self.status = "RUNNING"  # startCharging is FINISHED once current flows, and knows no INITIALIZING
+            self.status = "RUNNING"  # startCharging is FINISHED when current flows, and has no INITIALIZING
         self.tell()
 
     def on_state(self, message: DockingState) -> None:
@@ -80,7 +80,7 @@ class Action:
         line = json.dumps({**state, "batteryState.charging": self.charging, "errors": self.errors})
         if line != self._told:
             self._told = line
-            print(line, flush=True)  # your MQTT client publishes the robot's state here
+            print(line, flush=True)  # publish the robot's state here with your MQTT client
 
 
 def goal_of(options: argparse.Namespace) -> ChargeRobot.Goal:
@@ -106,7 +106,7 @@ def main() -> int:
     options = parser.parse_args()
     action = Action(options.id)
     with contextlib.ExitStack() as stack:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else Ctrl-C would leave nothing to cancel by
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else after Ctrl-C the goal could not be cancelled
         stack.callback(rclpy.try_shutdown)
         node = rclpy.create_node("fleet_adapter", namespace=options.namespace)
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -118,8 +118,8 @@ def main() -> int:
         action.tell()
         sent = client.send_goal_async(goal_of(options), action.on_feedback)
         rclpy.spin_until_future_complete(node, sent)
-        ended = sent.result().get_result_async()  # every goal is accepted; what cannot be served ends with its code
-        stop = threading.Event()  # an exception out of the midst of a callback could lose the result
+        ended = sent.result().get_result_async()  # every goal is accepted; an impossible one ends with its code
+        stop = threading.Event()  # an exception inside a callback could lose the result
         signal.signal(signal.SIGINT, lambda *_: stop.set())
         while not ended.done():
             rclpy.spin_once(node, timeout_sec=0.1)
@@ -128,7 +128,7 @@ def main() -> int:
                 sent.result().cancel_goal_async()
         result = ended.result().result
         action.on_result(result)
-        measured = not math.isnan(result.energy)  # a charger without a contactor does not know
+        measured = not math.isnan(result.energy)  # unknown to a charger without a contactor
         delivered = f"{result.energy:.0f} J delivered" if measured else result.error_message
         print(f"{delivered}, returned: {result.returned}", file=sys.stderr)
         return 0 if result.success else 1

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Dock goal with feedback, sent as a fleet's own program would: by rclpy's action client and nothing else.
+"""A Dock goal with feedback, sent by rclpy's action client alone, as a fleet's program would.
 
-Sends the goal to the charger that runs in this ROS domain, and where none does starts that of a scene for it: emulated
-hardware where the scene is `simulated`, mock nodes where it is `mocks`. Prints each phase as it begins, then how the
-docking ended. Exit code 0 where the target is charged, else 1.
+Sends the goal to the running charger of this ROS domain. If there is none, it starts the charger of a scene: emulated
+hardware for scene `simulated`, mock nodes for scene `mocks`. Prints each phase as it begins, then the result. Exit code
+0 if the target is charged, else 1.
 
-    deltacharger up                         # in another shell; or leave it out
+    deltacharger up                         # in another shell; optional
     python examples/send_a_goal.py [scene]
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 
 from deltacharger_core import environment
 
-environment.prepare()  # before rclpy, where ROS comes from pip; a ROS installation needs neither
+environment.prepare()  # before rclpy if ROS is from pip; a ROS installation needs neither call
 environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set
 
 import rclpy  # noqa: E402
@@ -49,7 +49,7 @@ def main() -> int:
             )
 
     goal = Dock.Goal(request_id="example")
-    goal.electrodes.header.frame_id = "charger_base"  # '' would ask the camera
+    goal.electrodes.header.frame_id = "charger_base"  # '' would use the camera
     goal.electrodes.pose.position.z = 0.080  # m
     with contextlib.ExitStack() as stack:
         rclpy.init()
@@ -61,10 +61,10 @@ def main() -> int:
             client.wait_for_server()
         sent = client.send_goal_async(goal, on_feedback)
         rclpy.spin_until_future_complete(node, sent)
-        ended = sent.result().get_result_async()  # every goal is accepted; what cannot be served ends with its code
+        ended = sent.result().get_result_async()  # every goal is accepted; an impossible one ends with its code
         rclpy.spin_until_future_complete(node, ended)
         result = ended.result().result
-        if result.success:  # whose message says what a charger without a contactor does not know
+        if result.success:  # its message names what a charger without a contactor cannot measure
             charging = f"charging with {result.charge_current:.1f} A after {result.alignments} alignments"
             print(result.error_message or charging)
         else:

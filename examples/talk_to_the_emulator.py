@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servos and board without servos and board: emulators behind pseudo-terminals, spoken to as the real ones are.
+"""Servos and board without hardware: emulators behind pseudo-terminals, used like the real devices.
 
-First the vendor's own dynamixel-sdk pings three emulated MX-64, switches the first one on, sends it 10° further and
-reads where it is; then one servo loses its supply and falls silent. Then the driver's `BoardLink` greets the emulated
-board, tares it, counts one second of tactile frames while both pads are pressed, and probes the circuit between the
-electrodes. Prints each answer. Replace the two paths by those of real ports, and the same code speaks to the robot.
+First the vendor's dynamixel-sdk pings three emulated MX-64, switches on the first one, moves it by 10° and reads its
+position; then one servo loses its supply and does not answer. Then the driver's `BoardLink` greets the emulated board,
+tares it, counts the tactile frames of one second while both pads are pressed, and probes the circuit between the
+electrodes. Prints each answer. With the paths of real ports, the code controls the robot.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 TORQUE_ENABLE, GOAL_POSITION, PRESENT_POSITION = 64, 116, 132  # registers of an MX-64
-TEN_DEGREES = 114  # counts of 4096 a turn
+TEN_DEGREES = 114  # counts, 4096 per turn
 
 
 def talk_to_servos() -> None:
@@ -31,7 +31,7 @@ def talk_to_servos() -> None:
     with PseudoTerminal(emulator) as cable:
         print(f"servos on {cable.path}")
         port, packets = PortHandler(cable.path), PacketHandler(2.0)
-        port.setBaudRate(1_000_000)  # this opens it too
+        port.setBaudRate(1_000_000)  # this also opens the port
         for servo in (1, 2, 3):
             model, _, _ = packets.ping(port, servo)
             print(f"  servo {servo} answers: model {model}")

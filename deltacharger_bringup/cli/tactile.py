@@ -47,7 +47,7 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rigs", type=whole(1, 1000), default=5, metavar="N", help="simulated rigs (5)")
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the dockings (0)")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="where to write it")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     parser.add_argument("--first-rig", type=whole(0, 10**9), default=0, metavar="N", help="seed of the first rig (0)")
     parser.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
     parser.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="rows of each docking (1)")
@@ -64,7 +64,7 @@ def add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", required=True, metavar="F.npz", help="data set of `generate`")
     parser.add_argument("--model", required=True, choices=NAMES, help="what to train")
     parser.add_argument("--target", required=True, choices=TARGETS, help="what it predicts")
-    parser.add_argument("--out", required=True, metavar="M.npz", help="where to write it")
+    parser.add_argument("--out", required=True, metavar="M.npz", help="file to write")
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
     parser.add_argument(
         "--reference", metavar="R.npz", help="dockings with the constant errors of one device (lda, pose)"

@@ -12,7 +12,7 @@ from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wron
 from deltacharger_core.machine import BAUD_RATE
 
 RULES = "config/udev/99-deltacharger.rules"
-_RULES_ADVICE = f"install {RULES} as docs/hardware.md says"
+_RULES_ADVICE = f"install {RULES}, see docs/hardware.md"
 _SLOW_LATENCY = 2e-3  # s; above it 100 Hz with three servos is impossible
 
 
