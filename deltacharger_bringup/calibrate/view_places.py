@@ -13,7 +13,7 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.projection import project
 
-_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its drawing
+_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
 _SPARE = 1.1  # of the board's half diagonal that must be in the image
 _NEAREST = 0.03  # m before the camera
 _TRIED = 4096

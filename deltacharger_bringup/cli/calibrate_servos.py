@@ -113,9 +113,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
         constant = float(servo["torque_constant"])
     except KeyError as error:
-        raise CommandError(
-            "servo_node does not report its gains; a stiffness is valid only for given gains", FAILED
-        ) from error
+        raise CommandError("servo_node does not report its gains; stiffness depends on them", FAILED) from error
     if gains.i:
         raise CommandError(
             f"position_i_gain of servo_node is {gains.i}: with it the arm moves until it reaches its goal, so its "

@@ -39,9 +39,7 @@ def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate tactile`."""
     parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
     parser.add_argument("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
-    parser.add_argument(
-        "--rig", type=whole(0, 2**31 - 1), metavar="N", help="number of the rig, if the data contain several"
-    )
+    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
     parser.add_argument("--model", metavar="M.npz", help="pose model (default: the packaged one)")
     parser.add_argument("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
 

@@ -29,7 +29,7 @@ def add_fault(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, for faults of one servo")
     parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")
     parser.add_argument("--clear", action="store_true", help="end all lasting faults")
-    parser.add_argument("--directory", metavar="DIR", help="of the ports (default: the charger in the ROS domain)")
+    parser.add_argument("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
     namespace_option(parser)
 
 

@@ -66,7 +66,7 @@ COMMANDS = {
         "the electrode detector on simulated images: detections, errors, run time, false alarms, both renderers"
     ),
     "report simulation": "error against run time, stability, energy and extremes of the simulated charger's mechanics",
-    "report docking": ("thousands of simulated dockings: charged, refused, unsafe; repeat the command to resume"),
+    "report docking": "thousands of simulated dockings: charged, refused, unsafe; repeat the command to resume",
     "report footprint": (
         "resources that each scene needs: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
     ),

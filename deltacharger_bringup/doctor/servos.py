@@ -67,9 +67,7 @@ def _none(found: PortIdentity) -> Finding:
     if found.kind == "silent":
         text = f"{found.port}: no servo answers, at any speed, with Protocol 2.0 or 1.0"
         return wrong("servos", text, f"{_SUPPLY_ADVICE}; or give the right port")
-    return wrong(
-        "servos", f"{found.port}: {found.details}", "give the right port, or check for noise and duplicate ids"
-    )
+    return wrong("servos", f"{found.port}: {found.details}", "give the right port, or check noise and duplicate ids")
 
 
 def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options: str) -> Finding | None:
