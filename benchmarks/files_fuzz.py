@@ -2,9 +2,8 @@
 """Robustness of file readers: `python benchmarks/files_fuzz.py [--files 1000000] [--json]`.
 
 Good files of every kind, from our own writers, are changed at random and read. Exit code 1 if a law is violated: only
-named refusals, at most 2 s of CPU and 200 MB more memory per file, and no invalid file accepted. The number of a file
-determines it: `--kind KIND --first NUMBER --files 1` repeats it. A million files per kind take hours; `--processes`
-shares them.
+named refusals, at most 2 s of CPU and 200 MB more memory per file, no invalid file accepted. A number determines each
+file: `--kind KIND --first NUMBER --files 1` repeats it. A million per kind take hours; `--processes` shares them.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ A burst of n bits flips its first and its last bit and any between them. Its pos
 
 - packet order: bytes as in the packet, each from its most significant bit. CRC-16 uses this order, except for its own
   two bytes, of which the low one is first.
-- wire order: bytes as in the packet, each from its least significant bit, as a UART sends them (without start and stop
-  bits).
+- wire order: bytes as in the packet, each from its least significant bit, as a UART sends them (no start, no stop bit).
 """
 
 from __future__ import annotations

@@ -172,9 +172,7 @@ class _Call:
         """Print what is going to happen."""
         left, total = len(self.left(part)), len(part.poses())
         if left < total:
-            say(
-                f"{self.journal.folder} contains {total - left} of {total} dockings already; continuing with the others"
-            )
+            say(f"{self.journal.folder} contains {total - left} of {total} dockings already; recording the others")
         turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
         say(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
         say("keep clear: the arm moves now")
