@@ -35,7 +35,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from deltacharger_ros.executor import Spinner  # noqa: E402
 from deltacharger_ros.on_demand import PolledTopic  # noqa: E402
 
-WAYS = ("nobody", "polled", "node's thread, undecoded", "node's thread", "rclpy's MultiThreadedExecutor")
+WAYS = ("none", "polled", "node's thread, undecoded", "node's thread", "rclpy's MultiThreadedExecutor")
 LISTENERS = 3
 MESSAGES, PACE = 800, 400.0  # Hz
 CALLS = 100

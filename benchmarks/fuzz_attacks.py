@@ -185,9 +185,9 @@ def recordings() -> dict[str, bytes]:
     tiny = zstandard.compress(message * (40 * MEGABYTE // len(message)))
     return {
         "a chunk of 400 MB, zstd": start + chunk(b"zstd", zstd, len(much)),
-        "a chunk of 400 MB that says less, zstd": start + chunk(b"zstd", zstd, 1000),
-        "a chunk of 400 MB that says less, lz4": start + chunk(b"lz4", lz4ed, 1000),
-        "a chunk that says 2⁶⁴": start + chunk(b"zstd", zstd, 2**64 - 1),
+        "a chunk of 400 MB that claims less, zstd": start + chunk(b"zstd", zstd, 1000),
+        "a chunk of 400 MB that claims less, lz4": start + chunk(b"lz4", lz4ed, 1000),
+        "a chunk that claims 2⁶⁴": start + chunk(b"zstd", zstd, 2**64 - 1),
         "a chunk of a million messages": start + chunk(b"zstd", tiny, len(message) * (40 * MEGABYTE // len(message))),
         "a chunk in a chunk": start + chunk(b"", chunk(b"zstd", zstd, len(much)), 0),
         "a record of 2⁶³ bytes": start + struct.pack("<BQ", 5, 2**63),

@@ -76,10 +76,10 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
         assert all(math.isfinite(phase.start) and phase.start <= phase.end for phase in found.phases)
 
     part, settings = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0), Settings(1, "", 1, 2, 0.5, 0.5, False)
-    felt = np.full((2, 2, 10, 10), 0.4, dtype=np.float32)
+    frames = np.full((2, 2, 10, 10), 0.4, dtype=np.float32)
     with Journal(folder / "F.npz") as journal:
         for number in range(2):
-            kept = Docking(number, 0, part.name, number, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, felt)
+            kept = Docking(number, 0, part.name, number, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, frames)
             journal.store(kept, part, settings, {}, [])
     kept_files = {str(path.relative_to(folder)): path.read_bytes() for path in (folder / "F.recording").iterdir()}
     first, head = "F.recording/docking-000000.mcap", "F.recording/recording.json"
