@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a calibration works: arms drawn at random are measured, fitted, and compared with what they really are.
+"""Accuracy of the geometry calibration: random arms are measured, fitted and compared with the truth.
 
 python benchmarks/calibration.py                  the table of docs/calibration.md, about three minutes
 python benchmarks/calibration.py --example FILE   one drawn arm as a file of measurements, as in docs/calibration.md
@@ -25,7 +25,7 @@ NOMINAL = DeltaGeometry()
 STATED = Uncertainty()
 ARMS = 100
 NOISE = 0.05e-3  # m, of each measured coordinate
-BACKLASH = math.radians(0.165)  # either way, of each arm
+BACKLASH = math.radians(0.165)  # in both directions, of each arm
 GRID = np.array([pose.position for pose in plan(NOMINAL) if not pose.held_out])
 BOX = np.random.default_rng(1).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (300, 3))
 BOX_ANGLES = Delta(NOMINAL).inverse(BOX).angles
@@ -55,7 +55,7 @@ def measure(
     backlash: float = 0.0,
     frame: float = 0.0,
 ) -> Measurements:
-    """Return what an operator would note: the arm told to go to `points`, and a measuring frame turned by `frame`."""
+    """Return an operator's measurements: the arm commanded to `points`, the measuring frame turned by `frame`."""
     angles = Delta(NOMINAL).inverse(points).angles
     true = angles + backlash * random.choice([-1.0, 1.0], angles.shape)
     x, y, z = Delta(arm).forward(true).position.T
@@ -73,7 +73,7 @@ def measure(
 
 
 def error(arm: DeltaGeometry, model: DeltaGeometry) -> float:
-    """Return the rms distance (m) between where `arm` is and where `model` says it is, over the workspace."""
+    """Return the rms distance (m) between positions of `arm` and of `model`, over the workspace."""
     return rms(Delta(arm).forward(BOX_ANGLES).position - Delta(model).forward(BOX_ANGLES).position)
 
 

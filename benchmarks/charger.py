@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated charger keeps up with: rates, gaps, CPU, docking time, memory. Run by `make bench`.
+"""Performance of a simulated charger: rates, gaps, CPU, docking time, memory. Run by `make bench`.
 
 python benchmarks/charger.py [--seconds 30] [--json]
 """
@@ -33,7 +33,7 @@ READY_LIMIT = 60.0  # s
 
 
 class Counter:
-    """Counts messages of both rates, their gaps and how evenly they were stamped."""
+    """Records sequence numbers and stamps of both topics."""
 
     def __init__(self, node: Any) -> None:
         self.tactile: list[tuple[int, float]] = []
@@ -67,7 +67,7 @@ def memory_mb(pid: int) -> float:
 
 
 def measure_rates(seconds: float) -> dict[str, Any]:
-    """Start the simulated charger in a process of its own and listen for `seconds`."""
+    """Start the simulated charger in a separate process and listen for `seconds`."""
     started = time.monotonic()
     charger = subprocess.Popen([COMMAND, "up"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert charger.stderr is not None
@@ -128,7 +128,7 @@ def measure_docking() -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0, help="how long to count messages")
+    parser.add_argument("--seconds", type=float, default=30.0, help="time to count messages")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     arguments = parser.parse_args()
     rates = measure_rates(arguments.seconds)

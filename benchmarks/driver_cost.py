@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver costs: CPU of servo_node, tactile_node, the bus and the board link, each in a process of its own.
+"""CPU use of the driver: servo_node, tactile_node, the bus and the board link, each in a separate process.
 
-The emulated hardware (bench plants) and the subscribers run in further processes. `feed` sends servo_node 50
+The emulated hardware (bench plants) and the subscribers run in other processes. `feed` sends servo_node 50
 trajectories per second, as docking_node does while the arm moves. Target: 5 % of a core each.
 
 python benchmarks/driver_cost.py [--seconds 30] [--json]
@@ -38,7 +38,7 @@ PARTS = {
 
 
 def emulate(folder: Path) -> None:
-    """Serve both emulators until stdin ends."""
+    """Run both emulators until stdin ends."""
     from deltacharger_driver.emulators.bench_arm import BenchArm
     from deltacharger_driver.emulators.bench_plant import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
@@ -51,7 +51,7 @@ def emulate(folder: Path) -> None:
 
 
 def listen(feed: bool) -> None:
-    """Subscribe once to each topic of the driver; with `feed`, switch torque on and send pieces of a line."""
+    """Subscribe once to each topic of the driver; with `feed`, switch torque on and send trajectories."""
     import rclpy
     from deltacharger.msg import ChargerPower, ServoState, TactileFrame
     from rclpy.qos import QoSProfile, qos_profile_sensor_data
@@ -69,13 +69,13 @@ def listen(feed: bool) -> None:
         torque.wait_for_service(20.0)
         rclpy.spin_until_future_complete(node, torque.call_async(SetBool.Request(data=True)))
         publisher = node.create_publisher(JointTrajectory, "joint_trajectory", latest)
-        node.create_timer(0.02, lambda: publisher.publish(_piece(node.get_clock().now())))
+        node.create_timer(0.02, lambda: publisher.publish(_trajectory(node.get_clock().now())))
     with processes.spinning(node):
         processes.serve({})
 
 
-def _piece(now: Any) -> Any:
-    """120 ms of a slow swing, six points, stamped now."""
+def _trajectory(now: Any) -> Any:
+    """Return 120 ms of a slow oscillation, six points, stamped now."""
     import math
     from array import array
 
@@ -98,7 +98,7 @@ def loop_bus(folder: Path) -> None:
 
     bus = ServoBus(BusSettings(str(folder / "servo")))
     bus.open()
-    orders = threading.Thread(target=processes.serve, args=({},), daemon=True)  # the bus belongs to this thread
+    orders = threading.Thread(target=processes.serve, args=({},), daemon=True)  # the bus is used by this thread
     orders.start()
     due = time.monotonic()
     while orders.is_alive():
@@ -144,7 +144,7 @@ def measure(part: str, seconds: float) -> Figure:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0, help="how long each part is measured")
+    parser.add_argument("--seconds", type=float, default=30.0, help="time to measure each part")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.add_argument("--role", help=argparse.SUPPRESS)
@@ -163,7 +163,7 @@ def main() -> int:
     except CannotMeasure as error:
         processes.progress(f"nothing measured: {error}")
         return 1
-    processes.tell(figures, arguments.json, seconds=arguments.seconds, load=os.getloadavg()[0])
+    processes.print_figures(figures, arguments.json, seconds=arguments.seconds, load=os.getloadavg()[0])
     return 0
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver's codecs do with noise: `python benchmarks/driver_fuzz.py [--packets 1000000] [--json]`.
+"""Robustness of the driver's codecs against noise: `python benchmarks/driver_fuzz.py [--packets 1000000] [--json]`.
 
-Ends with 1 where a promise is broken: no input raises, what is accepted passes the range checks, nothing false passes
-CRC-32, no burst of up to 16 bits in packet order ends in a servo's snapshot, and of other damage at most 40 in a
-million. Some minutes on one core with the default.
+Exit code 1 if a law is violated: no input raises, accepted packets pass the range checks, no false packet passes
+CRC-32, no burst of up to 16 bits in packet order reaches a servo's snapshot, and of other damage at most 40 in a
+million. Takes some minutes on one core with the default.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fuzz_wire import SERVO_DAMAGE
 ALLOWED_PER_MILLION = 40.0
 
 
-def broken_promises(result: dict[str, Any]) -> list[str]:
+def violations(result: dict[str, Any]) -> list[str]:
     servo, board, bursts = result["servo_reply"], result["board_link"], result["every_burst"]
     broken = []
     if servo["false_accepts"]["burst_packet_order"] or bursts["packet_order"]["in_the_snapshot"]:
@@ -52,7 +52,7 @@ def main() -> int:
         "servo_instruction": fuzz_instructions(arguments.packets, arguments.seed),
     }
     result["seconds"] = round(time.monotonic() - started, 1)
-    result["broken"] = broken_promises(result)
+    result["broken"] = violations(result)
     if arguments.json:
         print(json.dumps(result))
     else:

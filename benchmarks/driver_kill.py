@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soon the contactor is open and the arm at rest after a node was killed or stopped.
+"""Time until the contactor is open and the arm at rest after a node was killed or stopped.
 
-Nodes and emulated hardware are processes of their own, so that nothing on the host's side can starve the hardware
-together with the node; SIGKILL and SIGSTOP alike. Targets: the contactor opens within 100 ms after tactile_node and
-350 ms after docking_node or servo_node; a line of the arm (0.12 m/s, struck on the way) goes on for at most 200 ms.
+Nodes and emulated hardware run in separate processes, so that a stopped node does not delay the hardware. Signals are
+SIGKILL and SIGSTOP. Targets: the contactor opens within 100 ms after tactile_node and 350 ms after docking_node or
+servo_node. A line of the arm (0.12 m/s, signal on the way) continues for at most 200 ms.
 
-How well the hardware kept up itself is told as well: the time between the last byte that its board heard and its
-opening, which a board on time holds to 95 ms where nobody orders an opening, and the longest pause of its watching
-thread. The line has ended when the arm is within 0.2 mm of its last place along it; the arm rests when that is so in
-all directions. A servo whose watchdog has tripped holds where it is, without the lead that bore its load, and sags.
+Figures of the hardware itself show whether it was on time: the time between the last byte that its board received and
+the opening (95 ms if on time and without a command to open), and the longest pause of its monitoring thread. The line
+has ended when the arm is within 0.2 mm of its last position along the line. The arm rests when this is true in all
+directions. A servo with a tripped watchdog holds its position without the lead for its load, so it sags.
 
 python benchmarks/driver_kill.py [--tactile 10] [--dockings 1] [--json]
 """
@@ -41,15 +41,15 @@ LIMITS = {"tactile_node": 100.0, "docking_node": 350.0, "servo_node": 350.0}  # 
 LINE_LIMIT = 200.0  # ms
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 ATTEMPTS = 3
-LOOK = 0.001  # s between two looks of the emulated hardware at its contactor or arm
-SEED = 74  # of the instants within heartbeat and cycle at which nodes are killed
+PERIOD = 0.001  # s between two checks of contactor or arm in the emulated hardware
+SEED = 74  # of the times within heartbeat and cycle at which nodes are killed
 MOVING = 0.020  # m along the line from home: the arm is at full speed
-TRACK = 0.45  # s that the arm is watched after a kill; 0.5 s without tactile frames send it home
+TRACK = 0.45  # s of recording the arm after a kill; 0.5 s without tactile frames send it home
 NEAR = 0.0002  # m
 
 
-class Ear:
-    """A board that remembers when it last heard something, s, monotonic."""
+class TimedBoard:
+    """A board that stores the time of the last received bytes, s, monotonic."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -57,19 +57,19 @@ class Ear:
         self.poll, self.next_event = device.poll, device.next_event
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Pass bytes on."""
+        """Forward bytes."""
         self.last = now
         return bytes(self._device.receive(data, now))
 
 
 def emulate_bench(folder: Path) -> None:
-    """Serve a board on a bench plant until stdin ends."""
+    """Emulate a board on a bench plant until stdin ends."""
     from deltacharger_driver.emulators.bench_plant import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
     plant = BenchPlant()
-    board = Ear(BoardEmulator(plant))
+    board = TimedBoard(BoardEmulator(plant))
 
     def watch(closed: bool) -> dict[str, float]:
         return {**_until(lambda: plant.read_power()[3] is closed), "heard": board.last}
@@ -80,7 +80,7 @@ def emulate_bench(folder: Path) -> None:
 
 
 def emulate_world(folder: Path) -> None:
-    """Serve the simulated scene's hardware until stdin ends."""
+    """Emulate the simulated scene's hardware until stdin ends."""
     from deltacharger_scenes.scene import load_scene
     from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
@@ -95,7 +95,7 @@ def emulate_world(folder: Path) -> None:
             while time.monotonic() < end:
                 x, y, z = world.snapshot().position
                 places.append((time.monotonic(), x, y, z))
-                time.sleep(LOOK)
+                time.sleep(PERIOD)
             return places
 
         def watch_start() -> bool:
@@ -106,10 +106,10 @@ def emulate_world(folder: Path) -> None:
 
 
 def _until(condition: Callable[[], bool]) -> dict[str, float]:
-    """Wait for a condition; return when it came true and the longest pause of this process (s)."""
+    """Wait for a condition; return the time at which it became true and the longest pause of this process (s)."""
     last, pause, end = time.monotonic(), 0.0, time.monotonic() + processes.PATIENCE
     while not condition() and last < end:
-        time.sleep(LOOK)
+        time.sleep(PERIOD)
         now = time.monotonic()
         last, pause = now, max(pause, now - last)
     return {"at": time.monotonic(), "pause": pause}
@@ -121,22 +121,22 @@ def hardware(kind: str, folder: Path) -> Role:
 
 
 def strike_charging(role: Role, pid: int, number: int) -> dict[str, float]:
-    """Send the signal at a random moment; return the ms to the open contactor, and how the hardware kept up."""
+    """Send the signal at a random time; return the ms until the contactor is open, and delays of the hardware."""
     role.begin("open")
     time.sleep(0.3 + random.random() * 0.1)
     at = time.monotonic()
     os.kill(pid, number)
     answer = role.end()
     if answer["at"] < at:
-        raise CannotMeasure("the contactor opened by itself before the kill")
+        raise CannotMeasure("the contactor opened without a command before the kill")
     silence = answer["at"] - answer["heard"]
     return {"open": 1e3 * (answer["at"] - at), "silence": 1e3 * silence, "pause": 1e3 * answer["pause"]}
 
 
 def strike_moving(role: Role, pid: int, number: int) -> dict[str, float]:
-    """Send the signal on the way; return the ms until the line has ended and until the arm rests, and the way (mm)."""
+    """Send the signal in motion; return the ms until the end of the line and until rest, and the distance (mm)."""
     if not role.ask("moving"):
-        raise CannotMeasure("the arm did not set out")
+        raise CannotMeasure("the arm did not start to move")
     role.begin("track")
     time.sleep(random.random() * 0.02)
     at = time.monotonic()
@@ -146,7 +146,7 @@ def strike_moving(role: Role, pid: int, number: int) -> dict[str, float]:
     line = [time for time, _, _, z in places if abs(z - last[3]) > NEAR]
     rest = [place[0] for place in places if max(abs(a - b) for a, b in zip(place[1:], last[1:], strict=True)) > NEAR]
     if last[3] - first[3] < NEAR:
-        raise CannotMeasure("the arm was not on its way when it was struck")
+        raise CannotMeasure("the arm did not move when the signal was sent")
     return {
         "line": 1e3 * (max(line, default=at) - at),
         "rest": 1e3 * (max(rest, default=at) - at),
@@ -156,7 +156,7 @@ def strike_moving(role: Role, pid: int, number: int) -> dict[str, float]:
 
 @contextlib.contextmanager
 def holding(client: Any, group: Any) -> Iterator[None]:
-    """Renew a lease ten times a second, as docking_node does, from a thread of this process."""
+    """Renew a lease ten times per second, as docking_node does, in a thread of this process."""
     from builtin_interfaces.msg import Duration
     from deltacharger.srv import SetContactor
 
@@ -182,7 +182,7 @@ def call(client: Any, kind: Any, name: str, group: Any) -> None:
     service = client.create_client(kind, name, callback_group=group)
     answered = threading.Event()
     if not service.wait_for_service(processes.PATIENCE):
-        raise CannotMeasure(f"nobody serves {name}")
+        raise CannotMeasure(f"no server of {name}")
     future = service.call_async(kind.Request())
     future.add_done_callback(lambda done: answered.set())
     if not answered.wait(10.0) or not future.result().success:
@@ -190,7 +190,7 @@ def call(client: Any, kind: Any, name: str, group: Any) -> None:
 
 
 def kill_alone(name: str, number: int, folder: Path) -> dict[str, float]:
-    """tactile_node alone on a bench plant; the lease is held from here."""
+    """Kill tactile_node alone on a bench plant; this process holds the lease."""
     import rclpy
     from deltacharger.srv import Probe
     from rclpy.callback_groups import ReentrantCallbackGroup
@@ -222,14 +222,14 @@ def charger(folder: Path) -> Iterator[tuple[Role, dict[str, int]]]:
 
 
 def kill_charging(name: str, number: int, folder: Path) -> dict[str, float]:
-    """All nodes of the simulated scene; the node dies while docking_node charges."""
+    """Kill one of all nodes of the simulated scene while docking_node charges."""
     with charger(folder) as (role, pids):
         processes.charge()
         return strike_charging(role, pids[name], number)
 
 
 def kill_moving(name: str, number: int, folder: Path) -> dict[str, float]:
-    """All nodes of the simulated scene; the node dies on the way to the target."""
+    """Kill one of all nodes of the simulated scene while the arm moves to the target."""
     with charger(folder) as (role, pids):
         client = subprocess.Popen([sys.executable, __file__, "--emulate", "client"])
         try:
@@ -239,20 +239,20 @@ def kill_moving(name: str, number: int, folder: Path) -> dict[str, float]:
 
 
 def charge() -> None:
-    """Ask for a charge whose end does not matter."""
+    """Request a charge; its result is ignored."""
     with contextlib.suppress(CannotMeasure):
         processes.charge()
 
 
 def attempt(kill: Callable[[str, int, Path], dict[str, float]], name: str, number: int) -> dict[str, float]:
-    """One kill; where the charger did not come to what was to be ended, which is another matter, it is tried again."""
+    """Make one kill; try again if the charger did not reach the state to be interrupted."""
     for left in reversed(range(ATTEMPTS)):
         try:
             with processes.folder() as folder:
                 return kill(name, number, folder)
         except CannotMeasure as error:
             processes.progress(f"{error}; attempts left: {left}")
-    raise SystemExit("the charger never came to what was to be ended")
+    raise SystemExit("the charger never reached the state to be interrupted")
 
 
 def figures_of(label: str, name: str, runs: list[dict[str, float]]) -> list[Figure]:
@@ -274,7 +274,7 @@ def figures_of(label: str, name: str, runs: list[dict[str, float]]) -> list[Figu
 
 
 def run(alone: int, dockings: int) -> list[Figure]:
-    """Kill everything in every way and return the figures."""
+    """Make all kills and return the figures."""
     import rclpy
 
     random.seed(SEED)
@@ -316,7 +316,7 @@ def main() -> int:
         ROLES[arguments.emulate](arguments.folder)
         return 0
     figures = run(arguments.tactile, arguments.dockings)
-    processes.tell(figures, arguments.json)
+    processes.print_figures(figures, arguments.json)
     return 1 if any(figure.met is False for figure in figures) else 0
 
 

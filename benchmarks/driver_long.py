@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver keeps up with while the charger charges beside a busy core: one long run that measures all at once.
+"""Performance of the driver while the charger charges beside a busy core, in one long run.
 
-Every node of the simulated scene and the emulated hardware are processes of their own, and one more spins at ordinary
-priority. The charger docks; from then on this counts tactile frames and servo states, compares each frame's stamp with
-the instant at which the emulated board says that it sampled, notes when heartbeats reached the board, and watches the
-contactor and the CPU. Where the contactor opens by itself, that is counted and the charger docks again.
+Each node of the simulated scene and the emulated hardware run in separate processes; another process spins at ordinary
+priority. After docking the benchmark counts tactile frames and servo states, compares the stamp of each frame with the
+sampling time of the emulated board, records the heartbeats that reach the board, and monitors contactor and CPU. If the
+contactor opens without a command, this is counted and the charger docks again.
 
-- Stamps are ROS time. Here they are put back on the monotonic clock, which the emulator uses too, by the difference of
-  both clocks at reception. Sampling instant = when the sampling was due, as a board's timer has it and as the packet
-  says; how late the emulator really came to sample is its own figure. The board's clock runs DRIFT too fast.
-- From the gaps between heartbeats follow the openings that other limits would have made: gaps longer than the limit,
-  per hour, and below what their true rate lies with 95 % certainty (Poisson).
+- Stamps are ROS time. They are converted to the monotonic clock of the emulator by the difference of both clocks at
+  reception. Sampling time = due time of the board's timer, as in the packet. The delay of the emulator's real sampling
+  is a separate figure. The board's clock runs too fast by DRIFT.
+- The gaps between heartbeats give the openings that other limits would cause: gaps longer than the limit per hour, and
+  the upper bound of their rate with 95 % confidence (Poisson).
 
 python benchmarks/driver_long.py [--seconds 600] [--json]
 """
@@ -40,14 +40,14 @@ environment.prepare()
 environment.isolate()
 
 SETTLE = 5.0  # s between docking and measuring
-LOOK = 0.5  # s between two looks at the contactor
-LINE = 0.01  # s between two bytes that show how late a pseudo-terminal is
-TELL = 10.0  # s between two lines
+PERIOD = 0.5  # s between two checks of the contactor
+LINE = 0.01  # s between two bytes that measure the delay of a pseudo-terminal
+REPORT = 10.0  # s between two lines of progress
 ATTEMPTS = 3  # to dock
 
 
 def emulate(folder: Path) -> None:
-    """Serve the simulated scene's hardware and keep a record until stdin ends."""
+    """Emulate the simulated scene's hardware and record it until stdin ends."""
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
@@ -86,7 +86,7 @@ def emulate(folder: Path) -> None:
 
 
 def watch_line(record: array[float]) -> None:
-    """Note for ever when a byte came through a pseudo-terminal and how late: the kernel's doing, which no board has."""
+    """Record time and delay of bytes through a pseudo-terminal: a delay by the kernel that no real board has."""
     master, slave = os.openpty()
     tty.setraw(slave)
     for processor in itertools.cycle(sorted(os.sched_getaffinity(0))):  # each has workers of its own for that
@@ -100,13 +100,13 @@ def watch_line(record: array[float]) -> None:
 
 
 class Listener:
-    """Everything that the driver publishes, while `listening`.
+    """Records all messages of the driver while `listening`.
 
     Attributes:
         frames: sequence, device time (us) and stamp (s, monotonic) of each tactile frame.
         states: stamp (s, monotonic) of each servo state.
         docking: the last docking_state.
-        values: what /diagnostics says, by the entry's name.
+        values: of /diagnostics, by the entry's name.
     """
 
     def __init__(self, node: Any) -> None:
@@ -120,7 +120,7 @@ class Listener:
         self.docking = DockingState()
         self.frames, self.states = array("d"), array("d")
         self.values: dict[str, dict[str, str]] = {}
-        patient = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)  # this process may be starved
+        patient = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)  # CPU time may be scarce
         node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, patient)
         node.create_subscription(ServoState, "servo_state", self._on_state, QoSProfile(depth=500))
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -139,19 +139,19 @@ class Listener:
             self.values[status.name.rpartition(": ")[2]] = {value.key: value.value for value in status.values}
 
     def wait_until_idle(self) -> str:
-        """Wait until docking_node does nothing and return what failed last."""
+        """Wait until docking_node is idle and return its last error."""
         end = time.monotonic() + processes.PATIENCE
         while self.docking.state != self.docking.STATE_IDLE and time.monotonic() < end:
-            time.sleep(LOOK)
+            time.sleep(PERIOD)
         return str(self.docking.error_message)
 
     def counter(self, part: str, key: str) -> float:
-        """Return a counter of /diagnostics, NaN where nobody told it."""
+        """Return a counter of /diagnostics; NaN if it is missing."""
         return float(self.values.get(part, {}).get(key, "nan"))
 
 
 def _monotonic(stamp: Any) -> float:
-    """Return a stamp on the monotonic clock, s, by the present difference of both clocks."""
+    """Return a stamp on the monotonic clock, s, by the current difference of both clocks."""
     for _ in range(5):
         before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < 10_000:  # else this thread was interrupted in between
@@ -160,7 +160,7 @@ def _monotonic(stamp: Any) -> float:
 
 
 class Watch:
-    """The contactor during the run, and the line that tells how far it is."""
+    """Monitors the contactor during the run and prints progress."""
 
     def __init__(self, hardware: processes.Role, listener: Listener, seconds: float) -> None:
         self._hardware, self._listener, self._seconds = hardware, listener, seconds
@@ -168,28 +168,28 @@ class Watch:
         self.charged = 0.0  # s
 
     def run(self) -> None:
-        """Look at the contactor until the time is over; dock again where it opened."""
-        began = looked = told = time.monotonic()
+        """Check the contactor until the time is over; dock again if it opened."""
+        began = checked = reported = time.monotonic()
         while time.monotonic() - began < self._seconds:
-            time.sleep(LOOK)
+            time.sleep(PERIOD)
             state, now = self._hardware.ask("look"), time.monotonic()
             if state["closed"]:
-                self.charged += now - looked
+                self.charged += now - checked
             else:
                 why = self._listener.wait_until_idle()
                 self.openings.append({"at": now - began, "fault": state["fault"], "message": why})
-                processes.progress(f"the contactor opened by itself, fault {state['fault']}: {why}; docking again")
+                processes.progress(f"contactor opened without command, fault {state['fault']}: {why}; docking again")
                 try:
                     dock(self._listener)
                 except CannotMeasure as error:
                     processes.progress(f"ending early: {error}")
                     return
-            looked = time.monotonic()
-            if now - told >= TELL:
-                told = now
-                self._tell(now - began)
+            checked = time.monotonic()
+            if now - reported >= REPORT:
+                reported = now
+                self._report(now - began)
 
-    def _tell(self, elapsed: float) -> None:
+    def _report(self, elapsed: float) -> None:
         frames = len(self._listener.frames) // 3
         lost = self._listener.frames[-3] - self._listener.frames[0] + 1 - frames if frames else 0
         processes.progress(
@@ -199,7 +199,7 @@ class Watch:
 
 
 def dock(listener: Listener) -> None:
-    """Come to charge; tried again where it fails, which is another matter."""
+    """Dock and charge; try again after a failure, which is not measured here."""
     for left in reversed(range(ATTEMPTS)):
         try:
             listener.wait_until_idle()
@@ -207,11 +207,11 @@ def dock(listener: Listener) -> None:
             return
         except CannotMeasure as error:
             processes.progress(f"{error}; attempts left: {left}")
-    raise CannotMeasure("the charger did not come to charge")
+    raise CannotMeasure("the charger did not start to charge")
 
 
 def run(seconds: float) -> dict[str, Any]:
-    """Return what happened, as recorded on both sides."""
+    """Return the record of both sides."""
     import rclpy
 
     from deltacharger_scenes.scene import load_scene
@@ -255,9 +255,9 @@ def run(seconds: float) -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=600.0, help="how long to measure while charging")
+    parser.add_argument("--seconds", type=float, default=600.0, help="time to measure while charging")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.add_argument("--save", type=Path, help="also keep the raw record here, as .npz")
+    parser.add_argument("--save", type=Path, help="also write the raw record to this file, .npz")
     parser.add_argument("--emulate", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.emulate:
@@ -272,7 +272,7 @@ def main() -> int:
         processes.progress(f"nothing measured: {error}")
         return 1
     plain = {key: record[key] for key in ("seconds", "cpu_percent", "load", "openings", "charged", "counters")}
-    processes.tell(figures, arguments.json, **plain)
+    processes.print_figures(figures, arguments.json, **plain)
     return 0
 
 

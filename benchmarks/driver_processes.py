@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver's benchmarks share: nodes and emulated hardware as processes of their own, figures beside targets.
+"""Common to the driver's benchmarks: nodes and emulated hardware as processes, figures with targets.
 
-Call `environment.prepare()` and `environment.isolate()` before anything here that needs ROS.
+Call `environment.prepare()` and `environment.isolate()` before functions that use ROS.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ DRIVER_LIMIT = 5.0  # % of a core that servo_node, tactile_node or their librari
 
 
 class CannotMeasure(Exception):
-    """Something else than what was to be measured went wrong."""
+    """A failure outside of the measurement."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured value, what it should be, and whether it is; no target where `met` is None."""
+    """A measured value, its target, and whether it is met; `met` is None without a target."""
 
     what: str
     value: float
@@ -51,7 +51,7 @@ def at_most(what: str, value: float, unit: str, limit: float) -> Figure:
     return Figure(what, value, unit, f"≤ {limit:g} {unit}", bool(value <= limit))
 
 
-def tell(figures: Sequence[Figure], as_json: bool, **more: Any) -> None:
+def print_figures(figures: Sequence[Figure], as_json: bool, **more: Any) -> None:
     """Print the figures as a table, or with `more` as one JSON object."""
     if as_json:
         rows = [{key: _finite(value) for key, value in asdict(figure).items()} for figure in figures]
@@ -65,13 +65,13 @@ def _finite(value: Any) -> Any:
 
 
 def progress(sentence: str) -> None:
-    """Say on stderr what goes on."""
+    """Print progress on stderr."""
     print(sentence, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
 def folder() -> Iterator[Path]:
-    """Return a folder for ports, gone at the end."""
+    """Yield a folder for ports; it is removed at the end."""
     path = Path(tempfile.mkdtemp(prefix="deltacharger-"))
     try:
         yield path
@@ -92,7 +92,7 @@ def cpu_seconds(pid: int) -> float:
 
 
 class CpuMeter:
-    """CPU of processes from now on."""
+    """CPU time of processes since its construction."""
 
     def __init__(self, pids: Mapping[str, int]) -> None:
         self._pids = pids
@@ -106,7 +106,7 @@ class CpuMeter:
 
 
 class Role:
-    """A process that runs a script of this folder in another role; orders go in as lines, answers come out as JSON.
+    """A process that runs a script of this folder in another role; it reads orders as lines and answers in JSON.
 
     Args:
         script: path of the script, which calls `serve` in that role.
@@ -116,7 +116,7 @@ class Role:
     def __init__(self, script: str, *arguments: str) -> None:
         command = [sys.executable, script, *arguments]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        # A helper thread of BLAS would keep the ordinary priority, and emulated hardware would wait for it.
+        # A BLAS thread would keep ordinary priority and delay the emulated hardware.
         self._process = subprocess.Popen(command, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, **pipes)
         self.pid = self._process.pid
         self.end()  # of its start
@@ -152,17 +152,16 @@ class Role:
 
 
 def serve(orders: Mapping[str, Callable[[], Any]]) -> None:
-    """Say that this role is ready, and carry out orders until stdin ends."""
+    """Report that this role is ready, and execute orders until stdin ends."""
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         print(json.dumps(orders[line.strip()]()), flush=True)
 
 
 def take_priority() -> None:
-    """Let this process, which stands in for hardware, run before those that it serves; a board of its own never waits.
+    """Give this process, which replaces hardware, priority over the nodes: a real board never waits for them.
 
-    Call it before threads are started. Where the system does not allow it, say so: what comes late then counts against
-    the nodes.
+    Call it before threads start. Without permission it prints a note: delays then count against the nodes.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))  # before nodes with real-time priority
@@ -170,11 +169,11 @@ def take_priority() -> None:
         try:
             os.setpriority(os.PRIO_PROCESS, 0, -15)
         except OSError:
-            progress("the emulated hardware runs at ordinary priority (no CAP_SYS_NICE); what it does late counts here")
+            progress("the emulated hardware runs at ordinary priority (no CAP_SYS_NICE); its delays count here")
 
 
 def start_node(name: str, parameters: Mapping[str, Any]) -> subprocess.Popen[bytes]:
-    """Start a node as a process of its own."""
+    """Start a node in a separate process."""
     from deltacharger_scenes.node_table import NODES
 
     command = [
@@ -189,7 +188,7 @@ def start_node(name: str, parameters: Mapping[str, Any]) -> subprocess.Popen[byt
 
 
 def end(process: subprocess.Popen[Any]) -> None:
-    """End a process, also one that is stopped."""
+    """End a process, also a stopped one."""
     if process.poll() is None:
         process.kill()
         process.wait()
@@ -207,7 +206,7 @@ def busy() -> Iterator[None]:
 
 @contextlib.contextmanager
 def nodes_of(scene: Any, ports: Mapping[str, str]) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Start every node of a scene, each as a process of its own."""
+    """Start every node of a scene in a separate process."""
     nodes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for name in scene.start_order():
@@ -222,7 +221,7 @@ def charge() -> None:
     """Dock and charge.
 
     Raises:
-        CannotMeasure: the charger is not there, or did not come to charge.
+        CannotMeasure: no charger is ready, or it did not charge.
     """
     from deltacharger_ros.client import ChargerClient, ClientError
     from deltacharger_ros.outcomes import DockRequest, Pose

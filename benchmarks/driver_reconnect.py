@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soon servo_node and tactile_node publish again after their port was unplugged and plugged in again.
+"""Time until servo_node and tactile_node publish again after their port was unplugged and replugged.
 
 Target: 2 s from the replug to the first good servo_state (all servos valid) or the first tactile_frame. Emulated
-hardware and nodes are processes of their own. The cable is out for a random time, so that the replug meets every phase
-of the nodes' attempts to reopen; torque is off, as after every unplugging.
+hardware and nodes run in separate processes. The cable is unplugged for a random time, so that replugs cover all phases
+of the nodes' attempts to reopen. Torque is off, as after every unplugging.
 
 python benchmarks/driver_reconnect.py [--replugs 20] [--json]
 """
@@ -31,16 +31,16 @@ environment.prepare()
 environment.isolate()
 
 LIMIT = 2.0  # s
-OUT = (0.3, 2.0)  # s that the cable is out
-IN = (0.5, 1.0)  # s that it is in again before the next time
-PATIENCE = 20.0  # s until the first message, and until a port counts as lost for good
+OUT = (0.3, 2.0)  # s with the cable unplugged
+IN = (0.5, 1.0)  # s with the cable plugged in before the next time
+PATIENCE = 20.0  # s until the first message, and until a port counts as lost
 SEED = 47
 NODES = {"servo": "servo_node", "board": "tactile_node"}  # by port
 MESSAGES = {"servo": "good servo_state", "board": "tactile_frame"}
 
 
 def emulate(folder: Path) -> None:
-    """Serve both emulators on bench plants, their cables on order, until stdin ends."""
+    """Run both emulators on bench plants, plug and unplug on order, until stdin ends."""
     from deltacharger_driver.emulators.bench_arm import BenchArm
     from deltacharger_driver.emulators.bench_plant import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
@@ -48,7 +48,7 @@ def emulate(folder: Path) -> None:
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
     def plug(name: str) -> float:
-        began = time.monotonic()  # before the port appears: what this takes counts against the node
+        began = time.monotonic()  # before the port appears: this time counts for the node
         cables[name].replug()
         return began
 
@@ -61,53 +61,53 @@ def emulate(folder: Path) -> None:
         processes.serve({**unplugs, **{f"plug {name}": partial(plug, name) for name in cables}})
 
 
-class Ears:
-    """The instants of the last good message and of the first one after `clear`, by port."""
+class Listener:
+    """Time of the first good message after `clear`, by port."""
 
     def __init__(self, node: Any) -> None:
         from deltacharger.msg import ServoState, TactileFrame
         from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-        self._heard = {name: threading.Event() for name in NODES}
+        self._received = {name: threading.Event() for name in NODES}
         self._first = dict.fromkeys(NODES, 0.0)
         node.create_subscription(ServoState, "servo_state", self._on_state, QoSProfile(depth=1))
-        node.create_subscription(TactileFrame, "tactile_frame", lambda _: self._hear("board"), qos_profile_sensor_data)
+        node.create_subscription(TactileFrame, "tactile_frame", lambda _: self._note("board"), qos_profile_sensor_data)
 
     def clear(self, name: str) -> None:
-        """Wait for the next message of a port's node as if none had come yet."""
-        self._heard[name].clear()
+        """Forget the messages of a port's node."""
+        self._received[name].clear()
 
     def wait(self, name: str) -> float:
-        """Return when the first good message came, s."""
-        if not self._heard[name].wait(PATIENCE):
+        """Return the time of the first good message, s."""
+        if not self._received[name].wait(PATIENCE):
             raise CannotMeasure(f"no {MESSAGES[name]} within {PATIENCE:.0f} s")
         return self._first[name]
 
-    def has_heard(self, name: str) -> bool:
-        """Whether a good message came since `clear`."""
-        return self._heard[name].is_set()
+    def has_received(self, name: str) -> bool:
+        """Whether a good message arrived since `clear`."""
+        return self._received[name].is_set()
 
     def _on_state(self, message: Any) -> None:
         if len(message.valid) == 3 and all(message.valid):
-            self._hear("servo")
+            self._note("servo")
 
-    def _hear(self, name: str) -> None:
-        if not self._heard[name].is_set():
+    def _note(self, name: str) -> None:
+        if not self._received[name].is_set():
             self._first[name] = time.monotonic()
-            self._heard[name].set()
+            self._received[name].set()
 
 
-def replug(hardware: processes.Role, ears: Ears, name: str, source: random.Random) -> float:
-    """Pull a cable, put it back, and return the s until the node speaks again."""
+def replug(hardware: processes.Role, listener: Listener, name: str, source: random.Random) -> float:
+    """Unplug and replug a cable; return the s until the node publishes again."""
     time.sleep(source.uniform(*IN))
     hardware.ask(f"unplug {name}")
-    time.sleep(0.2)  # what was sent before has arrived
-    ears.clear(name)
+    time.sleep(0.2)  # until messages sent before have arrived
+    listener.clear(name)
     time.sleep(source.uniform(*OUT) - 0.2)
-    if ears.has_heard(name):
-        raise CannotMeasure(f"{NODES[name]} spoke without a cable")
+    if listener.has_received(name):
+        raise CannotMeasure(f"{NODES[name]} published without a cable")
     plugged = hardware.ask(f"plug {name}")
-    return ears.wait(name) - float(plugged)
+    return listener.wait(name) - float(plugged)
 
 
 def run(replugs: int) -> dict[str, list[float]]:
@@ -120,15 +120,15 @@ def run(replugs: int) -> dict[str, list[float]]:
         hardware = stack.enter_context(processes.Role(__file__, "--emulate", str(folder)))
         rclpy.init()
         stack.callback(rclpy.try_shutdown)
-        ears = Ears(node := rclpy.create_node("benchmark"))
+        listener = Listener(node := rclpy.create_node("benchmark"))
         stack.enter_context(processes.spinning(node))
         for name, executable in NODES.items():
             stack.callback(processes.end, processes.start_node(executable, {"port": folder / name}))
         for name in NODES:
-            ears.wait(name)
+            listener.wait(name)
         for turn in range(replugs):
             for name, taken in times.items():
-                taken.append(replug(hardware, ears, name, source))
+                taken.append(replug(hardware, listener, name, source))
             done = ", ".join(f"{NODES[name]} {taken[-1]:.2f} s" for name, taken in times.items())
             processes.progress(f"replug {turn + 1}/{replugs}: {done}")
     return times
@@ -164,7 +164,7 @@ def main() -> int:
     except CannotMeasure as error:
         processes.progress(f"nothing measured: {error}")
         return 1
-    processes.tell(evaluate(times), arguments.json, seconds=times, load=os.getloadavg()[0])
+    processes.print_figures(evaluate(times), arguments.json, seconds=times, load=os.getloadavg()[0])
     return 0
 
 

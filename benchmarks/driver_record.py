@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a record of driver_long.py says: figures beside their targets."""
+"""Figures of a record of driver_long.py, with their targets."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from driver_processes import DRIVER_LIMIT, CannotMeasure, Figure, at_most
 DRIFT = 100e-6  # s/s; two poor crystals differ by 200e-6
 LIMITS = (0.050, 0.060, 0.075, 0.095, 0.125, 0.150, 0.200, 0.250)  # s without a heartbeat; the board's is 0.095
 INTENDED = 1.0  # s; a longer pause of the heartbeat follows an opening
-LATE_BOARD = 0.010  # s; where the emulator itself came so late within a gap, the gap says little about the host
+LATE_BOARD = 0.010  # s; delay of the emulator within a gap, from which the gap is no measure of the host
 TACTILE_RATE, SERVO_RATE = 120.0, 100.0  # Hz
 
 
 def evaluate(record: dict[str, Any]) -> list[Figure]:
-    """Return the figures of a record, targets beside them."""
+    """Return the figures of a record, with targets."""
     if len(record["frames"]) < 2 or len(record["states"]) < 2:
         raise CannotMeasure("the nodes published nothing")
     asked, seconds = record["asked"], record["seconds"]
@@ -30,8 +30,8 @@ def _tactile(record: dict[str, Any]) -> list[Figure]:
     number = np.unwrap(number, period=65536)
     order = np.searchsorted(number, sequence)
     if order[-1] >= len(number) or np.any(number[order] != sequence):
-        raise CannotMeasure("frames came that the emulator has not sampled; did the board reboot?")
-    start = due[order] - device * 1e-6 / (1.0 + DRIFT)  # when the board booted; the same for all frames
+        raise CannotMeasure("frames without a sample of the emulator; did the board reboot?")
+    start = due[order] - device * 1e-6 / (1.0 + DRIFT)  # boot time of the board, equal for all frames
     if np.ptp(start) > 5e-6:
         raise CannotMeasure(f"device times do not fit the sampling instants ({np.ptp(start):.1e} s)")
     rate = (len(stamp) - 1) / (stamp[-1] - stamp[0])
@@ -50,7 +50,7 @@ def _tactile(record: dict[str, Any]) -> list[Figure]:
 
 
 def _distribution(what: str, values: Any, scale: float, unit: str, limit: float | None = None) -> list[Figure]:
-    """Return median, 99th percentile (which `limit` is for) and largest of values."""
+    """Return median, 99th percentile (with `limit`) and maximum of values."""
     middle, high, top = (float(scale * value) for value in (*np.percentile(values, (50, 99)), np.max(values)))
     p99 = Figure(f"{what}, p99", high, unit) if limit is None else at_most(f"{what}, p99", high, unit, limit)
     return [Figure(f"{what}, p50", middle, unit), p99, Figure(f"{what}, largest", top, unit)]

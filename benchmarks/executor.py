@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a message costs by each way of hearing it, and how soon a service answers, beside a storm too.
+"""CPU time per message for each way of receiving it, and response time of a service, also under message load.
 
 python benchmarks/executor.py [--turns 5] [--json]
 """
@@ -35,7 +35,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from deltacharger_ros.executor import Spinner  # noqa: E402
 from deltacharger_ros.on_demand import PolledTopic  # noqa: E402
 
-WAYS = ("nobody", "polled", "node's thread, undecoded", "node's thread", "rclpy's MultiThreadedExecutor")
+WAYS = ("none", "polled", "node's thread, undecoded", "node's thread", "rclpy's MultiThreadedExecutor")
 LISTENERS = 3
 MESSAGES, PACE = 800, 400.0  # Hz
 CALLS = 100
@@ -45,7 +45,7 @@ _numbers = itertools.count()
 
 @contextlib.contextmanager
 def served(node: Node, way: str) -> Iterator[None]:
-    """Serve a node meanwhile."""
+    """Serve a node during the block."""
     if way != WAYS[-1]:
         spinner = Spinner(node)
         try:
@@ -88,7 +88,7 @@ def paced(rate: float, count: int, send: Callable[[int], None]) -> None:
 
 
 def message_cost(way: str) -> float:
-    """Return the processor time of this process, s, for each message published to three listeners."""
+    """Return the CPU time of this process, s, per message published to three listeners."""
     with contextlib.ExitStack() as stack:
         publishing = new_node("publisher")
         stack.callback(publishing.destroy_node)
@@ -104,7 +104,7 @@ def message_cost(way: str) -> float:
             raw = way.endswith("undecoded")
             node.create_subscription(TactileFrame, "frames", heard.append, qos_profile_sensor_data, raw=raw)
             stack.enter_context(served(node, way))
-        time.sleep(1.0)  # until they are found
+        time.sleep(1.0)  # for discovery
         message = frame()
 
         def send(number: int) -> None:
@@ -118,7 +118,7 @@ def message_cost(way: str) -> float:
 
 
 def answer_times(way: str, storm: bool) -> list[float]:
-    """Return how long, s, each of many calls took, beside a storm of messages to the same node or not."""
+    """Return the time, s, of each of many calls, with or without a storm of messages to the node."""
     with contextlib.ExitStack() as stack:
         node = new_node("server")
         node.create_service(
@@ -155,7 +155,7 @@ def answer_times(way: str, storm: bool) -> list[float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--turns", type=int, default=5, help="of each way, one after the other; medians count")
+    parser.add_argument("--turns", type=int, default=5, help="rounds over all ways; medians are reported")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     arguments = parser.parse_args()
     rclpy.init(args=[])
@@ -169,9 +169,9 @@ def main() -> int:
         for (way, storm), times in answers.items():
             times += answer_times(way, storm)
     rclpy.try_shutdown()
-    nobody = statistics.median(costs[WAYS[0]])
+    without = statistics.median(costs[WAYS[0]])
     found: dict[str, Any] = {
-        "message_us": {way: 1e6 * (statistics.median(costs[way]) - nobody) / LISTENERS for way in WAYS[1:]},
+        "message_us": {way: 1e6 * (statistics.median(costs[way]) - without) / LISTENERS for way in WAYS[1:]},
         "answer_ms": {
             f"{way}{', storm' if storm else ''}": [1e3 * statistics.quantiles(times, n=100)[at] for at in (49, 98)]
             for (way, storm), times in answers.items()

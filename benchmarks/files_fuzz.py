@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the readers of files do with damage and malice: `python benchmarks/files_fuzz.py [--files 1000000] [--json]`.
+"""Robustness of file readers: `python benchmarks/files_fuzz.py [--files 1000000] [--json]`.
 
-Good files of every kind, by our own writers, are changed at random and read. Ends with 1 where a law is broken: nothing
-but a named refusal, 2 s of CPU and 200 MB more at most per file, and nothing false accepted. Each file follows from its
-number: `--kind KIND --first NUMBER --files 1` repeats it. A million of each kind take hours; `--processes` shares them.
+Good files of every kind, from our own writers, are changed at random and read. Exit code 1 if a law is violated: only
+named refusals, at most 2 s of CPU and 200 MB more memory per file, no invalid file accepted. A number determines each
+file: `--kind KIND --first NUMBER --files 1` repeats it. A million per kind take hours; `--processes` shares them.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-Case: TypeAlias = tuple[int, str, Callable[[Path], Any]]  # which reader, a name, and what puts the file there
+Case: TypeAlias = tuple[int, str, Callable[[Path], Any]]  # index of the reader, name, creator of the file
 KINDS = ("yaml", "csv", "npz", "npy", "picture", "mcap", "json", "parquet")
 SECONDS, MEGABYTES, STUCK = 2.0, 200.0, 30
 LONGEST_MESSAGE = 3000
 MOST_SHOWN = 20
 NOTHING = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0}
 MAY_BE_TAKEN = ("two documents", "a chunk in a chunk", "metadata without end", "a summary that is everywhere")
-"""Attacks that a reader may accept, since what stands before the damage is good: an echoed topic, a recording."""
+"""Attacks that a reader may accept, because data before the damage are good: an echoed topic, a recording."""
 
 
 def peak() -> float:
-    """Return the most memory that this process has had, MB."""
+    """Return the peak memory of this process, MB."""
     text = Path("/proc/self/status").read_text()
     return int(text[text.index("VmHWM:") + 6 :].split(None, 1)[0]) / 1024
 
 
-def forget_peak() -> None:
-    """Let `peak` begin anew; where the kernel does not allow it, memory is judged by the largest so far."""
+def reset_peak() -> None:
+    """Reset `peak`; if the kernel does not allow it, memory is judged by the largest value so far."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def judge(reader: Any, path: Path, before: float) -> tuple[str, str]:
-    """Read a file; return "taken" or "refused", and which law is broken, '' = none."""
+    """Read a file; return "taken" or "refused", and the violated law, '' = none."""
     outcome, broken, started = "taken", "", time.process_time()
     signal.alarm(STUCK)
     try:
@@ -57,7 +57,7 @@ def judge(reader: Any, path: Path, before: float) -> tuple[str, str]:
         outcome, text = "refused", str(error)
         named = not reader.names or path.name in text or str(path.parent) in text
         if not text or len(text) > LONGEST_MESSAGE or not named:
-            broken = f"a refusal that tells {len(text)} characters: {text[:300]}"
+            broken = f"a refusal of {len(text)} characters: {text[:300]}"
     except Exception as error:
         broken = f"{type(error).__name__}: {str(error)[:300]}\n{''.join(traceback.format_exception(error)[-3:])}"
     else:
@@ -75,7 +75,7 @@ def judge(reader: Any, path: Path, before: float) -> tuple[str, str]:
 
 
 def changed(known: Sequence[Any], given: argparse.Namespace) -> Iterator[Case]:
-    """Yield good files that are changed at random."""
+    """Yield good files with random changes."""
     from fuzz_mutations import mutated
 
     for number in range(given.first, given.first + given.files):
@@ -85,7 +85,7 @@ def changed(known: Sequence[Any], given: argparse.Namespace) -> Iterator[Case]:
 
 
 def attacking(known: Sequence[Any], given: argparse.Namespace) -> Iterator[Case]:
-    """Yield every attack, for each reader."""
+    """Yield every attack for each reader."""
     from fuzz_attacks import attacks
 
     for which in range(len(known)):
@@ -98,7 +98,7 @@ def work(given: argparse.Namespace, beat: int) -> dict[str, Any]:
     from fuzz_files import readers
 
     warnings.simplefilter("ignore")
-    told: dict[str, Any] = dict(NOTHING, broken=[])
+    report: dict[str, Any] = dict(NOTHING, broken=[])
     with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as folder:
         known = readers(Path(made), given.kind)
         places = [Path(folder) / str(which) / reader.place for which, reader in enumerate(known)]
@@ -106,7 +106,7 @@ def work(given: argparse.Namespace, beat: int) -> dict[str, Any]:
             place.parent.mkdir(parents=True)
             for name, content in reader.beside.items():
                 (Path(folder) / str(which) / name).write_bytes(content)
-            for good in reader.good:  # which also loads what is loaded once
+            for good in reader.good:  # this also loads modules that are loaded once
                 place.write_bytes(good)
                 reader.sound(reader.read(place))
         before = peak()
@@ -116,26 +116,26 @@ def work(given: argparse.Namespace, beat: int) -> dict[str, Any]:
             put(place)
             os.pwrite(beat, f"{reader.name}: {name}".encode().ljust(200), 0)
             if given.attacks:
-                forget_peak()
+                reset_peak()
                 before = peak()
             begun = time.process_time()
             outcome, broken = judge(reader, place, before)
-            told["files"] += 1
-            told[outcome] += 1
-            told["seconds"] = max(told["seconds"], time.process_time() - begun)
-            told["megabytes"] = max(told["megabytes"], peak() - before)
+            report["files"] += 1
+            report[outcome] += 1
+            report["seconds"] = max(report["seconds"], time.process_time() - begun)
+            report["megabytes"] = max(report["megabytes"], peak() - before)
             if given.attacks and outcome == "taken" and name not in MAY_BE_TAKEN:
                 broken = broken or "taken"
             if broken:
-                forget_peak()
-                told["broken"].append(f"{reader.name}, {given.kind} {name}: {broken}")
-                if len(told["broken"]) >= MOST_SHOWN:
+                reset_peak()
+                report["broken"].append(f"{reader.name}, {given.kind} {name}: {broken}")
+                if len(report["broken"]) >= MOST_SHOWN:
                     break
-    return told
+    return report
 
 
 def remove(path: Path) -> None:
-    """Remove whatever stands there."""
+    """Remove a file, folder or link."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -152,10 +152,10 @@ def start(kind: str, first: int, count: int, arguments: argparse.Namespace, fold
 
 
 def finish(process: Any, beat: Path, out: Path, kind: str) -> dict[str, Any]:
-    """Wait for a worker and return what it tells; one that died tells the file that it died of."""
+    """Wait for a worker and return its report; for a crash the report names the file."""
     if process.wait() == 0:
-        told: dict[str, Any] = json.loads(out.read_text())
-        return told
+        report: dict[str, Any] = json.loads(out.read_text())
+        return report
     at = beat.read_text().strip() if beat.exists() else "the beginning"
     end = beat.with_suffix(".log").read_text(errors="replace")[-1500:]
     return dict(NOTHING, broken=[f"{kind} {at}: the process ended with {process.returncode}: {end}"])
@@ -177,11 +177,11 @@ def campaign(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
                 )
                 print(f"\r{kind}: {done} of {arguments.files}", end="", file=sys.stderr, flush=True)
             time.sleep(1.0)
-        told = [finish(*worker, kind) for worker in workers]
-        total: dict[str, Any] = {key: sum(each[key] for each in told) for key in ("files", "taken", "refused")}
-        total |= {key: round(max(each[key] for each in told), 3) for key in ("seconds", "megabytes")}
+        report = [finish(*worker, kind) for worker in workers]
+        total: dict[str, Any] = {key: sum(each[key] for each in report) for key in ("files", "taken", "refused")}
+        total |= {key: round(max(each[key] for each in report), 3) for key in ("seconds", "megabytes")}
         total["per_second"] = round(total["files"] / max(time.monotonic() - begun, 1e-9))
-        total["broken"] = [line for each in told for line in each["broken"]]
+        total["broken"] = [line for each in report for line in each["broken"]]
         result[kind] = total
         if arguments.progress:
             print(f"\r{kind}: {json.dumps({**total, 'broken': len(total['broken'])})}", file=sys.stderr)
@@ -190,13 +190,13 @@ def campaign(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--files", type=int, default=1_000_000, help="of each kind (default 1000000)")
-    parser.add_argument("--kind", choices=KINDS, help="this one alone")
+    parser.add_argument("--files", type=int, default=1_000_000, help="files of each kind (default 1000000)")
+    parser.add_argument("--kind", choices=KINDS, help="only this kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first file")
-    parser.add_argument("--attacks", action="store_true", help="in place of chance: benchmarks/fuzz_attacks.py")
+    parser.add_argument("--attacks", action="store_true", help="instead of random changes: benchmarks/fuzz_attacks.py")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--progress", action="store_true", help="tell how far it is, to stderr")
+    parser.add_argument("--progress", action="store_true", help="print progress on stderr")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     for hidden in ("--beat", "--out"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
@@ -204,7 +204,7 @@ def main() -> int:
     if arguments.attacks:
         arguments.files = 1
     if arguments.out:  # a worker
-        resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # so that a bomb ends this process alone
+        resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # so that a bomb ends only this process
         beat = os.open(arguments.beat, os.O_WRONLY | os.O_CREAT, 0o600)
         Path(arguments.out).write_text(json.dumps(work(arguments, beat)))
         return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was thought up to harm a reader of files: each is put where every reader of its kind looks for its file."""
+"""Malicious files: each replaces the file of every reader of its kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 Attack = Callable[[Path], object]
-"""Puts something at a path."""
+"""Creates something at a path."""
 MEGABYTE = 2**20
 
 
@@ -24,7 +24,7 @@ def sparse(path: Path) -> None:
 
 
 def bound(path: Path) -> None:
-    """A socket; bound by its name in the folder, since the whole path may be too long."""
+    """Create a socket, bound by its name in the folder because the complete path may be too long."""
     here = os.getcwd()
     os.chdir(path.parent)
     try:
@@ -185,9 +185,9 @@ def recordings() -> dict[str, bytes]:
     tiny = zstandard.compress(message * (40 * MEGABYTE // len(message)))
     return {
         "a chunk of 400 MB, zstd": start + chunk(b"zstd", zstd, len(much)),
-        "a chunk of 400 MB that says less, zstd": start + chunk(b"zstd", zstd, 1000),
-        "a chunk of 400 MB that says less, lz4": start + chunk(b"lz4", lz4ed, 1000),
-        "a chunk that says 2⁶⁴": start + chunk(b"zstd", zstd, 2**64 - 1),
+        "a chunk of 400 MB that claims less, zstd": start + chunk(b"zstd", zstd, 1000),
+        "a chunk of 400 MB that claims less, lz4": start + chunk(b"lz4", lz4ed, 1000),
+        "a chunk that claims 2⁶⁴": start + chunk(b"zstd", zstd, 2**64 - 1),
         "a chunk of a million messages": start + chunk(b"zstd", tiny, len(message) * (40 * MEGABYTE // len(message))),
         "a chunk in a chunk": start + chunk(b"", chunk(b"zstd", zstd, len(much)), 0),
         "a record of 2⁶³ bytes": start + struct.pack("<BQ", 5, 2**63),
@@ -198,7 +198,7 @@ def recordings() -> dict[str, bytes]:
 
 
 def attacks(kind: str) -> dict[str, Attack]:
-    """Return every attack on a kind of files by name."""
+    """Return all attacks on a kind of files, by name."""
     made: dict[str, Callable[[], dict[str, bytes]]] = {
         "yaml": lambda: YAML,
         "csv": lambda: CSV,

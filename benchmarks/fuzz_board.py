@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged packets of the board, and intact ones that no board sends, read back by the driver."""
+"""Damaged packets of the board, and intact packets that no board sends, decoded by the driver."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from deltacharger_driver.board.protocol import (
 
 
 def random_payload(source: random.Random, kind: PacketType) -> tuple[bytes, int]:
-    """A payload as the board sends it, and its sample format."""
+    """Return a payload of the board and its sample format."""
     if kind is PacketType.TACTILE:
         sample_format = source.choice((SampleFormat.U8, SampleFormat.U12, SampleFormat.U16))
         forces = np.random.default_rng(source.getrandbits(32)).uniform(0.0, 10.0, 200)
@@ -68,7 +68,7 @@ def random_packet(source: random.Random) -> Packet:
 
 
 def made_up(source: random.Random) -> bytes:
-    """An intact packet with a header and a payload that nobody would send."""
+    """Return an intact packet with a random header and payload."""
     size = source.choice((0, 1, 4, 8, 12, 16, 64, 200, 300, 400, source.randrange(500)))
     payload = source.choice((bytes(size), source.randbytes(size), b"\x7f\x80" * (size // 2)))
     header = struct.pack(
@@ -86,7 +86,7 @@ def made_up(source: random.Random) -> bytes:
 
 
 def meaning_in_range(packet: Packet) -> bool | None:
-    """Read a packet as the receiver does; None where it is refused, else whether every value is one that may be."""
+    """Decode a packet as the receiver does; None if it is refused, else whether all values are valid."""
     try:
         check_header(packet)
         if packet.type == PacketType.TACTILE:
@@ -112,7 +112,7 @@ def meaning_in_range(packet: Packet) -> bool | None:
 
 
 def fuzz_board(count: int, seed: int) -> dict[str, Any]:
-    """Damage packets and invent intact ones; tell what the decoder and the payload readers took."""
+    """Damage packets and make up intact ones; count what the decoder and the payload readers accept."""
     source, decoder = random.Random(seed), PacketDecoder()
     originals = [random_packet(source) for _ in range(2000)]
     wires = [encode_packet(packet) for packet in originals]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every reader of files that others give us: good files by our own writers, how they are changed, what is accepted.
+"""All readers of files from others: good files by our own writers, their changes, and checks of accepted data.
 
-Each reader names the refusals that it may raise, and judges what it took: finite, in shape, in range.
+Each reader names the errors that it may raise, and checks accepted data: finite, shape, range.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def readers(folder: Path, kind: str) -> list[Reader]:
-    """Return the readers of a kind of files; `folder` is for what is written on the way."""
+    """Return the readers of a kind of files; `folder` is for temporary files."""
     made = {
         "yaml": (_yaml,),
         "csv": (_calibrated,),
@@ -175,15 +175,15 @@ def _arrays(folder: Path) -> Iterator[Reader]:
     frames, model = np.random.default_rng(2).uniform(0.0, 3.0, (2, 10, 10)), default_model()
 
     def sound_model(found: Any) -> None:
-        told = found.predict(*frames)
-        finite(told.left_force)
-        if told.sure:  # else unknown is NaN, as where a changed weight is of 1e38
-            finite(told.angle, told.vertical, told.angle_stddev, told.angle_probability)
-            assert told.in_range
+        estimate = found.predict(*frames)
+        finite(estimate.left_force)
+        if estimate.sure:  # else unknown is NaN, e.g. after a weight of 1e38
+            finite(estimate.angle, estimate.vertical, estimate.angle_stddev, estimate.angle_probability)
+            assert estimate.in_range
 
     def sound_classifier(found: Any) -> None:
-        told = Perception(model, None, {found.target: found}).predict(*frames)
-        for shares in (told.angle_probability, told.vertical_probability, told.horizontal_probability):
+        estimate = Perception(model, None, {found.target: found}).predict(*frames)
+        for shares in (estimate.angle_probability, estimate.vertical_probability, estimate.horizontal_probability):
             finite(shares)
             assert abs(shares.sum() - 1.0) < 1e-5
 

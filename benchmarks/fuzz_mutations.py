@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files as damage and malice leave them: bytes, lines, numbers and members of good files, changed by a seed."""
+"""Random damage of good files: bytes, lines, numbers and archive members, by a seed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def blank(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def claim(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Overwrite what may be a size with one at the edge of a type."""
+    """Overwrite a possible size field with a value at the limit of a type."""
     size, order = source.choice((1, 2, 4, 8)), source.choice(("little", "big"))
     value = source.choice(SIZES) + source.choice((0, 0, 1, -1))
     at = source.randrange(len(data))
@@ -74,7 +74,7 @@ def claim(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def token(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Put something else in the place of a number or a word, or between two."""
+    """Replace a number or a word, or insert one."""
     places = [match.span() for match in re.finditer(rb"[-+.\w]+", data[:200_000])]
     start, end = source.choice(places) if places else (0, 0)
     if source.random() < 0.2:
@@ -102,14 +102,14 @@ TEXT: tuple[Mutation, ...] = (flip_bits, cut, leave_out, repeat, splice, token, 
 
 
 def zip_members(mutate: Callable[[random.Random, bytes, Sequence[bytes]], bytes]) -> Mutation:
-    """Return a mutation of what a zip file's members hold, whose checksums are right again."""
+    """Return a mutation of the members of a zip file, with correct checksums."""
 
     def changed(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
         with zipfile.ZipFile(io.BytesIO(source.choice(others))) as archive:
             strange = [archive.read(name) for name in archive.namelist()[:5]]
-        if not members:  # an earlier change has taken the last one out
+        if not members:  # an earlier change removed the last one
             return data
         name = source.choice(list(members))
         kind = source.randrange(6)
@@ -118,7 +118,7 @@ def zip_members(mutate: Callable[[random.Random, bytes, Sequence[bytes]], bytes]
         elif kind == 1:
             members[name] = source.choice([*members.values(), *strange])
         else:
-            # What tells sizes and types stands in the first 128 bytes, the rest are numbers.
+            # The first 128 bytes hold sizes and types, the rest are numbers.
             head = 128 if kind < 4 else len(members[name])
             members[name] = mutate(source, members[name][:head] or b"\0", strange) + members[name][head:]
         out = io.BytesIO()
@@ -138,7 +138,7 @@ def any_of(*mutations: Mutation) -> Mutation:
 
 
 def png_again(source: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Mutate a chunk of a PNG and set its checksum right; bytes where it is none."""
+    """Mutate a chunk of a PNG and correct its checksum; for other files mutate bytes."""
     if not data.startswith(b"\x89PNG"):
         return any_of(*BYTES)(source, data, others)
     at, chunks = 8, []
@@ -156,12 +156,12 @@ def png_again(source: random.Random, data: bytes, others: Sequence[bytes]) -> by
 
 
 def mutated(seed: str, good: Sequence[bytes], mutations: Sequence[Mutation]) -> bytes:
-    """Return one of some good files, changed once or several times as the seed says."""
+    """Return one of the good files with one or more changes; the seed determines them."""
     source = random.Random(seed)
     data = source.choice(good)
     for _ in range(source.choice((1, 1, 1, 2, 4))):
         try:
             data = source.choice(mutations)(source, data or b"\0", good)[:MOST]
-        except Exception:  # no longer what the mutation knows; zipfile raises whatever it likes
+        except Exception:  # no longer valid for the mutation; zipfile raises many kinds of errors
             data = any_of(*BYTES)(source, data or b"\0", good)[:MOST]
     return data

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a reader of files is, to those who change its files at random: good ones, refusals, and what is sound."""
+"""A reader of files for fuzzing: good files, its errors, and checks of its results."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ class Reader:
     """A reader.
 
     Attributes:
-        name: of it.
+        name: of the reader.
         kind: of its files.
-        place: of the file in a folder.
-        good: such files.
-        read: called with the path; returns what it made of it.
-        refusals: which it raises for a bad file.
-        sound: raises AssertionError where what was made is not as it must be.
+        place: relative path of the file.
+        good: contents of good files.
+        read: reads a path and returns the result.
+        refusals: errors that it raises for a bad file.
+        sound: raises AssertionError for an invalid result.
         changes: mutations.
         beside: other files in the folder.
-        names: whether a refusal names the file; else its caller does.
+        names: whether an error names the file; else its caller does.
     """
 
     name: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readers of what we wrote ourselves: recordings, journals of data sets, results of campaigns."""
+"""Readers of our own files: recordings, journals of data sets, results of campaigns."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
 
     tape = docking(measured(2.7, 12.5), *refused(Code.CRITICAL_ANGLE, "tilted", at=2.9), until=0.05)
     kinds = {NAMES[name]: EVERY[NAMES[name]] for name in ("docking_state", "docking_decision", "tactile_frame")}
-    told = {"position_tolerance": 0.002, "geometry_file": "none.yaml"}
+    parameters = {"position_tolerance": 0.002, "geometry_file": "none.yaml"}
     end = result(Code.CRITICAL_ANGLE, "tilted")
-    record = written(folder, "r.mcap", lambda path: write(path, tape, end, parameters=told, kinds=kinds))
+    record = written(folder, "r.mcap", lambda path: write(path, tape, end, parameters=parameters, kinds=kinds))
 
     def plain(path: Path, **options: Any) -> None:
-        """As others write: no checksums, so that damage comes through; messages alone or in chunks."""
+        """Write as other programs do: without checksums, so that damage stays undetected, with or without chunks."""
         with path.open("wb") as stream:
             writer = Writer(stream, chunk_size=2000, enable_crcs=False, **options)
             writer.start(profile="ros2", library="others")
@@ -61,7 +61,7 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
 
     def look(path: Path) -> Any:
         file = McapFile(path)
-        with contextlib.suppress(KeyError):  # no file of this name: all were looked at
+        with contextlib.suppress(KeyError):  # no file of this name: all were searched
             file.attachment("")
         return file, sum(1 for _ in file.messages())
 
@@ -76,10 +76,10 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
         assert all(math.isfinite(phase.start) and phase.start <= phase.end for phase in found.phases)
 
     part, settings = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0), Settings(1, "", 1, 2, 0.5, 0.5, False)
-    felt = np.full((2, 2, 10, 10), 0.4, dtype=np.float32)
+    frames = np.full((2, 2, 10, 10), 0.4, dtype=np.float32)
     with Journal(folder / "F.npz") as journal:
         for number in range(2):
-            kept = Docking(number, 0, part.name, number, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, felt)
+            kept = Docking(number, 0, part.name, number, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, frames)
             journal.store(kept, part, settings, {}, [])
     kept_files = {str(path.relative_to(folder)): path.read_bytes() for path in (folder / "F.recording").iterdir()}
     first, head = "F.recording/docking-000000.mcap", "F.recording/recording.json"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged replies and instructions of servos, read back by the driver and by the emulator.
+"""Damaged replies and instructions of servos, decoded by the driver and by the emulator.
 
-"Escapes" are replies whose checksum is right and whose data is not what was sent.
+"Escapes" are replies with a right checksum and wrong data.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ BLOCK = struct.Struct("<BBhiiHBBBB")
 
 
 class Line:
-    """The port that a protocol handler sees: one reply, then silence."""
+    """A port for a protocol handler: one reply, then silence."""
 
     def __init__(self) -> None:
         self.is_using = False
@@ -73,7 +73,7 @@ class Line:
 
 
 class ServoSide:
-    """Replies as the bus reads them: by the real protocol handler, which is told the expected length."""
+    """Decodes replies as the bus does: by the real protocol handler, with the expected length."""
 
     def __init__(self) -> None:
         self.line = Line()
@@ -96,7 +96,7 @@ def in_range(reading: Reading) -> bool:
 
 
 def random_block(source: random.Random) -> bytes:
-    """A servo's read block as one reports it: within the limits of a healthy arm."""
+    """Return a servo's read block within the limits of a healthy arm."""
     return BLOCK.pack(
         source.randrange(2),
         0,
@@ -112,7 +112,7 @@ def random_block(source: random.Random) -> bytes:
 
 
 def fuzz_servo(count: int, seed: int) -> dict[str, Any]:
-    """Damage replies, read them back, and tell what came through the checksum and what into the snapshot."""
+    """Damage replies, decode them, and count those that pass the checksum and those that reach the snapshot."""
     source, side = random.Random(seed), ServoSide()
     tries: Counter[str] = Counter()
     escapes: Counter[str] = Counter()
@@ -144,7 +144,7 @@ def fuzz_servo(count: int, seed: int) -> dict[str, Any]:
 
 
 def syndromes(wire: bytes, least_first: bool) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """Return for each bit of a packet what flipping it does to the difference of both checksums; it is linear."""
+    """Return for each bit of a packet the effect of its flip on the difference of both checksums (linear)."""
     right = crc16(wire[:-2])
     differences = []
     for bit in range(8 * len(wire)):
@@ -155,7 +155,7 @@ def syndromes(wire: bytes, least_first: bool) -> np.ndarray[Any, np.dtype[np.uin
 
 
 def every_burst(least_first: bool) -> Iterator[list[int]]:
-    """Find all bursts of up to 16 bits behind the length that leave the checksum right."""
+    """Find all bursts of up to 16 bits after the length field that keep the checksum right."""
     wire = status(SERVO, 0, bytes(BLOCK.size))
     effect = syndromes(wire, least_first)
     patterns = np.arange(1, 1 << LONGEST_BURST, 2, dtype=np.uint32)  # the first bit of a burst is always flipped
@@ -169,9 +169,9 @@ def every_burst(least_first: bool) -> Iterator[list[int]]:
 
 
 def exhaust_bursts(seed: int) -> dict[str, Any]:
-    """Send every burst that CRC-16 cannot see, over several replies, through the real reader.
+    """Send every burst that CRC-16 cannot detect, over several replies, through the real reader.
 
-    Replies with byte stuffing are left out: there a burst may change the length too. `fuzz_servo` has them.
+    Replies with byte stuffing are left out, because a burst may change their length. `fuzz_servo` has them.
     """
     source, side = random.Random(seed), ServoSide()
     result: dict[str, Any] = {}
@@ -202,7 +202,7 @@ def exhaust_bursts(seed: int) -> dict[str, Any]:
 
 
 def fuzz_instructions(count: int, seed: int) -> dict[str, Any]:
-    """Damage instructions to a servo as the emulator reads them."""
+    """Damage instructions to a servo and decode them with the emulator."""
     source, parser = random.Random(seed), InstructionParser(protocol_1=True)
     found = Counter({True: 0, False: 0})
     kinds = list(SERVO_DAMAGE.values())

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line does to the bytes on it, drawn at random.
+"""Random damage of bytes on a line.
 
-A burst of n bits flips its first and its last bit and any between them; its place is counted in one of two orders:
+A burst of n bits flips its first and its last bit and any between them. Its position has one of two orders:
 
-- packet order: bytes as they stand in the packet, each from its most significant bit. CRC-16 divides in this order, but
-  for its own two bytes, of which the low one stands first.
-- wire order: the same bytes, each from its least significant bit, as a UART sends them (start and stop bits left out).
+- packet order: bytes as in the packet, each from its most significant bit. CRC-16 uses this order, except for its own
+  two bytes, of which the low one is first.
+- wire order: bytes as in the packet, each from its least significant bit, as a UART sends them (no start, no stop bit).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import random
 from collections.abc import Callable
 
 LONGEST_BURST = 16
-BODY_AT = 7  # of a status packet: behind the length, which a damaged one must not change to be found at all
+BODY_AT = 7  # of a status packet: after the length, which must be intact for the packet to be found
 
 
 def flip(wire: bytes, bits: list[int], least_first: bool) -> bytes:
@@ -38,12 +38,12 @@ def scattered(source: random.Random, wire: bytes) -> bytes:
 
 
 def overwritten(source: random.Random, wire: bytes) -> bytes:
-    """Replace everything behind the length by noise, so that only the checksum stands between it and the data."""
+    """Replace everything after the length by noise, so that only the checksum can detect it."""
     return wire[:BODY_AT] + b"\x55" + source.randbytes(len(wire) - BODY_AT - 1)
 
 
 def cut_and_joined(source: random.Random, wire: bytes) -> bytes:
-    """Lose, repeat or insert up to 20 bytes; or lay one piece over another."""
+    """Lose, repeat or insert up to 20 bytes, or overlap pieces."""
     at, size = source.randrange(len(wire)), source.randrange(1, 21)
     kind = source.randrange(5)
     if kind == 0:

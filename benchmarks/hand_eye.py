@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well `calibrate camera` finds the camera on simulated images: `python benchmarks/hand_eye.py`.
+"""Accuracy of `calibrate camera` on simulated images: `python benchmarks/hand_eye.py`.
 
 Each calibration draws a mount (2 mm and 0.5° from the usual one), constant joint errors (0.1°), whole encoder ticks,
-the board's place and tilt on the platform (2 mm, 2°) and the error with which that place was measured (0.5 mm); all are
+the board's position and tilt on the platform (2 mm, 2°) and the measurement error of that position (0.5 mm). All are
 standard deviations. The simulated camera (640 × 400 px, f = 441 px, noise, blur of 1.4 px, uneven light) shows board,
-platform, arms and rods. Places are those that `--take` goes to. Errors are of the found mount against the drawn one: of
-a point seen at the dock (0, 0, 80 mm), and of the rotation. NEES is the mean squared error in units of the covariance
-(6 is right for the mount, 3 for the point); "in 95 %" is the share of calibrations whose error at the dock lies within
-the ellipsoid that should hold 95 %. "told" is the share about which the command says that something is doubtful.
-Seeds from 20 000; a quarter of an hour on one core.
+platform, arms and rods. Positions are those of `--take`. Errors compare the found mount with the drawn one: of a point
+seen at the dock (0, 0, 80 mm), and of the rotation. NEES is the mean squared error in units of the covariance (6 is
+right for the mount, 3 for the point). "in 95 %" is the share of calibrations with an error at the dock within the 95 %
+ellipsoid. "doubt" is the share that the command reports as doubtful. Seeds start at 20 000. 15 minutes on one core.
 
 `--example FOLDER` writes one such set of views for the command itself.
 """
@@ -48,14 +47,14 @@ Array = NDArray[np.float64]
 FIRST_SEED = 20_000
 DOCK = np.array([0.0, 0.0, 0.080])
 BOARDS: dict[str, Board] = {"AprilTag 36h11, 40 mm": AprilTag(), "ChArUco 5 × 4, 12 mm": Charuco()}
-WITHIN_95 = 7.815  # of χ² with three degrees of freedom
-_CLEAR = 0.008  # m that the board stands off the platform, so that no drawn one sinks into it
+WITHIN_95 = 7.815  # χ² with three degrees of freedom
+_CLEAR = 0.008  # m between board and platform, so that no drawn board intersects it
 FARTHEST = 0.060  # m along z, as --take by default
 
 
 @dataclasses.dataclass(frozen=True)
 class Errors:
-    """Standard deviations that one calibration draws from, m and rad, and what is wrong in all of them.
+    """Standard deviations of one calibration, m and rad, and its constant errors.
 
     Attributes:
         arm: scatter of each dimension of the arm, in tolerances of 0.5 mm and 1°.
@@ -134,7 +133,7 @@ class Rig:
         return self._camera.render(scene, terminal, self._random, color_only=True).color
 
     def seen(self, image: NDArray[np.uint8], angles: Vector) -> View | None:
-        """Return the view of an image, None where it does not show the board."""
+        """Return the view of an image; None if it does not show the board."""
         sighting = self.board.detect(image)
         if sighting is None:
             return None
@@ -152,7 +151,7 @@ def scaled(board: Board, factor: float) -> Board:
 
 
 def errors_of(rig: Rig, found: Calibration) -> tuple[Array, Array]:
-    """Return the error (6,) of a mount, m and rad, and that of a point (3,) m seen at the dock."""
+    """Return the error (6,) of a mount, m and rad, and the error (3,) m of a point seen at the dock."""
     difference = found.mount.pose[:3, :3] @ rig.mount[:3, :3].T
     turned = np.array([difference[2, 1], difference[0, 2], difference[1, 0]])
     turned -= np.array([difference[1, 2], difference[2, 0], difference[0, 1]])
@@ -168,7 +167,7 @@ def nees(error: Array, covariance: Array) -> float:
 
 def table(counts: list[int], calibrations: int) -> None:
     print(f"{calibrations} calibrations each; errors p50 / p95; simulated")
-    print(f"{'':<29}   dock mm       rotation °    NEES 6  NEES 3  in 95 %  1 σ mm  kept   seen  told   ms")
+    print(f"{'':<29}   dock mm       rotation °    NEES 6  NEES 3  in 95 %  1 σ mm  kept   seen doubt   ms")
     print(f"{'':<77}%                %      %     %")
     for name, board in BOARDS.items():
         rows, seen = measured(board, Errors(), counts, calibrations)
@@ -182,20 +181,20 @@ def table(counts: list[int], calibrations: int) -> None:
 def measured(
     board: Board, errors: Errors, counts: list[int], calibrations: int
 ) -> tuple[dict[int, list[tuple[float, ...]]], float]:
-    """Return a row for each calibration with so many views, and the share of images that show the board."""
+    """Return a row per calibration for each number of views, and the share of images that show the board."""
     rows: dict[int, list[tuple[float, ...]]] = {count: [] for count in counts}
     shown = []
     for seed in range(FIRST_SEED, FIRST_SEED + calibrations):
         rig = Rig(seed, board, errors)
         views: list[View] = []
-        looked = 0
+        searched = 0
         for image, angles in rig.views():
-            looked += 1
+            searched += 1
             view = rig.seen(image, angles)
             views += [] if view is None else [view]
-            if len(views) == counts[-1] or looked == 3 * counts[-1]:
+            if len(views) == counts[-1] or searched == 3 * counts[-1]:
                 break
-        shown.append(len(views) / looked)
+        shown.append(len(views) / searched)
         for count in counts:
             rows[count].append(row_of(rig, views[:count]))
     return rows, float(np.mean(shown))
@@ -207,7 +206,7 @@ def row_of(rig: Rig, views: list[View]) -> tuple[float, ...]:
     spent = time.process_time() - started
     mount, point = errors_of(rig, found)
     covariance = found.point_covariance(DOCK)
-    told = doubts(found, rig.board.length, [""] * len(views))
+    found_doubts = doubts(found, rig.board.length, [""] * len(views))
     return (
         1e3 * float(np.linalg.norm(point)),
         math.degrees(float(np.linalg.norm(mount[3:]))),
@@ -216,7 +215,7 @@ def row_of(rig: Rig, views: list[View]) -> tuple[float, ...]:
         100.0 * (nees(point, covariance) < WITHIN_95),
         1e3 * math.sqrt(float(np.trace(covariance))),
         100.0 * float(found.fit.kept.mean()),
-        100.0 * bool(told),
+        100.0 * bool(found_doubts),
         1e3 * spent,
     )
 
@@ -224,10 +223,10 @@ def row_of(rig: Rig, views: list[View]) -> tuple[float, ...]:
 def print_row(name: str, rows: list[tuple[float, ...]], seen: float) -> None:
     values = np.array(rows)
     dock, rotation = (np.percentile(values[:, column], (50, 95)) for column in (0, 1))
-    pose, point, within, spread, kept, told, spent = (float(mean) for mean in values[:, 2:].mean(axis=0))
+    pose, point, within, spread, kept, doubtful, spent = (float(mean) for mean in values[:, 2:].mean(axis=0))
     print(
         f"{name:<29} {dock[0]:5.2f} {dock[1]:5.2f}  {rotation[0]:6.3f} {rotation[1]:6.3f}  {pose:6.2f}  {point:6.2f}"
-        f"   {within:5.0f}   {spread:5.2f}   {kept:5.1f}  {100 * seen:5.1f}  {told:4.0f} {spent:4.0f}",
+        f"   {within:5.0f}   {spread:5.2f}   {kept:5.1f}  {100 * seen:5.1f}  {doubtful:4.0f} {spent:4.0f}",
         flush=True,
     )
 

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What load the heartbeat survives: how often charging ends beside busy processes, by processes and priority.
+"""Robustness of the heartbeat against load: how often charging ends beside busy processes, by processes and priority.
 
-The emulated hardware is a process of its own with real-time priority, as a board is no program of this computer. Beside
-it run the nodes of the simulated scene, docked and charging, and 0, 1, 2 or 4 processes that spin at ordinary priority.
+The emulated hardware is a separate process with real-time priority, because a real board is not on this computer.
+Beside it run the nodes of the simulated scene, charging, and 0, 1, 2 or 4 processes that spin at ordinary priority.
 
-- process: all nodes in one, as by `deltacharger up`; processes: each node in its own, as by `ros2 launch`.
-- ordinary: everything at ordinary priority; heartbeat: as installed, the heartbeat's thread alone has SCHED_FIFO;
-  real time: all threads of the nodes have, as with `chrt -f 1` before them.
+- process: all nodes in one, as with `deltacharger up`; processes: one per node, as with `ros2 launch`.
+- ordinary: all at ordinary priority; heartbeat: as installed, only the heartbeat's thread has SCHED_FIFO; real time:
+  all threads of the nodes have it, as with `chrt -f 1`.
 
-Counted are ends of charging that nobody asked for; the charger then docks again without the load. Each end is told
-apart by its cause: the emulated hardware came late, the board to look or a byte through a pseudo-terminal (own); the
-lease was not renewed in time (lease); else the heartbeat (host). Unsafe is a contactor that opens more than 100 ms
-after the last heartbeat, though the emulated board was on time.
+It counts unrequested ends of charging; the charger then docks again without load. Each end has a cause: own = the
+emulated hardware was late (its board, or a byte in a pseudo-terminal); lease = the lease was not renewed in time;
+host = the heartbeat. Unsafe is a contactor that opens more than 100 ms after the last heartbeat although the emulated
+board was on time.
 
-Leave the computer alone meanwhile: other programs are load, too. All of it takes 4 hours with --seconds 600; choose.
+Run no other programs during the measurement: they are load. All cells take 4 hours with --seconds 600; choose some.
 
 python benchmarks/heartbeat_load.py [--nodes processes] [--priority "real time"] [--loads 4] [--seconds 600] [--json]
 """
@@ -40,16 +40,16 @@ from driver_processes import CannotMeasure, Figure
 NODES = ("process", "processes")
 PRIORITIES = ("ordinary", "heartbeat", "real time")
 LOADS = (0, 1, 2, 4)  # busy processes
-LOOK = 0.1  # s between two looks at the contactor
-LIMIT = 0.1  # s after the last heartbeat in which the board opens
-LATE_BOARD = 0.02  # s; a board polls more often, so that what it judged later is the emulator's own doing
-STALE = 0.2  # s before the last heartbeat in which a late frame may have cost the lease
-SETTLE = 1.2  # s until diagnostics tell of an end
+PERIOD = 0.1  # s between two checks of the contactor
+LIMIT = 0.1  # s after the last heartbeat within which the board must open
+LATE_BOARD = 0.02  # s; a real board polls more often, so a longer delay is caused by the emulator
+STALE = 0.2  # s before the last heartbeat within which a late frame may have ended the lease
+SETTLE = 1.2  # s until diagnostics report an end
 
 
 @dataclass
 class Cell:
-    """What became of charging beside one load."""
+    """Result of charging beside one load."""
 
     ends: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("own", "lease", "host"), 0))
     unsafe: int = 0
@@ -60,7 +60,7 @@ class Cell:
 
 @contextlib.contextmanager
 def charger(nodes: str, priority: str) -> Iterator[tuple[processes.Role, driver_long.Listener]]:
-    """Run a charger of its own, docked and charging."""
+    """Run a charger, docked and charging."""
     import rclpy
 
     from deltacharger_scenes.scene import load_scene
@@ -92,7 +92,7 @@ def own_processes(scene: Any, ports: dict[str, str]) -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def one_process(scene: Any, ports: dict[str, str]) -> Iterator[list[int]]:
-    """Run the scene's nodes by `deltacharger up`, on ports as a robot's."""
+    """Run the scene's nodes by `deltacharger up`, on given ports as on a robot."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "charger.yaml"
         priority = scene.parameters["tactile_node"]["heartbeat_priority"]
@@ -112,7 +112,7 @@ def prefer(pids: list[int]) -> None:
     """Give every thread of these processes real-time priority.
 
     Raises:
-        CannotMeasure: that is not permitted here.
+        CannotMeasure: it is not permitted.
     """
     try:
         for pid in pids:
@@ -123,10 +123,10 @@ def prefer(pids: list[int]) -> None:
 
 
 def measure(hardware: processes.Role, listener: driver_long.Listener, load: int, seconds: float) -> Cell:
-    """Charge beside `load` busy processes for `seconds`, and return what became of it.
+    """Charge beside `load` busy processes for `seconds`, and return the result.
 
     Raises:
-        CannotMeasure: it does not come to charge, even without them.
+        CannotMeasure: it does not charge, even without them.
     """
     cell, spans = Cell(), []
     while cell.charged < seconds:
@@ -138,7 +138,7 @@ def measure(hardware: processes.Role, listener: driver_long.Listener, load: int,
                 stack.enter_context(processes.busy())
             began = time.monotonic()
             while (closed := hardware.ask("look")["closed"]) and cell.charged + time.monotonic() - began < seconds:
-                time.sleep(LOOK)
+                time.sleep(PERIOD)
             ended = time.monotonic()
         cell.charged += ended - began
         spans.append((began, ended))
@@ -156,7 +156,7 @@ def measure(hardware: processes.Role, listener: driver_long.Listener, load: int,
 
 
 def judge(cell: Cell, record: dict[str, Any], span: tuple[float, float], lapsed: bool) -> None:
-    """Note whose doing the end of a span was, and whether the board kept its limit."""
+    """Count the cause of the end of a span, and whether the board kept its limit."""
     at, live = np.array(record["beats"]).reshape(-1, 2).T
     _, due, taken = np.array(record["samples"]).reshape(-1, 3).T
     last = at[(live > 0.0) & (at < span[1])].max(initial=span[0])
@@ -177,7 +177,7 @@ def main() -> int:
     parser.add_argument("--nodes", choices=NODES, nargs="+", default=NODES)
     parser.add_argument("--priority", choices=PRIORITIES, nargs="+", default=PRIORITIES)
     parser.add_argument("--loads", type=int, nargs="+", default=LOADS)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of charging beside each load")
+    parser.add_argument("--seconds", type=float, default=20.0, help="time of charging beside each load")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     arguments = parser.parse_args()
     figures: list[Figure] = []
@@ -199,7 +199,7 @@ def main() -> int:
                         processes.progress(f"{what}{vars(cell)}, load {os.getloadavg()[0]:.1f}")
             except CannotMeasure as error:
                 processes.progress(f"{nodes}, {priority}: nothing measured: {error}")
-    processes.tell(figures, arguments.json, results=results, cores=os.cpu_count(), load=os.getloadavg()[0])
+    processes.print_figures(figures, arguments.json, results=results, cores=os.cpu_count(), load=os.getloadavg()[0])
     return 0 if figures else 1
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holes in the target's electrodes win end to end: `python benchmarks/holed_electrodes.py`, some minutes.
+"""Benefit of holes in the target's electrodes for docking: `python benchmarks/holed_electrodes.py`, some minutes.
 
-Dockings of the packaged campaign `random`, pair by pair: plain electrodes, a hole of 2.2 mm in each ridge with the
-packaged pose model, and the same hole with a model trained on such electrodes (on rigs that dock nowhere).
+It runs dockings of the packaged campaign `random` in three versions: plain electrodes, a hole of 2.2 mm in each ridge
+with the packaged pose model, and this hole with a model trained on such electrodes (on other rigs).
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ load = functools.cache(PoseEstimator.load)
 
 
 def dock(scene: str, seed: int, model: Path | None, number: int) -> dict[str, Any]:
-    """One docking, felt by a trained model in place of the packaged one."""
+    """Run one docking, with a trained model instead of the packaged one."""
     if model is not None:
         virtual_charger.packaged_model = functools.partial(load, model)
     return dock_once(load_campaign_scene(scene), seed, number, "guarded")
 
 
-def told(rows: list[dict[str, Any]]) -> str:
+def summary(rows: list[dict[str, Any]]) -> str:
     column = {name: np.array([row[name] for row in rows], dtype=float) for name in ("time", "moves", "contacts")}
     charged = np.array([row["charged"] for row in rows])
     first, last, rest = (
@@ -75,7 +75,7 @@ def main() -> None:
             one = functools.partial(dock, scene, options.seed, model)
             with ProcessPoolExecutor() as workers:
                 rows = list(workers.map(one, range(options.n), chunksize=25))
-            print(f"  {text}  {told(rows)}", flush=True)
+            print(f"  {text}  {summary(rows)}", flush=True)
 
 
 if __name__ == "__main__":

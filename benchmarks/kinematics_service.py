@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What solve_inverse_kinematics costs a client: a node in a process of its own, asked from this one over ROS.
+"""Latency of solve_inverse_kinematics for a client: a node in a separate process, called over ROS.
 
     python benchmarks/kinematics_service.py [--calls 500] [--batches 100] [--repeat 3] [--json]
 
-Each call is timed from a filled request to the answer in the client's hands and stands beside the same points solved by
-the library in this process. The load of the machine is printed too: on a busy one the tail of the calls is not the
-service's.
+Each call is timed from the filled request to the received answer, and compared with the library in this process. The
+load of the machine is printed, too: on a busy machine the slowest calls do not show the service.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from deltacharger_kinematics import Delta  # noqa: E402
 
 POINTS = (1, 10_000)
 TARGET = {1: 10.0, 10_000: 25.0}  # ms, p99
-WARM_UP = 20  # calls that are not counted
+WARM_UP = 20  # calls without measurement
 START_LIMIT = 30.0  # s
 
 
@@ -43,8 +42,8 @@ def workspace_points(count: int) -> np.ndarray:
     return np.random.default_rng(1).uniform(geometry.workspace_min, geometry.workspace_max, (count, 3))
 
 
-class Asker:
-    """A client beside a kinematics_node in a process of its own."""
+class Client:
+    """A client and a kinematics_node in a separate process."""
 
     def __init__(self) -> None:
         namespace = f"/bench_{os.getpid()}"
@@ -52,12 +51,12 @@ class Asker:
             [sys.executable, "-m", "deltacharger_kinematics.kinematics_node", "--ros-args", "-r", f"__ns:={namespace}"]
         )
         rclpy.init()
-        self._node = rclpy.create_node("asker", namespace=namespace)
+        self._node = rclpy.create_node("client", namespace=namespace)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._client = self._node.create_client(SolveInverseKinematics, "solve_inverse_kinematics")
 
-    def __enter__(self) -> Asker:
+    def __enter__(self) -> Client:
         if not self._client.wait_for_service(START_LIMIT):
             self.__exit__()
             raise TimeoutError(f"kinematics_node did not answer within {START_LIMIT:.0f} s")
@@ -71,7 +70,7 @@ class Asker:
         rclpy.try_shutdown()
 
     def call(self, points: np.ndarray) -> tuple[float, Any]:
-        """Return how long one call took (s) and its answer."""
+        """Return the time of one call (s) and its answer."""
         request = SolveInverseKinematics.Request(positions=array("d", points.tobytes()))
         started = time.perf_counter()
         future = self._client.call_async(request)
@@ -83,13 +82,13 @@ class Asker:
         return spent, answer
 
 
-def measure(asker: Asker, count: int, calls: int) -> dict[str, float]:
+def measure(client: Client, count: int, calls: int) -> dict[str, float]:
     """Return the figures of `calls` calls with `count` points each, in ms."""
     points, delta = workspace_points(count), Delta()
     wanted = delta.inverse(points)
     served, library = [], []
     for number in range(calls + WARM_UP):
-        spent, answer = asker.call(points)
+        spent, answer = client.call(points)
         if number == 0 and not np.array_equal(np.asarray(answer.angles).reshape(-1, 3), wanted.angles):
             raise RuntimeError("the service's angles are not the library's")
         started = time.perf_counter()
@@ -113,14 +112,14 @@ def measure(asker: Asker, count: int, calls: int) -> dict[str, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--calls", type=int, default=500, help="with one point")
-    parser.add_argument("--batches", type=int, default=100, help="with ten thousand points")
-    parser.add_argument("--repeat", type=int, default=1, help="runs of the whole")
+    parser.add_argument("--calls", type=int, default=500, help="calls with one point")
+    parser.add_argument("--batches", type=int, default=100, help="calls with ten thousand points")
+    parser.add_argument("--repeat", type=int, default=1, help="runs of the benchmark")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     arguments = parser.parse_args()
     calls = dict(zip(POINTS, (arguments.calls, arguments.batches), strict=True))
-    with Asker() as asker:
-        rows = [measure(asker, count, calls[count]) for _ in range(arguments.repeat) for count in POINTS]
+    with Client() as client:
+        rows = [measure(client, count, calls[count]) for _ in range(arguments.repeat) for count in POINTS]
     if arguments.json:
         print(json.dumps({"rows": rows}))
         return 0

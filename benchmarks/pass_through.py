@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cycle of the servos costs (goals of three out, the state of all back), by the way to them.
+"""Time of a servo cycle (write three goals, read all states), for each connection.
 
 - adapter: the servos' port itself;
-- emulated board: through the board link, beside 120 tactile frames a second;
-- firmware: the same through the host program of firmware/, its wire to the computer at 1 Mbaud. Needs a C compiler.
+- emulated board: through the board link, beside 120 tactile frames per second;
+- firmware: through the host program of firmware/, at 1 Mbaud to the computer. Needs a C compiler.
 
-Servos answer after the time that their bytes take at 1 Mbit/s. Cycles are measured back to back, the ways in turn.
+Servos answer after the time of their bytes at 1 Mbit/s. Cycles are measured back to back, the connections in turn.
 
 python benchmarks/pass_through.py [--cycles 500] [--json]
 """
@@ -51,7 +51,7 @@ def adapter(folder: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def behind(board: str, folder: Path) -> Iterator[str]:
-    """Yield the port that tactile_node would offer."""
+    """Yield the port that tactile_node would provide."""
     port = folder / "servos"
     keeper = BoardKeeper(board, BAUD_RATE, 120.0, *[lambda *_: None] * 3, port)
     keeper.start()
@@ -93,7 +93,7 @@ WAYS = {"adapter": adapter, "emulated board": emulated_board, "firmware": firmwa
 
 
 def cycles(port: str, count: int) -> list[float]:
-    """Return how long each of `count` cycles took, s; NaN where a servo was not heard."""
+    """Return the time of each of `count` cycles, s; NaN if a servo did not answer."""
     bus, times = ServoBus(BusSettings(port)), []
     bus.open()
     try:
@@ -110,7 +110,7 @@ def cycles(port: str, count: int) -> list[float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cycles", type=int, default=500, help="of each way in each round")
+    parser.add_argument("--cycles", type=int, default=500, help="cycles of each connection per round")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     arguments = parser.parse_args()
     times: dict[str, list[float]] = {name: [] for name in WAYS}
@@ -129,7 +129,7 @@ def main() -> int:
             Figure(f"{name}: cycles above 16.7 ms (60 Hz)", int(np.sum(taken > 1e3 / 60.0)), f"of {taken.size}"),
             Figure(f"{name}: cycles without all servos", int(np.isnan(taken).sum()), f"of {taken.size}"),
         ]
-    processes.tell(figures, arguments.json)
+    processes.print_figures(figures, arguments.json)
     return 0
 
 

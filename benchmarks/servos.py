@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the servos of an arm are measured: arms drawn at random, in virtual time, against what they really are.
+"""Accuracy of the servo calibration: random arms in virtual time, compared with the truth.
 
 python benchmarks/servos.py                       the table of docs/servo-calibration.md: 50 arms, about two minutes
-python benchmarks/servos.py --arms 400            so many that the standard errors can be judged
+python benchmarks/servos.py --arms 400            enough to judge the standard errors
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TARGETS = (0.05, 0.05, 0.20)
 
 
 class DrawnArm(NamedTuple):
-    """What an arm truly is: N·m/rad of each servo, N·m, rad, N·m/A, and its weight over the told one."""
+    """True values of an arm: N·m/rad of each servo, N·m, rad, N·m/A, and true weight over assumed weight."""
 
     stiffness: Vector
     friction: float
@@ -41,16 +41,16 @@ class DrawnArm(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Relative errors (3 numbers, 3 servos) and what was told of them; the same (own) had the weight been known; the
-    arm's means (3), and play (rad)."""
+    """Relative errors (3 numbers, 3 servos) and their estimates, also for a known weight (own); the arm's means (3);
+    play (rad)."""
 
     errors: np.ndarray
-    told: np.ndarray
+    estimated: np.ndarray
     own: np.ndarray
-    own_told: np.ndarray
+    own_estimated: np.ndarray
     weight: float
     common: np.ndarray
-    common_told: np.ndarray
+    common_estimated: np.ndarray
     play: tuple[float, float]
     scatter: float
     seconds: float
@@ -76,11 +76,11 @@ def drawn(seed: int, count: int) -> list[DrawnArm]:
 
 
 def virtual(arm: DrawnArm) -> VirtualArm:
-    """Return a drawn arm in a world of its own, without a target."""
+    """Return a drawn arm in a world without a target."""
     servo = ServoParameters(friction=arm.friction, backlash=arm.backlash, torque_constant=arm.constant)
     world = WorldParameters(servo=servo, target=TargetParameters(present=False))
-    told = DeltaGeometry()
-    true = dataclasses.replace(told, platform_mass=arm.weight * told.platform_mass, rod_mass=arm.weight * told.rod_mass)
+    base = DeltaGeometry()
+    true = dataclasses.replace(base, platform_mass=arm.weight * base.platform_mass, rod_mass=arm.weight * base.rod_mass)
     first, second, third = (value / SERVO_STIFFNESS for value in arm.stiffness)
     return VirtualArm(world, arm.seed, true, (first, second, third), TORQUE_CONSTANT)
 
@@ -109,35 +109,35 @@ def measured(arm: DrawnArm) -> Found:
     )
 
 
-def covered(errors: np.ndarray, told: np.ndarray) -> str:
-    shares = [float(np.mean(np.abs(errors) <= sigmas * told)) for sigmas in (1.0, 1.96)]
+def covered(errors: np.ndarray, estimated: np.ndarray) -> str:
+    shares = [float(np.mean(np.abs(errors) <= sigmas * estimated)) for sigmas in (1.0, 1.96)]
     return f"{100 * shares[0]:5.0f} {100 * shares[1]:4.0f}"
 
 
 def table(found: list[Found]) -> None:
-    errors, told = np.array([each.errors for each in found]), np.array([each.told for each in found])
-    print(f"{'':<28}{'rms':>7}{'p95':>7}{'worst':>7}{'told ±':>8}   % within 1 σ, 1.96 σ   within target")
+    errors, estimated = np.array([each.errors for each in found]), np.array([each.estimated for each in found])
+    print(f"{'':<28}{'rms':>7}{'p95':>7}{'worst':>7}{'± est.':>8}   % within 1 σ, 1.96 σ   within target")
     for part, (name, target) in enumerate(zip(NAMES, TARGETS, strict=True)):
         for servo in range(3):
-            row(f"{name} {servo + 1}", errors[:, part, servo], told[:, part, servo], target)
-        row(f"{name}, all", errors[:, part].ravel(), told[:, part].ravel(), target)
+            row(f"{name} {servo + 1}", errors[:, part, servo], estimated[:, part, servo], target)
+        row(f"{name}, all", errors[:, part].ravel(), estimated[:, part].ravel(), target)
         row(
             f"{name} of the arm",
             np.array([each.common[part] for each in found]),
-            np.array([each.common_told[part] for each in found]),
+            np.array([each.common_estimated[part] for each in found]),
             target,
         )
-    own, own_told = np.array([each.own for each in found]), np.array([each.own_told for each in found])
+    own, own_estimated = np.array([each.own for each in found]), np.array([each.own_estimated for each in found])
     weights = np.array([each.weight for each in found])
     row("the weight's error alone", weights, np.full(len(found), WEIGHT_TOLERANCE), 0.05)
     for part, (name, target) in enumerate(zip(NAMES, TARGETS, strict=True)):
-        row(f"{name} without it", own[:, part].ravel(), own_told[:, part].ravel(), target)
+        row(f"{name} without it", own[:, part].ravel(), own_estimated[:, part].ravel(), target)
     off, wide = np.array([each.play for each in found]).T
     seen = np.isfinite(off)
     off, wide = 1e3 * off[seen], 1e3 * wide[seen]
     print(
         f"play of servo 1, mrad, {seen.sum()} arms: rms {np.sqrt(np.mean(off**2)):.2f}, p95 "
-        f"{np.percentile(np.abs(off), 95):.2f}, worst {np.abs(off).max():.2f}, told ± {np.median(wide):.2f}, within "
+        f"{np.percentile(np.abs(off), 95):.2f}, worst {np.abs(off).max():.2f}, est. ± {np.median(wide):.2f}, within "
         f"1 σ, 1.96 σ {covered(off, wide)} %"
     )
     print(
@@ -146,11 +146,11 @@ def table(found: list[Found]) -> None:
     )
 
 
-def row(name: str, errors: np.ndarray, told: np.ndarray, target: float) -> None:
+def row(name: str, errors: np.ndarray, estimated: np.ndarray, target: float) -> None:
     off = np.abs(errors)
     print(
         f"{name:<28}{100 * np.sqrt(np.mean(off**2)):>6.2f}%{100 * np.percentile(off, 95):>6.2f}%"
-        f"{100 * off.max():>6.2f}%{100 * np.median(told):>7.2f}%{covered(errors, told):>16}"
+        f"{100 * off.max():>6.2f}%{100 * np.median(estimated):>7.2f}%{covered(errors, estimated):>16}"
         f"{100 * np.mean(off <= target):>18.1f}%"
     )
 

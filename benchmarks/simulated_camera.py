@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an image of the simulated camera costs: `python benchmarks/simulated_camera.py`, about 10 seconds on one core.
+"""Time per image of the simulated camera: `python benchmarks/simulated_camera.py`, about 10 seconds on one core.
 
-CPU time of this thread, so that a busy computer changes the figures little. Give OPENBLAS_NUM_THREADS=1.
+It measures CPU time of this thread, so that a busy computer changes the figures little. Set OPENBLAS_NUM_THREADS=1.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def facing(distance: float) -> np.ndarray:
 def cost(
     camera: SimulatedCamera, scene: RenderedScene, pose: np.ndarray, images: int, color_only: bool = False
 ) -> np.ndarray:
-    """Return CPU milliseconds (images,) of single images, after two for nothing."""
+    """Return CPU milliseconds (images,) of single images, after two for warm-up."""
     random, found = np.random.default_rng(1), []
     for _ in range(images + 2):
         start = time.thread_time()
@@ -66,7 +66,7 @@ def main() -> None:
         ("0.3 m, blurred", OAK_D, blurred, plain, facing(0.3), False),
         ("0.3 m, 1280 × 800 px", large, CameraParameters(), plain, facing(0.3), False),
     ]
-    print(f"CPU ms per image of 640 × 400 px unless told, {images} images each: median, 95 %")
+    print(f"CPU ms per image of 640 × 400 px unless stated, {images} images each: median, 95 %")
     for name, intrinsics, parameters, scene, pose, color_only in cases:
         took = cost(SimulatedCamera(intrinsics, parameters), scene, pose, images, color_only)
         print(f"{name:38s} {np.median(took):7.1f} {np.percentile(took, 95):7.1f}")

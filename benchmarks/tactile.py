@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy and cost of the packaged tactile model on rigs that training did not see: `python benchmarks/tactile.py`.
+"""Accuracy and run time of the packaged tactile model on untrained rigs: `python benchmarks/tactile.py`.
 
-About 20 seconds on one core with the default of 20 000 dockings per table.
+Takes about 20 seconds on one core with the default of 20 000 dockings per table.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What calibrating a rig's pads is worth on dockings it has not seen: `python benchmarks/tactile_calibration.py`.
+"""Benefit of calibrating a rig's pads, on held-out dockings: `python benchmarks/tactile_calibration.py`.
 
-Simulated rigs that neither training nor tuning saw. About a minute on one core; `--rigs 20 --dockings 10 30 100 300`
-takes half an hour.
+Uses simulated rigs that served neither training nor tuning. Takes a minute on one core;
+`--rigs 20 --dockings 10 30 100 300` takes half an hour.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def class_poses() -> tuple[np.ndarray, np.ndarray]:
 
 
 class Score:
-    """Errors of one line of the table, rig by rig."""
+    """Errors of one line of the table, per rig."""
 
     def __init__(self) -> None:
         self.errors: list[np.ndarray] = []
@@ -114,10 +114,10 @@ def accuracies(
     shares = []
     for axis, rows in zip(AXES, (places, places, angles), strict=True):
         pads = made.apply(rows.frames[:, 0], rows.frames[:, 1])
-        told = getattr(made.correct(model.predict(*pads), model.limits), f"{axis}_probability")
+        shares_of_classes = getattr(made.correct(model.predict(*pads), model.limits), f"{axis}_probability")
         column = rows.pose[:, AXES.index(axis)]
         right = np.round(np.degrees(column)) if axis == "angle" else np.round(column / 0.005) + 2
-        shares.append(float(np.mean(np.argmax(np.nan_to_num(told), axis=1) == right)))
+        shares.append(float(np.mean(np.argmax(np.nan_to_num(shares_of_classes), axis=1) == right)))
     return shares
 
 

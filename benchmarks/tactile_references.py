@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What reference dockings and a hole in the ridge are worth: `python benchmarks/tactile_references.py`, about a minute.
+"""Benefit of reference dockings and of a hole in the ridge: `python benchmarks/tactile_references.py`, about a minute.
 
-Simulated rigs 870-879 that served nothing else, the paper's position set at 0.25 N, 67/33 by docking.
+It uses simulated rigs 870-879, used nowhere else, and the paper's position set at 0.25 N, 67/33 by docking.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ NAMES = ("lda", "pose")
 TARGET = "horizontal"
 TILTS = (0.0, 0.06)  # degrees about y
 REFERENCES = (0, 3, 10, 30)
-MIDDLE = 2  # class of no offset
+MIDDLE = 2  # class without offset
 
 
 def dockings(rig: Rig, offsets: np.ndarray, seed: int) -> np.ndarray:
-    """Frames (N, 2, 10, 10) N of dockings at horizontal offsets (N,) m."""
+    """Return frames (N, 2, 10, 10) N of dockings at horizontal offsets (N,) m."""
     pose = np.column_stack([offsets, np.zeros((len(offsets), 2))])
-    felt = measure(TactileParameters(), rig, pose, np.random.default_rng(seed), 1, THRESHOLD)
-    frames = np.stack([felt["left"], felt["right"]], axis=1)
-    frames[felt["dead"]] = np.nan
+    measured = measure(TactileParameters(), rig, pose, np.random.default_rng(seed), 1, THRESHOLD)
+    frames = np.stack([measured["left"], measured["right"]], axis=1)
+    frames[measured["dead"]] = np.nan
     return frames
 
 
@@ -44,7 +44,7 @@ def trained(name: str, seed: int, family: TactileParameters | None = None) -> tu
 
 
 def references(name: str, seed: int) -> list[list[float]]:
-    """Accuracy in % by tilt and number of reference dockings, on 300 dockings of one rig."""
+    """Return accuracy in % by tilt and number of reference dockings, on 300 dockings of one rig."""
     rig = Rig.draw(TactileParameters(), seed)
     wanted = np.repeat(np.arange(5), 60)
     table = []

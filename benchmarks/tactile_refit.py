@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the paper's networks land on the generator's defaults: `python benchmarks/tactile_refit.py`, about 2 minutes.
+"""Accuracy of the paper's networks on the generator's defaults: `python benchmarks/tactile_refit.py`, about 2 minutes.
 
-The defaults were fitted once, on these rigs and this seed alone, before any estimator was tuned, so that these networks
-land near the paper. `--write` freezes them with what it measured in deltacharger_tactile/frozen.json.
+The defaults were fitted once, only on these rigs and this seed, before any estimator was tuned, so that these networks
+reach about the paper's accuracy. `--write` stores them with the measured values in deltacharger_tactile/frozen.json.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from deltacharger_tactile.parameters import TactileParameters
 RIGS = range(500, 510)
 SEED = 7
 SPLIT = 0
-"""Of the thirds that judge in turn."""
+"""Of the thirds that are held out in turn."""
 FITTED = ("angle_jitter", "position_jitter", "tilt_spread")
 AIMS = {("cnn", "angle"): 95.46, ("cnn", "vertical"): 98.2, ("cnn", "horizontal"): 86.9, ("nn", "horizontal"): 87.9}
-"""Per cent; the paper's."""
+"""Accuracy in the paper, per cent."""
 
 
 def measure_rig(parameters: TactileParameters, rig: int) -> dict[tuple[str, str], float]:
-    """Accuracy in per cent of each network on a rig's own 600 + 500 pairs, 67/33 by docking, each third judged once."""
+    """Return each network's accuracy in % on a rig's 600 + 500 pairs, 67/33 by docking, each third held out once."""
     import torch
 
     torch.set_num_threads(1)
@@ -52,7 +52,7 @@ def measure_rig(parameters: TactileParameters, rig: int) -> dict[tuple[str, str]
 
 
 def measure(parameters: TactileParameters) -> dict[tuple[str, str], list[float]]:
-    """Accuracy in per cent of each network on each rig."""
+    """Return the accuracy in per cent of each network on each rig."""
     found: dict[tuple[str, str], list[float]] = {case: [] for case in AIMS}
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         for rig, each in zip(RIGS, pool.map(partial(measure_rig, parameters), RIGS), strict=True):
@@ -83,7 +83,7 @@ def frozen(found: dict[tuple[str, str], list[float]]) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="freeze the defaults with what was measured")
+    parser.add_argument("--write", action="store_true", help="store the defaults with the measured values")
     for name in FITTED:
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, help="another value, m or rad (not written)")
     options = parser.parse_args()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What listening to a robot's /tf costs a node that needs it once an hour: python benchmarks/transforms.py.
+"""CPU time of subscribing to a robot's /tf, for a node that needs it rarely: python benchmarks/transforms.py.
 
-A second process publishes transforms; this one measures its own processor time with nobody who listens, with the
-readers of deltacharger_ros.tf_tree, and with tf2_ros's TransformListener, and how long a look-up takes. Needs tf2_ros.
+A second process publishes transforms. This one measures its CPU time without a listener, with the readers of
+deltacharger_ros.tf_tree, and with tf2_ros's TransformListener, and the time of a look-up. Needs tf2_ros.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def publish(rate: float) -> None:
 
 
 def nothing(node: Node) -> Any:
-    """Listen to nothing."""
+    """Do not listen."""
 
 
 def readers(node: Node) -> TfTree:
@@ -61,11 +61,11 @@ def listener(node: Node) -> Any:
 
 
 def cost(make: Callable[[Node], Any], seconds: float) -> float:
-    """Return the share of a core (%) that a node with such a listener takes."""
+    """Return the share of a core (%) that a node with this listener uses."""
     node = Node("listener")
     listening = make(node)
     spinner = Spinner(node)
-    time.sleep(1.0)  # discovery is not what is measured
+    time.sleep(1.0)  # discovery is not measured
     began, used = time.monotonic(), time.process_time()
     time.sleep(seconds)
     share = 100.0 * (time.process_time() - used) / (time.monotonic() - began)
@@ -80,7 +80,7 @@ def cost(make: Callable[[Node], Any], seconds: float) -> float:
 
 
 def main() -> None:
-    """Print the cost of each way to listen."""
+    """Print the CPU share of each way to listen."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rate", type=float, default=300.0, help="messages per second")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What seeing costs: electrode_detector_node and simulated_camera_node, each in a process of its own.
+"""CPU time and latency of electrode_detector_node and simulated_camera_node, each in a separate process.
 
-At rest nobody asks; then detect_electrodes is called again and again; then the detector looks at 10 Hz.
+Three phases: at rest without requests, repeated calls of detect_electrodes, detection at 10 Hz.
 
 python benchmarks/vision_nodes.py [--requests 50] [--seconds 10] [--json]
 """
@@ -35,7 +35,7 @@ def resident(pid: int) -> float:
 
 
 def ask(node: Any, client: Any, times: int) -> list[float]:
-    """Return how long each of `times` requests took, ms; pauses between them let the camera come to rest."""
+    """Return the time of each of `times` requests, ms; between them the camera pauses."""
     import rclpy
     from deltacharger.srv import DetectElectrodes
 
@@ -95,7 +95,7 @@ def main() -> int:
         figures += [Figure(f"{name} at {RATE:g} Hz", used[name], "% of a core") for name in NODES]
         figures.append(Figure("detections", len(seen) / options.seconds, "Hz"))
         figures += [Figure(f"{name}", resident(pids[name]), "MB") for name in NODES]
-    processes.tell(figures, options.json)
+    processes.print_figures(figures, options.json)
     rclpy.try_shutdown()
     return 0 if all(figure.met is not False for figure in figures) else 1
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated world costs and how far it can be trusted; the figures of docs/simulation.md.
+"""Run time and accuracy of the simulated world: the figures of docs/simulation.md.
 
     python benchmarks/world.py [--json]
 
-Everything is measured through the public World: cost of a step, statics, magnets, settled force over contact stiffness
-and step, and a docking's path over the step. Takes a few seconds.
+It measures through the public World: run time of a step, statics, magnets, settled force over contact stiffness and
+step, and the path of a docking over the step. Takes a few seconds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STEPS = (0.001, 0.002, 0.005, 0.010, 0.020, 0.100)
 
 
 class Arm:
-    """A world whose servos are commanded by platform positions, with the weight of the arm led in."""
+    """A world whose servos follow platform positions, with a lead for the weight of the arm."""
 
     def __init__(self, parameters: WorldParameters | None = None, step: float = 0.005) -> None:
         self.world = World(parameters or WorldParameters())
@@ -52,7 +52,7 @@ class Arm:
             self.world.command(index, True, angle + (torque / self.stiffness if lead else 0.0), bound)
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the world."""
         for _ in range(max(1, round(seconds / self.dt))):
             self.world.step(self.dt)
 
@@ -62,7 +62,7 @@ class Arm:
         self.run(seconds)
 
     def contact_current(self) -> float:
-        """Per-servo current that pushes along +z, A, as docking computes it but without noise."""
+        """Current per servo that pushes along +z, A, as docking computes it, without noise."""
         position = self.world.mechanics.position
         held = DELTA.holding_torque(*position, self.gravity)
         push = [torque - hold for torque, hold in zip(self.world.mechanics.torques, held, strict=True)]
@@ -79,7 +79,7 @@ def without_friction(**changes: Any) -> ServoParameters:
 
 
 def microseconds(arm: Arm, seconds: float) -> float:
-    """Median cost of a step (µs) over blocks of 20, so that a busy machine's pauses do not count."""
+    """Median time of a step (µs) over blocks of 20, so that pauses of a busy machine do not count."""
     blocks = []
     for _ in range(max(1, round(seconds / arm.dt / 20))):
         start = time.perf_counter()
@@ -90,7 +90,7 @@ def microseconds(arm: Arm, seconds: float) -> float:
 
 
 def cost(step: float) -> dict[str, float]:
-    """µs a step at rest and in motion, in free air and in contact."""
+    """µs per step at rest and in motion, in free air and in contact."""
     result = {}
     arm = Arm(step=step)
     arm.go((0.0, 0.0, 0.03))
@@ -106,7 +106,7 @@ def cost(step: float) -> dict[str, float]:
 
 
 def statics(stiffness: float) -> dict[str, float]:
-    """Weight's sag at three depths (mm) and the contact current of a 5 mm step (A)."""
+    """Sag by weight at three depths (mm), and the contact current of a 5 mm step (A)."""
     result = {}
     for depth in (0.0, 0.03, 0.08):
         arm = Arm(WorldParameters(servo=without_friction(stiffness=stiffness), target=TargetParameters(present=False)))
@@ -121,7 +121,7 @@ def statics(stiffness: float) -> dict[str, float]:
 
 
 def twenty_newtons() -> float:
-    """Current per servo (A) when the platform presses with 20 N at (0, 0, 80 mm), weightless and without friction."""
+    """Current per servo (A) at 20 N and (0, 0, 80 mm), without weight and friction."""
     world = WorldParameters(
         servo=without_friction(),
         magnets=MagnetParameters(force=0.0),
@@ -138,7 +138,7 @@ def twenty_newtons() -> float:
 
 
 def magnets(stiffness: float, friction: float | None = None) -> dict[str, float]:
-    """Approach in steps of 0.25 mm, press until the servos push again, pull off; what happens on the way."""
+    """Approach in steps of 0.25 mm, press until the servos push again, pull off; return the events."""
     servo = (
         ServoParameters(stiffness=stiffness)
         if friction is None
@@ -171,7 +171,7 @@ def magnets(stiffness: float, friction: float | None = None) -> dict[str, float]
 
 
 def settled_exactly(stiffness: float, contact: ContactParameters, reference: float) -> float:
-    """Contact force (N) at rest on the axis, by bisection of springs against magnets; no integrator involved."""
+    """Contact force (N) at rest on the axis, by bisection of springs against magnets, without integration."""
     low, high = 0.080, 0.105
     for _ in range(200):
         z = 0.5 * (low + high)
@@ -196,7 +196,7 @@ def settled(stiffness: float, step: float) -> tuple[float, float]:
 
 
 def imbalance(stiffness: float, step: float) -> float:
-    """Largest force (N) that a step leaves unbalanced over contact, 25 mm of sliding and pulling off."""
+    """Largest unbalanced force (N) after a step during contact, 25 mm of sliding and pulling off."""
     arm = Arm(WorldParameters(contact=ContactParameters(stiffness=stiffness)), step)
     points = [(0.0, 0.0, 0.07), (0.0, 0.0, 0.08), (0.0, 0.0, 0.088)]
     points += [(0.001 * side, 0.002 * side, 0.086) for side in range(1, 26)]

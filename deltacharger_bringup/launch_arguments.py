@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a launch file was started: by itself, or included by another; and arguments that it does not know."""
+"""Check whether a launch file was started directly or included, and refuse its unknown arguments."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_t
 
 
 def is_launched_itself(file: str) -> bool:
-    """Return whether `ros2 launch` was asked for this launch file, and not for one that includes it.
+    """Return whether `ros2 launch` started this launch file, and not one that includes it.
 
-    It is by its path, or by its package and name: a robot's own launch file may have the same name.
+    The command line must have its path, or its package and name: a robot's launch file may have the same name.
     """
     own = Path(file)
     by_path = any(Path(word).name == own.name and Path(word).resolve() == own.resolve() for word in sys.argv)
@@ -25,12 +25,12 @@ def is_launched_itself(file: str) -> bool:
 
 
 def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> None:
-    """Refuse unknown arguments where the launch file was started itself; one that includes it has others of its own.
+    """Refuse unknown arguments if the launch file was started directly; an including file has its own.
 
     Args:
         file: path of the launch file.
-        words: arguments that launch was given, as `name:=value`.
-        known: arguments that the file declares.
+        words: arguments of the command line, as `name:=value`.
+        known: declared arguments.
 
     Raises:
         ValueError: names the argument and the nearest known one.

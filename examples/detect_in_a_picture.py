@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From an RGB-D picture to the electrodes: where they are in the camera, and where that is for the arm.
+"""From an RGB-D picture to the pose of the electrodes, in the frames of the camera and of the arm.
 
-A simulated camera on its usual mount takes the picture, of electrodes at (12, -9, 84) mm of charger_base, rolled by 4°.
-Prints where the detector sees them in both frames with standard deviations, how sure it is, and how far off it is, and
-writes the picture with what was found drawn in. The picture is simulated. Needs deltacharger[vision] (OpenCV).
+A simulated camera on its nominal mount takes a picture of electrodes at (12, -9, 84) mm of charger_base, rolled by 4°.
+The program prints the detected pose in both frames with standard deviations, confidence and error, and writes the
+picture with the result drawn into it. The picture is simulated. Needs deltacharger[vision] (OpenCV).
 
     python examples/detect_in_a_picture.py [picture.png]
 """
@@ -32,7 +32,7 @@ picture = SimulatedCamera().render(
     RenderedScene(), np.linalg.inv(mount.pose) @ base_T_terminal, np.random.default_rng(1)
 )
 
-found = ElectrodeDetector().detect(picture)  # None where no electrodes are
+found = ElectrodeDetector().detect(picture)  # None if no electrodes are found
 cv2.imwrite(out, annotated(picture, found)[:, :, ::-1])
 if found is None:
     sys.exit(f"no electrodes in {out}")

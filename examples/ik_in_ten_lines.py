@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inverse kinematics of the arm: the three angles that put the platform at a point, and what pushing costs there.
+"""Inverse kinematics of the arm: three angles for a position of the platform, and servo currents for a force there.
 
-Prints for three points of charger_base (home, the dock, one too far away) the arm angles and what the solver says of
-them; where forward kinematics puts the angles of the dock again; and the servo currents that push there with 17 N.
+Prints the arm angles and the solver's status for three points of charger_base (home, the dock, one too far away), the
+position of the dock by forward kinematics, and the servo currents for a force of 17 N there.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From simulated dockings to a saved model that tells the horizontal misalignment, judged on dockings it never saw.
+"""From simulated dockings to a saved model of the horizontal misalignment, evaluated on held-out dockings.
 
-The same as `deltacharger tactile generate`, `train --model lda --target horizontal` and `evaluate`, as library calls.
-Prints how many dockings are learnt from and judge, the model's accuracy beside that of always saying the commonest
-class, and how often its answer may be acted on. All data are simulated. Training needs deltacharger[train]; the saved
-model runs on numpy alone.
+Library calls for `deltacharger tactile generate`, `train --model lda --target horizontal` and `evaluate`. Prints the
+numbers of dockings for training and evaluation, the accuracies of the model and of always choosing the commonest class,
+and how often a prediction may be acted on. All data are simulated. Training needs deltacharger[train]; the saved model
+needs only numpy.
 
     python examples/train_a_model.py [model.npz]
 """
@@ -25,7 +25,7 @@ from deltacharger_tactile.generator import generate_paper
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "model.npz")
 dockings = examples(generate_paper(rigs=range(5), seed=0), "horizontal")  # five devices, 500 dockings each
 learns, judges = by_docking(dockings, seed=0)  # 67/33, as in the paper
-fits, calibrates = learns[::2], learns[1::2]  # what tells when to trust it must be new to it, too
+fits, calibrates = learns[::2], learns[1::2]  # calibration needs dockings that were not used for the fit
 
 model = Classifier("lda", "horizontal")
 model.fit(dockings.frames[fits], dockings.labels[fits], seed=0)

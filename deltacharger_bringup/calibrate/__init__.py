@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dialogues of calibration gather and tell."""
+"""Input and output of the calibration commands."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of a running colour camera: its intrinsics, and an image that was taken after a given moment."""
+"""A client of a running colour camera: its intrinsics, and an image taken after a given time."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, rgb8
 from deltacharger_vision.ros.messages import intrinsics_of
 
-_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera's clock is another one
-_LATENCY = 0.5  # s that an image of such a camera may be under way
+_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera has another clock
+_LATENCY = 0.5  # s; largest latency of an image of such a camera
 
 
 class CameraError(RuntimeError):
-    """The camera gives no image; the message says what to do."""
+    """No image from the camera; the message has the remedy."""
 
 
 class CameraClient(Guest):
-    """Hears a colour image and its camera_info.
+    """Subscribes to a colour image and its camera_info.
 
     Args:
         context: a running rclpy context.
-        topic: of the colour image; camera_info stands beside it.
+        topic: of the colour image; camera_info is in the same namespace.
         namespace: of the charger.
     """
 
@@ -58,38 +58,38 @@ class CameraClient(Guest):
             check: called while waiting; may raise.
 
         Raises:
-            CameraError: none comes.
+            CameraError: none arrives.
             CameraInfoError: it cannot be used.
         """
         if not self.wait(lambda: self._info is not None, timeout, check):
-            raise CameraError(f"no {self._info_topic} is heard: start the camera, in this ROS domain")
+            raise CameraError(f"no {self._info_topic} received: start the camera in this ROS domain")
         info = self._info
         if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
-            raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send whole images")
+            raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send complete images")
         return intrinsics_of(info, self._info_topic)
 
     def image(self, timeout: float, check: Callable[[], None]) -> NDArray[np.uint8]:
-        """Return an image (H, W, 3) RGB that was taken after this call; arguments as of `intrinsics`.
+        """Return an image (H, W, 3) RGB taken after this call; arguments as in `intrinsics`.
 
         Raises:
-            CameraError: none comes.
+            CameraError: none arrives.
             ImageError: its encoding is unknown.
         """
         since, asked = self._now(), time.monotonic()
 
         def fresh() -> Image | None:
             with self._lock:
-                heard = self._image
-            if heard is None:
+                latest = self._image
+            if latest is None:
                 return None
-            arrival, message = heard
+            arrival, message = latest
             stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             if abs(stamp - since) > _SAME_CLOCK:
                 return message if arrival > asked + _LATENCY else None
             return message if stamp >= since and arrival > asked else None
 
         if not self.wait(lambda: fresh() is not None, timeout, check):
-            raise CameraError(f"no image comes on {self._topic}: look at the camera's node and its cable")
+            raise CameraError(f"no image received on {self._topic}: check the camera's node and its cable")
         return rgb8(color_array(fresh()))
 
     def _now(self) -> float:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of views for `deltacharger calibrate camera`: images, where the platform stood at each, the intrinsics.
+"""A folder of views for `deltacharger calibrate camera`: images, the platform's position at each, the intrinsics.
 
-    FOLDER/views.csv          one row per image, in the order in which they were taken
-    FOLDER/camera_info.yaml   as camera_calibration writes it
+    FOLDER/views.csv          one row per image, in the order of recording
+    FOLDER/camera_info.yaml   as written by camera_calibration
     FOLDER/view_001.png …
 
 Columns of views.csv: image, and x_mm,y_mm,z_mm or x_m,y_m,z_m (end_effector in charger_base) or angle_0_rad,… or
@@ -66,7 +66,7 @@ class Row:
 
 @dataclass(frozen=True)
 class SeenViews:
-    """The views of a folder: those that show the board, their images' names, and the names of the others."""
+    """Views of a folder that show the board, the names of their images, and the names of the other images."""
 
     views: tuple[View, ...]
     names: tuple[str, ...]
@@ -77,12 +77,12 @@ def read_rows(folder: Path) -> list[Row]:
     """Read views.csv of a folder.
 
     Raises:
-        ViewsError: there is none, or names the line and what is wrong with it.
+        ViewsError: there is none, or a line is invalid.
         OSError: it cannot be read.
     """
     path = folder / VIEWS
     if not path.is_file():
-        raise ViewsError(folder, f"holds no {VIEWS}; name a folder that --take filled, or write one")
+        raise ViewsError(folder, f"contains no {VIEWS}; give a folder filled by --take, or write the file")
     try:
         table = read_table(path, _KNOWN, "docs/camera-calibration.md")
         group = _group(path, table.names)
@@ -102,10 +102,10 @@ def read_rows(folder: Path) -> list[Row]:
 def gather(
     folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsics, geometry: DeltaGeometry
 ) -> SeenViews:
-    """Look for the board in the image of each row.
+    """Search the image of each row for the board.
 
     Raises:
-        ViewsError: an image has another size than the intrinsics, or the arm cannot stand as a row says.
+        ViewsError: an image differs in size from the intrinsics, or the arm cannot reach the position of a row.
         ImageError: a file is no image.
         OSError: an image cannot be read.
     """
@@ -126,22 +126,22 @@ def gather(
 
 
 def read_pixels(path: Path) -> NDArray[np.uint8]:
-    """Return an image as (H, W, 3) RGB, uint8; errors as of `read_color`."""
+    """Return an image as (H, W, 3) RGB, uint8; errors as in `read_color`."""
     return rgb8(read_color(path))
 
 
 class ViewsFolder:
-    """A folder that views are added to one by one, so that nothing taken is lost and taking resumes.
+    """A folder to which views are added one by one, so that no view is lost and recording can resume.
 
     Args:
-        folder: made where it is missing, continued where it holds views.
+        folder: created if missing, continued if it contains views.
         intrinsics: of the camera.
 
     Attributes:
-        angles: rad, of the arm at each view that it holds.
+        angles: rad, of the arm at each view in the folder.
 
     Raises:
-        ViewsError: what it holds was taken otherwise, or is no folder of views.
+        ViewsError: its views have other settings, or it is no folder of views.
         OSError: it cannot be read or written.
     """
 
@@ -153,12 +153,12 @@ class ViewsFolder:
             self._resume(intrinsics)
             return
         if any(path.name != CAMERA_INFO for path in folder.iterdir()):
-            raise ViewsError(folder, f"holds other files and no {VIEWS}; name a new folder")
+            raise ViewsError(folder, f"contains other files and no {VIEWS}; give a new folder")
         write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
         append_text(self._folder / VIEWS, f"{_IMAGE},{','.join(RADIANS)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
-        """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name once both are on the disk."""
+        """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name when both are stored."""
         name = f"view_{len(self.angles) + 1:03}.png"
         write_picture(self._folder / name, image)
         append_text(self._folder / VIEWS, ",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
@@ -171,14 +171,14 @@ class ViewsFolder:
         rows = read_rows(self._folder)
         ours = all(row.angles is not None and row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))
         if not ours or not (self._folder / CAMERA_INFO).is_file():
-            raise ViewsError(self._folder, "was not filled by --take; name a new folder")
+            raise ViewsError(self._folder, "was not filled by --take; give a new folder")
         if load_camera_info(self._folder / CAMERA_INFO) != intrinsics:
-            raise ViewsError(self._folder, "was taken with other intrinsics than the camera has now; name a new folder")
+            raise ViewsError(self._folder, "has other intrinsics than the camera has now; give a new folder")
         self.angles = [row.angles for row in rows if row.angles is not None]
 
 
 def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
-    """Return intrinsics as what `load_camera_info` reads from YAML."""
+    """Return intrinsics in the form that `load_camera_info` reads from YAML."""
     coefficients = list(intrinsics.distortion) or [0.0] * 5
     return {
         "image_width": intrinsics.width,
@@ -190,7 +190,7 @@ def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
 
 
 def _group(path: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns that tell where the platform stood."""
+    """Return the columns with the platform's position."""
     given = [group for group in _GROUPS if set(group) & set(names)]
     if _IMAGE not in names or len(given) != 1 or not set(given[0]) <= set(names):
         groups = " or ".join(",".join(group) for group in _GROUPS)
@@ -202,25 +202,25 @@ def _row(path: Path, line: int, image: str, group: tuple[str, ...], values: Sequ
     if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
         raise ViewsError(path, f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder")
     first, second, third = values
-    told = (first, second, third)
-    return Row(image, line, *((None, told) if group in _JOINTS else (told, None)))
+    numbers = (first, second, third)
+    return Row(image, line, *((None, numbers) if group in _JOINTS else (numbers, None)))
 
 
 def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:
     lines: dict[str, int] = {}
     for row in rows:
         if row.image in lines:
-            raise ViewsError(path, f"line {row.line}: image {row.image} stands in line {lines[row.image]} already")
+            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {lines[row.image]}")
         lines[row.image] = row.line
 
 
 def _stand(path: Path, row: Row, kinematics: ScalarDelta) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the platform's position (3,) m and its slope (3, 3) m/rad by the arm's angles."""
+    """Return the platform's position (3,) m and its derivative (3, 3) m/rad by the arm's angles."""
     position = row.position or kinematics.forward(*(row.angles or (math.nan,) * 3))
     slope = np.array(kinematics.jacobian(*position)).reshape(3, 3)
     if not np.isfinite(slope).all():
-        said = f"angles {row.angles} rad" if row.position is None else f"position {row.position} m"
-        raise ViewsError(path, f"line {row.line}: the arm cannot have the {said}; look at their unit and --geometry")
+        given = f"angles {row.angles} rad" if row.position is None else f"position {row.position} m"
+        raise ViewsError(path, f"line {row.line}: the arm cannot have the {given}; check the unit and --geometry")
     return np.array(position), slope
 
 
@@ -230,7 +230,7 @@ def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
     if (width, height) != (intrinsics.width, intrinsics.height):
         raise ViewsError(
             path,
-            f"has {width} × {height} px, and the camera's calibration is for {intrinsics.width} × {intrinsics.height}; "
+            f"has {width} × {height} px, but the camera's calibration is for {intrinsics.width} × {intrinsics.height}; "
             "give images and --camera-info of one size",
         )
     return pixels

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the platform goes to show its board to the camera: all over the workspace, where the camera should see it."""
+"""Positions of the platform that show its board to the camera, spread over the workspace."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.projection import project
 
-_INSET = 0.95  # of the workspace; as built, an arm reaches some millimetres less than as drawn
-_SPARE = 1.1  # of the board's half diagonal that must be in the picture
+_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
+_SPARE = 1.1  # of the board's half diagonal that must be in the image
 _NEAREST = 0.03  # m before the camera
 _TRIED = 4096
 
@@ -22,14 +22,14 @@ _TRIED = 4096
 def view_places(
     geometry: DeltaGeometry, farthest: float, mount: Mount, intrinsics: Intrinsics, offset: Vector, radius: float
 ) -> Iterator[Vector]:
-    """Yield places (m, charger_base): a Halton sequence in the workspace box, less what the camera cannot see.
+    """Yield positions (m, charger_base) that the camera sees: a Halton sequence in the workspace box.
 
-    Each prefix fills the box evenly, in no direction before another, so time and place stay apart.
+    Each prefix fills the box evenly, so position does not correlate with time.
 
     Args:
-        geometry: whose workspace box it is.
+        geometry: gives the workspace box.
         farthest: largest z, m.
-        mount: where the camera is believed to be.
+        mount: believed pose of the camera.
         intrinsics: of the camera.
         offset: origin of the board in end_effector, m.
         radius: half the board's diagonal, m.
@@ -45,7 +45,7 @@ def view_places(
 
 
 def _visible(centres: NDArray[np.float64], mount: Mount, intrinsics: Intrinsics, radius: float) -> NDArray[np.bool_]:
-    """Return which balls of `radius` m around `centres` (N, 3) lie in the picture."""
+    """Return which spheres of `radius` m around `centres` (N, 3) are in the image."""
     turn, place = mount.pose[:3, :3], mount.pose[:3, 3]
     camera = (centres - place) @ turn
     before = camera[:, 2] > _NEAREST + radius

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the detector found in images: JSON-ready, and in lines for people."""
+"""Results of the detector: JSON-ready, and as lines for people."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _SEEN = (*_PLACED, "confidence", "range", "source")
 
 
 def fields(found: Detection | None, mount: Mount | None, seconds: float) -> dict[str, Any]:
-    """Return what one image gave; NaN is what cannot be told, None what is not there.
+    """Return the result of one image; NaN = unknown, None = absent.
 
     Args:
         found: None = no electrodes.
-        mount: adds the same in charger_base.
-        seconds: that the detector took.
+        mount: adds the pose in charger_base.
+        seconds: run time of the detector.
     """
-    told = {"found": found is not None, "frame": CAMERA_FRAME, **_named(found, _SEEN)}
+    result = {"found": found is not None, "frame": CAMERA_FRAME, **_named(found, _SEEN)}
     if mount is not None:
-        told[FRAME] = _named(None if found is None else mount.place(found), _PLACED)
-    return {**told, "detection_time": seconds}
+        result[FRAME] = _named(None if found is None else mount.place(found), _PLACED)
+    return {**result, "detection_time": seconds}
 
 
 def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, 
 
 
 def lines(found: Detection, mount: Mount | None) -> Iterator[str]:
-    """Yield what people want to know of a detection."""
+    """Yield a detection as lines for people."""
     yield _pose(CAMERA_FRAME, found)
     if mount is not None:
         yield _pose(FRAME, mount.place(found))
@@ -54,11 +54,11 @@ def _pose(frame: str, found: Detection | Placed) -> str:
 
 
 def summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, Any]:
-    """Return how many of many images showed electrodes, and how long they took.
+    """Return the number of images with electrodes, and the run times.
 
     Args:
         results: of each image: `name`, and `fields` or `error`.
-        expected: images that there are; those left out had no depth of the same instant, or could not be reached.
+        expected: number of images; those left out have no depth of the same instant, or lie behind damage.
     """
     times = [each["detection_time"] for each in results if "error" not in each]
     return {
@@ -74,7 +74,7 @@ def summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, An
 
 
 def short(result: Mapping[str, Any]) -> str:
-    """Return one of many results in a line: the pose in charger_base where it is known, else in the camera's frame."""
+    """Return a result as a line: the pose in charger_base if known, else in the camera's frame."""
     if "error" in result:
         return str(result["error"])
     if not result["found"]:
@@ -85,7 +85,7 @@ def short(result: Mapping[str, Any]) -> str:
 
 
 def total_line(total: Mapping[str, Any]) -> str:
-    """Return the summary in a line."""
+    """Return the summary as a line."""
     parts = [f"electrodes found in {total['found']} of {total['images']} images"]
     if total["broken"]:
         parts.append(f"{total['broken']} of them broken")

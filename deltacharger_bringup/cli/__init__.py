@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `deltacharger` command, a module for each of its commands."""
+"""The `deltacharger` command: one module per subcommand."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate camera`: where the camera sits, from images of a board on the platform, and how sure."""
+"""`deltacharger calibrate camera`: pose of the camera, with its error, from images of a board on the platform."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from deltacharger_vision.image_files import CAMERA_INFO, require_opencv
 from deltacharger_vision.mount import Mount, quaternion
 
 _FAR = (0.020, math.radians(10.0))
-"""From the believed mount, m and rad, further than which a slip is likelier than a bent bracket."""
+"""Distance from the believed mount, m and rad; beyond it a wrong input is likelier than a bent bracket."""
 _SATURATED = 250  # of 255
-_HINTED = 3  # images that are searched for other markers
+_HINTED = 3  # images searched for other markers
 _DOCK = (0.0, 0.0, DOCK_DISTANCE)
-"""Point of charger_base (m) at which the mount's error is told: the dock."""
+"""Point of charger_base (m) for which the mount's error is reported: the dock."""
 
 
 @dataclass(frozen=True)
 class _Judged:
-    """A calibration and what is to be said about it.
+    """A calibration and its judgement.
 
     Attributes:
         found: the calibration.
-        seen: the views that it was made from.
-        away: how far the mount is from the believed one, m and rad.
-        doubts: why not to use it.
-        notes: what would make it better.
+        seen: its views.
+        away: distance of the mount from the believed one, m and rad.
+        doubts: reasons not to use it.
+        notes: hints for a better one.
     """
 
     found: Calibration
@@ -63,11 +63,11 @@ class _Judged:
 def add_camera(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate camera`."""
     parser.add_argument("--views", metavar="FOLDER", help="images and views.csv, see docs/camera-calibration.md")
-    parser.add_argument("--print", metavar="FILE.svg", help="only draw the board in true size, for a printer")
+    parser.add_argument("--print", metavar="FILE.svg", help="only draw the board at true size, for a printer")
     parser.add_argument("--out", metavar="FILE", help="write the mount, for the parameter mount_file")
     parser.add_argument("--camera-info", metavar="K.yaml", help="intrinsics (FOLDER/camera_info.yaml)")
-    parser.add_argument("--geometry", metavar="FILE", help="of the arm, as calibrated (default: the built-in one)")
-    text = "believed so far, to compare with and to know where the camera sees the board (the usual one)"
+    parser.add_argument("--geometry", metavar="FILE", help="calibrated geometry of the arm (default: the built-in one)")
+    text = "believed mount, for comparison and for the choice of positions (default: nominal)"
     parser.add_argument("--mount", metavar="FILE", help=text)
     parser.add_argument("--force", action="store_true", help="overwrite FILE, and write a doubtful mount")
     board = parser.add_argument_group("the board on the platform")
@@ -78,28 +78,28 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     text = "side of a marker on a ChArUco board (three quarters of a square)"
     board.add_argument("--marker-mm", type=between(1.0, 1000.0), metavar="MM", help=text)
     for axis in "xyz":
-        text = f"its centre along {axis} of end_effector, measured"
+        text = f"measured position of its centre along {axis} of end_effector"
         board.add_argument(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
-    known = parser.add_argument_group("what is known beforehand, as standard deviations")
+    known = parser.add_argument_group("prior knowledge, as standard deviations")
     text = "of the board's measured centre, each direction (0.5)"
     known.add_argument("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
-    text = "of each arm angle's constant error (0.1)"
+    text = "of the constant error of each arm angle (0.1)"
     known.add_argument("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
     text = "scatter of the platform's position, corrected by the images (0.1)"
     known.add_argument("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
-    text = "every so many-th image judges a fit to the others (5)"
+    text = "every Nth image judges a fit to the others (5)"
     parser.add_argument("--held-out-every", type=whole(2, 1000), default=5, metavar="N", help=text)
     live = parser.add_argument_group("with a running charger")
-    live.add_argument("--take", type=whole(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are good")
-    text = "how far the platform goes toward the target's place (60)"
+    live.add_argument("--take", type=whole(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
+    text = "largest z of the platform (60)"
     live.add_argument("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help=text)
-    text = "of the camera; camera_info stands beside it (color/image_raw)"
+    text = "of the camera, with camera_info beside it (color/image_raw)"
     live.add_argument("--color-topic", default="color/image_raw", metavar="NAME", help=text)
     namespace_option(parser)
 
 
 def camera(options: argparse.Namespace) -> int:
-    """Take views where that is asked for, then fit the mount, judge it, and write it where nothing is doubtful."""
+    """Take views on request, fit the mount, judge it, and write it unless it is doubtful."""
     with wrong_input(VisionError, ViewsError, ParameterError):
         require_opencv()
         for flag in ("out", "print"):
@@ -137,8 +137,8 @@ def _print(options: argparse.Namespace, board: Board) -> int:
     say(
         f"print it at 100 % (no 'fit to page') on matte paper; the black pattern must measure {width:g} × {height:g} mm"
     )
-    told = {"success": True, "written": options.print, "pattern": list(board.pattern)}
-    tell_or_write(options, f"wrote {options.print}", told)
+    value = {"success": True, "written": options.print, "pattern": list(board.pattern)}
+    tell_or_write(options, f"wrote {options.print}", value)
     return DONE
 
 
@@ -148,8 +148,8 @@ def _offset(options: argparse.Namespace) -> Vector:
     missing = [f"--board-{axis}-mm" for axis, value in values.items() if value is None]
     if missing:
         raise CommandError(
-            f"give {', '.join(missing)}: where the board's centre is in end_effector, measured with a ruler; images "
-            "cannot tell it, as the platform never turns",
+            f"give {', '.join(missing)}: the position of the board's centre in end_effector, measured with a ruler; "
+            "images do not show it, because the platform never turns",
             WRONG_INPUT,
         )
     x, y, z = (MILLIMETRE * float(value) for value in values.values())
@@ -174,33 +174,33 @@ def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: 
     )
     found = calibrate(seen.views, intrinsics, beliefs, options.held_out_every)
     away = _away(found.mount, Mount.load(options.mount) if options.mount else Mount.default())
-    said = [*notes(found, seen.names), *_slips(away)]
+    remarks = [*notes(found, seen.names), *_slips(away)]
     if seen.without:
-        said.append(f"{len(seen.without)} of {len(rows)} images do not show the board: {_few(seen.without)}")
+        remarks.append(f"{len(seen.without)} of {len(rows)} images do not show the board: {_few(seen.without)}")
     if isinstance(board, AprilTag) and np.median([view.sighting.white for view in seen.views]) >= _SATURATED:
-        said.append("the print's white is over-exposed, which makes a tag look smaller: lower the camera's exposure")
-    return _Judged(found, seen, away, doubts(found, board.length, seen.names), said)
+        remarks.append("the print's white is over-exposed, which makes a tag look smaller: lower the camera's exposure")
+    return _Judged(found, seen, away, doubts(found, board.length, seen.names), remarks)
 
 
 def _away(found: Mount, believed: Mount) -> tuple[float, float]:
-    """Return how far a mount is from the believed one, m and rad."""
+    """Return the distance of a mount from the believed one, m and rad."""
     turned = 0.5 * (float(np.trace(found.pose[:3, :3] @ believed.pose[:3, :3].T)) - 1.0)
     distance = float(np.linalg.norm(found.pose[:3, 3] - believed.pose[:3, 3]))
     return distance, math.acos(min(1.0, max(-1.0, turned)))
 
 
 def _slips(away: tuple[float, float]) -> list[str]:
-    """Return a note where the mount is so far from the believed one that a sign may be wrong: no image tells that."""
+    """Return a note if a sign may be wrong, which no image shows: the mount is far from the believed one."""
     if away[0] < _FAR[0] and away[1] < _FAR[1]:
         return []
     return [
-        f"that is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed mount: if it should not "
-        "be, look at the signs of --board-…-mm (x to the left, y up, z toward the target) and at --mount"
+        f"that is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed mount: if this is "
+        "wrong, check the signs of --board-…-mm (x to the left, y up, z toward the target) and --mount"
     ]
 
 
 def _unseen(folder: Path, board: Board, names: list[str]) -> str:
-    """Return what to do where no image shows the board."""
+    """Return what to do if no image shows the board."""
     others = sorted({marker for name in names[:_HINTED] for marker in markers_in(read_pixels(folder / name))})
     hint = f"they show {_few(others)}: give the right --board" if others else "is it sharp, lit, and not cut off?"
     return f"none of {len(names)} images shows {board.name}; {hint}"
@@ -211,7 +211,7 @@ def _few(names: list[str] | tuple[str, ...], most: int = 5) -> str:
 
 
 def _point_stddev(found: Calibration) -> float:
-    """Return the standard deviation (m) of a point at the dock by the mount's error, all directions together."""
+    """Return the standard deviation (m) of a point at the dock due to the mount, all directions together."""
     return math.sqrt(float(np.trace(found.point_covariance(np.array(_DOCK)))))
 
 
@@ -271,9 +271,9 @@ def _as_text(judged: _Judged) -> str:
         ("residuals", f"{_rms(moves):.2f} mm rms, {moves.max():.2f} mm at most, at the board"),
         ("held out", judges if found.held_out else "none"),
         ("scatter", f"{found.fit.spread.pixel:.3f} px a corner, {found.fit.spread.arm / MILLIMETRE:.3f} mm a position"),
-        ("board size", f"{found.size:.4f} ± {found.size_stddev:.4f} of what was stated, by the platform's moves"),
+        ("board size", f"{found.size:.4f} ± {found.size_stddev:.4f} of the stated size, by the platform's moves"),
         ("board normal", f"({normal}) in end_effector, ± {math.degrees(found.board_stddev):.2f} °"),
-        ("arm angles", _three(angles, errors, 3) + " ° off, as far as the images tell"),
+        ("arm angles", _three(angles, errors, 3) + " ° off, as estimated from the images"),
     ]
     return "\n".join(f"{name:<13} {text}" for name, text in rows)
 
@@ -283,7 +283,7 @@ def _three(values: Any, errors: Any, digits: int) -> str:
 
 
 def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[str, Any]:
-    """Return what the mount's file says about how it was made; lengths in m, angles in rad."""
+    """Return the origin of the mount for its file; lengths in m, angles in rad."""
     found = judged.found
     return {
         "by": "deltacharger calibrate camera",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics`: plan the poses, or fit the geometry to measured ones and say how well."""
+"""`deltacharger calibrate kinematics`: plan poses, or fit the geometry to measured poses and judge the fit."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from deltacharger_kinematics.geometry import LIMB_COUNT
 from deltacharger_kinematics.geometry_file import geometry_to_mapping, save_geometry
 
 _WORST = 5  # rows to name
-_UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are near enough
-_SUSPICIOUS = 3.0  # tolerances; what a well-built arm hardly ever differs by
+_UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are plausible
+_SUSPICIOUS = 3.0  # tolerances; a well-built arm hardly ever differs more
 
 
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
@@ -37,30 +37,30 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", help="write the fitted geometry, for the parameter geometry_file")
     parser.add_argument("--nominal", metavar="FILE", help="geometry to start from (default: the built-in one)")
     parser.add_argument("--plan", metavar="FILE", help="write the poses to measure; with --measure, read them")
-    parser.add_argument("--measure", metavar="FILE", help="go to the poses of --plan, ask what was measured, record it")
+    parser.add_argument("--measure", metavar="FILE", help="move to the poses of --plan, ask for and record positions")
     parser.add_argument("--force", action="store_true", help="overwrite files, and write a doubtful geometry")
-    known = parser.add_argument_group("what is known beforehand, as standard deviations")
+    known = parser.add_argument_group("prior knowledge, as standard deviations")
     known.add_argument(
         "--measurement-mm", type=between(1e-6, 10.0), default=0.05, metavar="MM", help="of a coordinate (0.05)"
     )
     known.add_argument("--tolerance-mm", type=between(1e-6, 20.0), default=0.5, metavar="MM", help="of lengths (0.5)")
     known.add_argument("--tolerance-deg", type=between(1e-6, 30.0), default=1.0, metavar="DEG", help="of angles (1)")
-    judged = parser.add_argument_group("rows that the fit does not see, where the file has no column held_out")
+    judged = parser.add_argument_group("held-out rows, if the file has no column held_out")
     judged.add_argument(
         "--held-out", type=between(0.01, 0.9), default=0.25, metavar="SHARE", help="share of the rows (0.25)"
     )
-    judged.add_argument("--seed", type=SEED, default=0, metavar="N", help="of their draw (0)")
+    judged.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
     encoder = parser.add_argument_group("angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node")
     most = 1_048_575
     encoder.add_argument(
-        "--zero-ticks", type=whole(-most, most), nargs=3, metavar="N", help="per limb (as the file says, or 2048)"
+        "--zero-ticks", type=whole(-most, most), nargs=3, metavar="N", help="per limb (default: from the file, or 2048)"
     )
     encoder.add_argument("--direction", type=whole(-1, 1), nargs=3, metavar="N", help="per limb (1)")
     namespace_option(parser)
 
 
 def kinematics(options: argparse.Namespace) -> int:
-    """Fit, plan or measure, as the options say."""
+    """Fit, plan or measure, according to the options."""
     if options.measure is not None:
         if options.plan is None or options.data is not None:
             raise CommandError("--measure FILE needs --plan FILE to read, and no DATA.csv", WRONG_INPUT)
@@ -85,7 +85,7 @@ def _plan(options: argparse.Namespace) -> int:
     with refusing(options.plan):
         write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
     kept = sum(pose.held_out for pose in poses)
-    text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them to judge the fit by"
+    text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them held out to judge the fit"
     tell_or_write(options, text, {"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
     return DONE
 
@@ -111,13 +111,13 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _doubts(found: GeometryCalibration) -> list[str]:
-    """Return why the geometry should not be used; empty where it should."""
+    """Return reasons not to use the geometry."""
     doubts = []
     if not found.improves:
         before, after = found.held_out_rms
         doubts.append(
-            f"the fit does not help where it was not fitted: held-out error {_mm(before)} mm before, {_mm(after)} mm "
-            "after; the nominal geometry is already this good, or the measurements contradict each other"
+            f"the fit does not improve held-out rows: error {_mm(before)} mm before, {_mm(after)} mm "
+            "after; the nominal geometry is equally good, or the measurements contradict each other"
         )
     if found.outliers.any():
         lines = _lines(found, np.flatnonzero(found.outliers))
@@ -139,7 +139,7 @@ def _mm(value: float) -> str:
 
 
 def _header(options: argparse.Namespace, found: GeometryCalibration, digest: str) -> str:
-    """Return the comment that says what a geometry file was made from."""
+    """Return the comment with the origin of a geometry file."""
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
     encoder = found.measurements.encoder
@@ -197,7 +197,7 @@ def _as_text(found: GeometryCalibration) -> str:
     values = found.fit.singular_values
     lengths = np.linalg.norm(found.fit.residuals, axis=1)
     worst = ", ".join(f"line {found.measurements.lines[row]} {_mm(lengths[row])}" for row in _worst(found))
-    held = f", {(values < 1.0).sum()} of 18 below 1: there the tolerances decide" if (values < 1.0).any() else ""
+    held = f", {(values < 1.0).sum()} of 18 below 1: the tolerances decide there" if (values < 1.0).any() else ""
     rows = [
         ("all rows", f"{count}: rms {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after"),
         ("held out", f"{kept} of them: rms {_mm(before)} mm before, {_mm(after)} mm after a fit to the others"),
@@ -213,7 +213,7 @@ def _as_text(found: GeometryCalibration) -> str:
 def _scatter_hint(found: GeometryCalibration) -> str:
     if found.fit.scatter < _UNEXPLAINED:
         return ""
-    return ": is there play in the joints, or was it measured more coarsely than stated?"
+    return ": do the joints have play, or are the measurements less accurate than stated?"
 
 
 def _table(found: GeometryCalibration) -> list[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate servos`: let the arm of the running charger measure its own servos."""
+"""`deltacharger calibrate servos`: measure the servos of a running charger with its own arm."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ from deltacharger_kinematics.calibration.servo_checks import Gains, differing, d
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS
 from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
 
-_SHARE = 0.1  # of the time between two words on how far it is
+_SHARE = 0.1  # of the time between two lines of progress
 _HEADS = ("servo 1", "servo 2", "servo 3", "arm")
 
 
 def add_servos(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate servos`."""
     usual = ServoTask()
-    parser.add_argument("--out", metavar="FILE", help="write what was measured, for the parameter servos_file")
-    parser.add_argument("--geometry", metavar="FILE", help="the arm's geometry (default: what docking_node has)")
+    parser.add_argument("--out", metavar="FILE", help="write the measured values, for the parameter servos_file")
+    parser.add_argument("--geometry", metavar="FILE", help="the arm's geometry (default: docking_node's)")
     parser.add_argument("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
     parser.add_argument(
         "--weight-percent",
         type=between(0.1, 20.0),
         default=100.0 * usual.weight_tolerance,
         metavar="P",
-        help="standard deviation of what platform and rods weigh (2)",
+        help="standard deviation of the weight of platform and rods (2)",
     )
     parser.add_argument(
         "--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)"
     )
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the order of the poses (0)")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the order of the poses (0)")
     namespace_option(parser)
 
 
 def servos(options: argparse.Namespace) -> int:
-    """Measure the servos of the running charger, tell them, and write them."""
+    """Measure the servos of the running charger, print and write the values."""
     if options.out is not None:
         file_to_write("--out", options.out, overwrite=options.force)
     if options.geometry is not None:
-        geometry_of(options.geometry)  # refused before anything moves
+        geometry_of(options.geometry)  # checked before anything moves
     prepare(options, look_around=True)
     task, gains, measured = _measured(options)
     remarks = differing(measured)
@@ -65,7 +65,7 @@ def servos(options: argparse.Namespace) -> int:
 
     def save(path: str) -> None:
         if found is None:
-            raise CommandError(f"{problems[0]}; such numbers cannot be written", FAILED)
+            raise CommandError(f"{problems[0]}; these values cannot be written", FAILED)
         save_servos(found, path, _header(task, measured, problems))
 
     value = {**({} if found is None else {"servos": servos_to_mapping(found)}), **_about(measured), "doubts": problems}
@@ -73,7 +73,7 @@ def servos(options: argparse.Namespace) -> int:
 
 
 def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredArm]:
-    """Have the arm measured; its torque is off afterwards, unless docking_node has taken the arm meanwhile."""
+    """Measure the arm. Its torque is off afterwards, unless docking_node has taken control of it."""
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_records.datasets.arm_guest import ArmError
         from deltacharger_records.datasets.measuring_arm import MeasuringArm
@@ -84,7 +84,7 @@ def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredAr
                 arm.wait_until_ready(DISCOVERY)
                 task, gains = _task(options, arm.told("docking_node"), arm.told("servo_node"))
                 arm.start()
-                say(f"the arm moves for {math.ceil((task.seconds + 15.0) / 60.0)} minutes at most; Ctrl-C ends it")
+                say(f"the arm moves for up to {math.ceil((task.seconds + 15.0) / 60.0)} minutes; Ctrl-C ends it")
                 measured = measure_servos(arm, task, _progress())
                 try:
                     arm.retire(measured.fit.common(STIFFNESS)[0])
@@ -100,24 +100,24 @@ def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredAr
 
 
 def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str, Any]) -> tuple[ServoTask, Gains]:
-    """Return what the nodes say of arm, gravity and gains.
+    """Return arm, gravity and gains as the nodes report them.
 
     Raises:
-        CommandError: servo_node does not tell its gains, or has an I gain; docking_node's settings cannot be had here.
+        CommandError: servo_node does not report its gains, or has an I gain; docking_node's file cannot be read here.
     """
     from deltacharger_records.node_parameters import docking_settings
 
     if not docking:
-        say("docking_node does not tell geometry and gravity; taking the usual ones")
+        say("docking_node does not report geometry and gravity; using the nominal ones")
     try:
         gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
         constant = float(servo["torque_constant"])
     except KeyError as error:
-        raise CommandError("servo_node does not tell its gains, for which alone a stiffness holds", FAILED) from error
+        raise CommandError("servo_node does not report its gains; stiffness depends on them", FAILED) from error
     if gains.i:
         raise CommandError(
-            f"position_i_gain of servo_node is {gains.i}: with it the arm goes on until it reaches its goal, and a "
-            "stiffness cannot be told; start the charger with 0",
+            f"position_i_gain of servo_node is {gains.i}: with it the arm moves until it reaches its goal, so its "
+            "stiffness cannot be measured; start the charger with 0",
             FAILED,
         )
     if options.geometry is not None:
@@ -126,7 +126,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         settings, geometry = docking_settings(docking)
     except OSError as error:
         raise CommandError(
-            f"docking_node's geometry_file cannot be read here ({error}): give the same with --geometry", FAILED
+            f"docking_node's geometry_file cannot be read here ({error}): give it with --geometry", FAILED
         ) from error
     task = ServoTask(
         geometry if options.geometry is None else geometry_of(options.geometry),
@@ -140,19 +140,19 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
 
 
 def _progress() -> Callable[[float], None]:
-    told = 0.0
+    shown = 0.0
 
     def show(share: float) -> None:
-        nonlocal told
-        if share >= told + _SHARE:
-            told = share
+        nonlocal shown
+        if share >= shown + _SHARE:
+            shown = share
             say(f"{100.0 * share:.0f} %")
 
     return show
 
 
 def _header(task: ServoTask, measured: MeasuredArm, problems: list[str]) -> str:
-    """Return the comment that says what a file was made from."""
+    """Return the comment with the origin of a file."""
     gravity = ", ".join(f"{value:g}" for value in task.gravity)
     return "\n".join(
         [
@@ -161,7 +161,7 @@ def _header(task: ServoTask, measured: MeasuredArm, problems: list[str]) -> str:
             f"{len(measured.readings)} places in {measured.seconds:.0f} s; scatter {measured.fit.scatter:.2f}",
             f"weight: platform {task.geometry.platform_mass:g} kg, each rod pair {task.geometry.rod_mass:g} kg, "
             f"known to {100.0 * task.weight_tolerance:g} %; gravity ({gravity}) m/s²",
-            "stiffness holds with the gains below alone; the first lines are what nodes take, `servos` the single ones",
+            "stiffness is valid only with the gains below; nodes use the first lines, `servos` lists single servos",
             *(f"doubtful: {problem}" for problem in problems),
         ]
     )
@@ -182,14 +182,12 @@ def _as_text(measured: MeasuredArm) -> str:
         cells = [*zip(values, fit.error(what), strict=True), fit.common(what)]
         rows.append(f"{name:<16}{unit:<8}" + "".join(f"{_cell(*cell):>18}" for cell in cells))
     cells = [(1e3 * width, 1e3 * error) for width, error in zip(play.width, play.error, strict=True)]
-    told = "".join(f"{_cell(*cell) if math.isfinite(cell[0]) else 'not told':>18}" for cell in cells)
-    rows.append(f"{'play':<16}{'mrad':<8}{told}")
+    cells_text = "".join(f"{_cell(*cell) if math.isfinite(cell[0]) else 'unknown':>18}" for cell in cells)
+    rows.append(f"{'play':<16}{'mrad':<8}{cells_text}")
     rows += ["", f"{len(measured.readings)} places in {measured.seconds:.0f} s"]
     rows.append(f"scatter {fit.scatter:.2f} of what noise and ticks explain")
     if np.isnan(play.width).any():
-        rows.append(
-            "play is told only of a servo that bears next to nothing somewhere; the weight hides that of the others"
-        )
+        rows.append("play is measured only for a servo that is almost unloaded somewhere; weight hides it elsewhere")
     return "\n".join(rows)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate tactile`: a rig's pads from dockings at known poses, and what that is worth."""
+"""`deltacharger calibrate tactile`: calibrate a rig's pads from dockings at known poses, and judge the result."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import SensorCalibrationError, TactileError
 from deltacharger_tactile.estimator import PoseEstimator
 
-_FEW = 30  # dockings, fewer of which leave most gains where they were
-_JITTERS = 3.0  # that an error of a well-mounted rig stays below
+_FEW = 30  # dockings; with fewer most gains keep their old value
+_JITTERS = 3.0  # docking jitters; limit of the errors of a well-mounted rig
 _DEGREE = math.radians(1.0)
 _UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", _DEGREE)}
 
@@ -38,10 +38,10 @@ _UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", 
 def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate tactile`."""
     parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
-    parser.add_argument("--out", required=True, metavar="FILE", help="where to write it, for misalignment_node")
-    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="which, where the data hold several")
-    parser.add_argument("--model", metavar="M.npz", help="pose model that it is for (default: the packaged one)")
-    parser.add_argument("--force", action="store_true", help="overwrite FILE, and write what makes estimates worse")
+    parser.add_argument("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
+    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
+    parser.add_argument("--model", metavar="M.npz", help="pose model (default: the packaged one)")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class _Found:
 
 
 def tactile(options: argparse.Namespace) -> int:
-    """Calibrate, judge, and write what was found unless it makes estimates worse."""
+    """Calibrate, judge, and write the calibration unless it makes estimates worse."""
     file_to_write("--out", options.out, overwrite=options.force)
     with wrong_input(TactileError, file=options.data):
         data, model = _read(options)
@@ -97,26 +97,23 @@ def _doubts_of_pads(faults: PadFaults, tares: Tares, model: PoseEstimator) -> li
     doubts = []
     most = int(faults.dead.sum(axis=(1, 2)).max())
     if most > model.limits.pad_dead:
-        doubts.append(
-            f"{most} dead taxels on one pad, and no estimate is in range with more than {model.limits.pad_dead}: "
-            "replace the pad"
-        )
+        doubts.append(f"{most} dead taxels on one pad; estimates need at most {model.limits.pad_dead}: replace the pad")
     if tares.drifted.any():
         doubts.append(f"the tare of {_places(tares.drifted)} moved between sessions: tare again before each docking")
     if tares.outlying.any():
-        doubts.append(f"the baseline of {_places(tares.outlying)} lies far from the others': look at the skin there")
+        doubts.append(f"the baseline of {_places(tares.outlying)} differs from the others': check the skin there")
     return doubts
 
 
 def _doubts_of_fit(dockings: KnownDockings, fit: PadFit, worth: Worth) -> list[str]:
     doubts = []
     if len(dockings) < _FEW:
-        doubts.append(f"{len(dockings)} dockings tell little: most gains stay near 1; dock {_FEW} times or more")
+        doubts.append(f"{len(dockings)} dockings are too few: most gains stay near 1; dock {_FEW} times or more")
     if fit.misfit > MISFIT_LIMIT:
         doubts.append(
-            f"{100 * fit.misfit:.0f} % of what the pads read is not what this ridge should do (at most "
-            f"{100 * MISFIT_LIMIT:.0f} %): another target? Gains and load shift were left alone, and the pose model "
-            "may be wrong about this target altogether"
+            f"{100 * fit.misfit:.0f} % of the pads' readings do not fit this ridge (at most "
+            f"{100 * MISFIT_LIMIT:.0f} %): another target? Gains and load shift are unchanged; the pose model may be "
+            "wrong for this target"
         )
     if abs(fit.calibration.load_shift) > 0.8 * SHIFT_LIMIT:
         doubts.append("the load shift is at the end of its range: is the end effector level, and both pads fixed?")
@@ -124,12 +121,12 @@ def _doubts_of_fit(dockings: KnownDockings, fit: PadFit, worth: Worth) -> list[s
         unit, scale = _UNITS[axis]
         if abs(bias) > _JITTERS * jitter:
             doubts.append(
-                f"the {axis} error of {bias / scale:+.2f} {unit} is over {_JITTERS:g} times what dockings scatter: "
-                "are the pads mounted askew, or the poses of the data not those of the target in end_effector?"
+                f"the {axis} error of {bias / scale:+.2f} {unit} is over {_JITTERS:g} times the docking jitter: "
+                "are the pads mounted askew, or are the poses not those of the target in end_effector?"
             )
     for axis, worse in zip(AXES, worth.worse, strict=True):
         if worse:
-            doubts.append(f"on held-out dockings the {axis} gets worse: record more dockings, of this rig alone")
+            doubts.append(f"on held-out dockings the {axis} gets worse: record more dockings of this rig only")
     return doubts
 
 
@@ -144,7 +141,7 @@ def _kinds(faults: PadFaults) -> dict[str, NDArray[np.bool_]]:
 
 
 def _seen(calibration: TactileCalibration) -> NDArray[np.float64]:
-    """Return the gains of the taxels that are believed."""
+    """Return the gains of the live taxels."""
     return calibration.gain[~calibration.dead]
 
 
@@ -193,7 +190,7 @@ def _largest(drift: NDArray[np.float64]) -> float:
 def _as_text(found: _Found) -> str:
     fit, worth, made = found.fit, found.worth, found.fit.calibration
     gains, drift = _seen(made), _largest(found.tares.drift)
-    tare = f"at most {drift:.2f} N apart" if math.isfinite(drift) else "the data do not tell"
+    tare = f"at most {drift:.2f} N apart" if math.isfinite(drift) else "unknown"
     source = ", simulated" if made.simulated else ""
     rows = [("dockings", f"{made.dockings} of rig {made.rig}{source}, {fit.in_range} in range of {made.model}")]
     rows += [
@@ -217,7 +214,7 @@ def _as_text(found: _Found) -> str:
 
 
 def _header(options: argparse.Namespace, found: _Found) -> str:
-    """Return the comment that says what the file was made from."""
+    """Return the comment with the origin of the file."""
     lines = [
         "Calibration of one rig's pads by `deltacharger calibrate tactile`, for the parameter `calibration` of",
         f"misalignment_node; data: {Path(options.data).name}",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration commands share: files of measured poses, the arm's geometry, and how they end."""
+"""Common to the calibration commands: files of measured poses, the arm's geometry, and the result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deltacharger_kinematics.geometry_file import load_geometry
 
 @contextlib.contextmanager
 def refusing(path: str) -> Iterator[None]:
-    """Turn what is wrong with a file of measurements into exit code 2 and its lines.
+    """Report an invalid file of measurements with exit code 2 and its lines.
 
     Raises:
         CommandError: instead of CalibrationError.
@@ -29,7 +29,7 @@ def refusing(path: str) -> Iterator[None]:
 
 
 def encoder_of(options: argparse.Namespace) -> Encoder | None:
-    """Return the encoder that the options state; None where they state nothing.
+    """Return the encoder that the options define; None if they define none.
 
     Raises:
         CommandError: a direction is not 1 or -1.
@@ -41,7 +41,7 @@ def encoder_of(options: argparse.Namespace) -> Encoder | None:
 
 
 def geometry_of(path: str | None) -> DeltaGeometry:
-    """Return the arm's geometry of a file, the built-in one without any.
+    """Return the arm's geometry from a file, or the built-in one.
 
     Raises:
         CommandError: the file is refused; exit code 2.
@@ -58,15 +58,15 @@ def conclude(
     value: dict[str, Any],
     remarks: list[str],
 ) -> int:
-    """Tell a calibration, write it to --out unless it is refused and not forced, and return the exit code.
+    """Print a calibration, write it to --out unless it is doubtful without --force, return the exit code.
 
     Args:
         options: of the command, with `out` and `force`.
         refused: whether it should not be used.
         save: writes it to a file.
-        text: what it is, for people.
-        value: the same for the JSON object.
-        remarks: said beside it.
+        text: the calibration for people.
+        value: the calibration for the JSON object.
+        remarks: printed on stderr.
     """
     written = options.out if options.out is not None and (options.force or not refused) else None
     if written is not None:
@@ -78,5 +78,5 @@ def conclude(
     if written is not None:
         say(f"wrote {written}")
     elif options.out is not None:
-        say(f"{options.out} was not written; --force writes it nevertheless")
+        say(f"{options.out} was not written; --force writes it anyway")
     return DONE if success else FAILED

@@ -46,29 +46,29 @@ _DEFAULT_SCENES = "default"
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """Add its options and the action `compare`."""
     parser.add_argument("-n", type=whole(1, 10_000_000), metavar="N", help="dockings (default: 100, or the list's)")
-    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of all that is drawn (1)")
-    scenes = f"packaged campaign or YAML file that says what is drawn ({_DEFAULT_SCENES})"
+    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
+    scenes = f"packaged campaign or YAML file with the distributions ({_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
-    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="form of docking (guarded)")
-    parser.add_argument("--exact", action="store_true", help="compute every tick and frame as the nodes do; slower")
+    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="approach rules (guarded)")
+    parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")
     parser.add_argument("--workers", type=whole(1, 1024), metavar="K", help="processes on this computer (1)")
-    parser.add_argument("--scheduler", default="", metavar="tcp://…", help="of Dask, whose workers run the dockings")
-    parser.add_argument("--batch", type=whole(1, 10_000), default=0, metavar="N", help="dockings written at once")
-    parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, made where it is missing")
+    parser.add_argument("--scheduler", default="", metavar="tcp://…", help="Dask scheduler; its workers run dockings")
+    parser.add_argument("--batch", type=whole(1, 10_000), default=0, metavar="N", help="dockings per write")
+    parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
     actions = parser.add_subparsers(title="actions", metavar="ACTION")
     compare_them = add_command(actions, "compare", "compare two campaigns of one seed, docking by docking")
     compare_them.set_defaults(run=compare)
-    compare_them.add_argument("a", metavar="A", help="folder of the first one")
-    compare_them.add_argument("b", metavar="B", help="folder of the other one")
+    compare_them.add_argument("a", metavar="A", help="folder of the first campaign")
+    compare_them.add_argument("b", metavar="B", help="folder of the second campaign")
     compare_them.add_argument("--picture", metavar="FILE", help="draw the differences")
 
 
 def campaign(options: argparse.Namespace) -> int:
-    """Run what is missing of a campaign, and say how its dockings ended."""
+    """Run the missing dockings of a campaign, and print how its dockings ended."""
     folder, settings = _folder(options), _settings(options)
     if options.scheduler and options.workers:
-        raise CommandError("--workers is for this computer; a scheduler has workers of its own", WRONG_INPUT)
-    with told_campaign_errors():
+        raise CommandError("--workers is for this computer; a scheduler has its own workers", WRONG_INPUT)
+    with campaign_errors():
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
             run_missing(
@@ -79,7 +79,7 @@ def campaign(options: argparse.Namespace) -> int:
         results = read_results(folder, COLUMNS)
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
     if not complete:
-        say(f"{folder}: {len(results['number'])} of {settings.n} dockings are written; the same command goes on")
+        say(f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume")
     tell_or_write(options, _described(summary, settings), {"success": complete, **summary})
     if complete:
         return DONE
@@ -89,7 +89,7 @@ def campaign(options: argparse.Namespace) -> int:
 def compare(options: argparse.Namespace) -> int:
     """Compare two campaigns docking by docking, and draw the differences."""
     picture = picture_to_write(options.picture) if options.picture else None
-    with told_campaign_errors():
+    with campaign_errors():
         found = compare_campaigns(Path(options.a), Path(options.b))
     if picture is not None:
         draw(found, picture)
@@ -99,8 +99,8 @@ def compare(options: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def told_campaign_errors() -> Iterator[None]:
-    """Turn what keeps a campaign from running into an end of the command; exit code 2 where the input is at fault."""
+def campaign_errors() -> Iterator[None]:
+    """Turn CampaignError into CommandError; exit code 2 if the input is wrong."""
     try:
         yield
     except CampaignError as error:
@@ -108,11 +108,11 @@ def told_campaign_errors() -> Iterator[None]:
 
 
 class CampaignProgress:
-    """Says on stderr how far a campaign is: a bar on a terminal, else a line at every tenth.
+    """Print the progress of a campaign on stderr: a bar on a terminal, else a line at every tenth.
 
     Args:
         total: dockings.
-        begun: how many were there before.
+        begun: dockings that existed before.
     """
 
     def __init__(self, total: int, begun: int) -> None:
@@ -124,10 +124,10 @@ class CampaignProgress:
         self._tenth = 10 * begun // total
         self._bar = sys.stderr is not None and sys.stderr.isatty()
         if begun:
-            say(f"{begun} of {total} dockings are there already")
+            say(f"{begun} of {total} dockings exist already")
 
     def __call__(self, rows: Sequence[dict[str, Any]]) -> None:
-        """Count rows that have been written."""
+        """Count written rows."""
         self._done += len(rows)
         self._charged += sum(row["charged"] for row in rows)
         tenth = 10 * self._done // self._total
@@ -139,7 +139,7 @@ class CampaignProgress:
         self._tenth = tenth
 
     def end(self) -> None:
-        """Leave the line of the bar."""
+        """End the line of the bar."""
         if self._bar:
             say("")
 
@@ -148,19 +148,19 @@ class CampaignProgress:
         rate = run / max(time.monotonic() - self._started, 1e-9)
         left = (self._total - self._done) / rate if rate else 0.0
         return (
-            f"{self._done} of {self._total} dockings, {self._charged} of the {run} now run charged, {rate:.1f} per s, "
+            f"{self._done} of {self._total} dockings, {self._charged} of {run} new ones charged, {rate:.1f} per s, "
             f"{left:.0f} s left"
         )
 
 
 def _folder(options: argparse.Namespace) -> Path:
     if not options.out:
-        raise CommandError("--out DIR is missing: the folder that the results are written to", WRONG_INPUT)
+        raise CommandError("--out DIR is missing: give the folder for the results", WRONG_INPUT)
     folder = Path(options.out)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise of_system(error, f"--out {folder}: {folder.parent} cannot be made: ") from error
+        raise of_system(error, f"--out {folder}: {folder.parent} cannot be created: ") from error
     return folder
 
 
@@ -170,7 +170,7 @@ def _settings(options: argparse.Namespace) -> CampaignSettings:
     count = options.n or len(scene.dockings) or _DEFAULT_COUNT
     if scene.dockings and count > len(scene.dockings):
         raise CommandError(
-            f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most as many", WRONG_INPUT
+            f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number", WRONG_INPUT
         )
     return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions())
 
@@ -195,5 +195,5 @@ def _described(summary: dict[str, Any], settings: CampaignSettings) -> str:
         values = ", ".join(f"{key} {scale * value:.2f}" for key, value in summary[name].items())
         lines.append(f"  {name:<18} {values} {unit}".rstrip())
     if summary["crashed"]:
-        lines.append(f"  crashed            {summary['crashed']}; their errors stand in the column error")
+        lines.append(f"  crashed            {summary['crashed']}; see the column error")
     return "\n".join(lines)

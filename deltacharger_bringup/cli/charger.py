@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all commands that start a charger or speak to one share."""
+"""Common to all commands that start a charger or communicate with one."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import Scene
 
-DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
-LOOK = 3.3  # s after which no charger that runs is unknown: who misses its first announcement waits 3 s for the next
-START_UP = 60.0  # s until the actions of a scene's own charger answer
+DISCOVERY = 5.0  # s; a running charger is found in 0.25…3 s, and a second one beside it would be worse than the wait
+LOOK = 3.3  # s until every running charger is found; after a missed announcement the next comes 3 s later
+START_UP = 60.0  # s until the actions of a started charger are available
 
 
 def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
-    """Load the scene of a command and set the environment that it needs, before anything imports rclpy.
+    """Load the scene of a command and set its environment, before anything imports rclpy.
 
     Args:
         options: of the command.
-        look_around: where neither a scene nor a domain was given, use a charger that answers in the default domain, as
-            one on hardware does, rather than the domain of simulated ones. Sets `discovery` (s to look for a running
-            charger) and `must_run` (start no other one) of the options.
+        look_around: if neither a scene nor a domain is given, prefer a charger that answers in ROS domain 0 (the
+            domain of chargers on hardware) to the domain of simulated ones. Sets `discovery` (s to search for a
+            running charger) and `must_run` (start no other charger) of the options.
 
     Raises:
         CommandError: the scene or ROS_DOMAIN_ID is refused; exit code 2.
     """
-    from deltacharger_bringup.cli.scene import load_for_command  # hundreds of ms, for which --help does not wait
+    from deltacharger_bringup.cli.scene import load_for_command  # takes hundreds of ms, so --help does not import it
 
-    given = getattr(options, "scene", None)  # some commands take the scene as it comes
+    given = getattr(options, "scene", None)  # some commands have no --scene
     scene = load_for_command(given or DEFAULT_SCENE)
     environment.prepare()
     require_domain()
@@ -50,10 +50,10 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     if look_around and given is None and not os.environ.get("ROS_DOMAIN_ID"):
         options.discovery = LOOK
         if _answers_by_default(options.namespace):
-            say("using the charger that answers in ROS domain 0")
+            say("using the charger in ROS domain 0")
             options.discovery = DISCOVERY
             options.must_run = True
-            return dataclasses.replace(scene, goal=None)  # a simulated target's place is no real one's
+            return dataclasses.replace(scene, goal=None)  # the goal of a simulated scene is wrong for a real target
     environment.isolate()
     return scene
 
@@ -70,7 +70,7 @@ def require_domain() -> None:
 
 
 def _answers_by_default(namespace: str) -> bool:
-    """Whether a charger answers in the ROS domain that this process would join by itself."""
+    """Whether a charger answers in the default ROS domain of this process."""
     with ros_context() as context:
         from deltacharger_ros.client import ChargerClient
 
@@ -80,13 +80,13 @@ def _answers_by_default(namespace: str) -> bool:
 
 @contextlib.contextmanager
 def ros_context() -> Iterator[Context]:
-    """Run an rclpy context that leaves signals to the command.
+    """Run an rclpy context without signal handlers; the command handles signals.
 
     Raises:
         CommandError: ROS cannot start.
     """
     try:
-        import deltacharger.action  # noqa: F401  (fails here, by name, where the interfaces are not built)
+        import deltacharger.action  # noqa: F401  (fails here if the interfaces are not built)
         import rclpy
         from rclpy.context import Context
         from rclpy.signals import SignalHandlerOptions
@@ -103,7 +103,7 @@ def ros_context() -> Iterator[Context]:
 
 
 def refusal(exit_code: int, holder: str = "") -> CommandError:
-    """Return the error of a command that would start a second charger beside one that runs."""
+    """Return the error of a command that would start a second charger beside a running one."""
     where = f"ROS domain {environment.domain()}{holder and f' (process {holder})'}"
     return CommandError(
         f"a charger already answers in {where}: stop it, or choose another ROS_DOMAIN_ID or --namespace", exit_code
@@ -112,10 +112,10 @@ def refusal(exit_code: int, holder: str = "") -> CommandError:
 
 @contextlib.contextmanager
 def only_charger(namespace: str) -> Iterator[None]:
-    """Be the only process of this user on this machine that runs a charger of this ROS domain and namespace.
+    """Hold a lock: this user runs only one charger of this ROS domain and namespace on this machine.
 
     Raises:
-        CommandError: another one is, exit code 2; or the folder of the lock cannot be used.
+        CommandError: another process holds it, exit code 2; or the folder of the lock cannot be used.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -123,7 +123,7 @@ def only_charger(namespace: str) -> Iterator[None]:
         except runtime.Taken as taken:
             raise refusal(WRONG_INPUT, taken.process) from taken
         except OSError as error:
-            raise CommandError(f"no lock can be taken that keeps a second charger away: {error}") from error
+            raise CommandError(f"the lock against a second charger cannot be taken: {error}") from error
         yield
 
 
@@ -131,7 +131,7 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     """Start a scene's charger in this process; `held` as in `Composition`.
 
     Raises:
-        CommandError: a part of it cannot start; exit code 2 where its configuration is at fault.
+        CommandError: a part of it cannot start; exit code 2 if its configuration is wrong.
     """
     from deltacharger_ros.node_support import StartupError
     from deltacharger_scenes.composition import Composition
@@ -144,14 +144,14 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     except StartupError as error:
         raise CommandError(f"{scene.file}: {error}", WRONG_INPUT, file=scene.file) from error
     except ImportError as error:
-        raise CommandError(f"scene '{scene.name}' needs something that is not installed: {error}") from error
+        raise CommandError(f"scene '{scene.name}' needs a library that is not installed: {error}") from error
 
 
 def wait_for_actions(composition: Composition, client: Any, interrupts: Interrupts) -> bool:
-    """Wait until a composition's actions answer; False where a signal came first.
+    """Wait until a composition's actions are available; return False after a signal.
 
     Raises:
-        CommandError: a part broke, or they do not answer in time.
+        CommandError: a part failed, or they are not available in time.
     """
     waited = 0.0
     while not client.wait_until_ready(0.5, interrupts.event):
@@ -160,19 +160,19 @@ def wait_for_actions(composition: Composition, client: Any, interrupts: Interrup
             return False
         raise_if_failed(composition)
         if waited >= START_UP:
-            raise CommandError(f"the actions do not answer after {START_UP:.0f} s; look at the log above")
+            raise CommandError(f"the actions are not available after {START_UP:.0f} s; see the log above")
     return True
 
 
 def raise_if_failed(composition: Composition) -> None:
-    """Raise CommandError where a part of the composition no longer runs."""
+    """Raise CommandError if a part of the composition no longer runs."""
     failed = composition.failed()
     if failed:
-        raise CommandError(f"no longer running: {', '.join(failed)}; look at the log above")
+        raise CommandError(f"no longer running: {', '.join(failed)}; see the log above")
 
 
 def require_docking(scene: Scene) -> None:
-    """Refuse a scene whose charger could not serve a goal.
+    """Refuse a scene whose charger cannot accept a goal.
 
     Raises:
         CommandError: it has no docking_node; exit code 2.

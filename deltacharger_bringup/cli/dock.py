@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger dock`: one docking as a fleet manager would order it, with progress, result and picture."""
+"""`deltacharger dock`: send one docking goal, show progress and result, draw a picture."""
 
 from __future__ import annotations
 
@@ -40,30 +40,28 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     scene_option(parser)
     namespace_option(parser)
     for axis in "xyz":
-        parser.add_argument(
-            f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=f"electrodes along {axis} of charger_base"
-        )
-    parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="of the electrodes about z, -90 to 90")
-    parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
-    parser.add_argument(
-        "--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
-    )
+        text = f"position of the electrodes along {axis} of charger_base"
+        parser.add_argument(f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=text)
+    parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
+    parser.add_argument("--camera", action="store_true", help="use the camera even if the scene has coordinates")
+    text = "stricter critical angle than the charger's"
+    parser.add_argument("--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help=text)
     parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
-    parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
-    parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of charging")
-    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered")
-    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
-    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
+    parser.add_argument("--hold", action="store_true", help="charge until a stop condition or Ctrl-C")
+    parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="charging time")
+    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered energy")
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
     parser.add_argument(
-        "--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"of the run (default: {_DEFAULT_PICTURE})"
+        "--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"picture of the run (default: {_DEFAULT_PICTURE})"
     )
-    parser.add_argument("--no-picture", action="store_true", help="write none")
+    parser.add_argument("--no-picture", action="store_true", help="write no picture")
     record_option(parser)
 
 
 def dock(options: argparse.Namespace) -> int:
-    """Dock with the running charger, or else with the scene's own in this process."""
-    if not options.no_picture and options.picture != _DEFAULT_PICTURE:  # who asked for none needs no writable folder
+    """Dock with the running charger, or start the charger of the scene in this process."""
+    if not options.no_picture and options.picture != _DEFAULT_PICTURE:  # without a picture no writable folder is needed
         picture_to_write(options.picture)
     scene = prepare(options, look_around=True)
     require_docking(scene)
@@ -78,7 +76,7 @@ def dock(options: argparse.Namespace) -> int:
         if not client.wait_until_it_answers(options.discovery, interrupts.event) and not interrupts.event.is_set():
             if options.must_run:
                 raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
-            say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
+            say(f"no charger answers in ROS domain {environment.domain()}; starting scene '{scene.name}'")
             stack.enter_context(only_charger(options.namespace))
             _log_warnings_only()
             composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
@@ -86,7 +84,7 @@ def dock(options: argparse.Namespace) -> int:
         if interrupts.event.is_set():
             raise CommandError("interrupted", INTERRUPTED)
         if composition is None and options.scene is not None:
-            say(f"using the charger that runs already; of scene '{scene.name}' only the goal is taken")
+            say(f"using the running charger; only the goal of scene '{scene.name}' is used")
         if composition is None and options.record:
             stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
@@ -94,7 +92,7 @@ def dock(options: argparse.Namespace) -> int:
 
 
 def _log_warnings_only() -> None:
-    """Let the nodes of this process log nothing less: the command itself prints the goal, its phases and its end."""
+    """Limit the nodes of this process to warnings: the command prints goal, phases and result."""
     from rclpy.impl.logging_severity import LoggingSeverity
     from rclpy.logging import set_logger_level
 
@@ -102,13 +100,13 @@ def _log_warnings_only() -> None:
 
 
 def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
-    """Return the goal: coordinates of the command line over those of the scene, else the camera's.
+    """Return the goal: coordinates of the command line, else of the scene, else from the camera.
 
     Raises:
-        CommandError: some coordinates are given and nothing supplies the others.
+        CommandError: some coordinates are given and the others are unknown.
     """
-    told = {axis: getattr(options, f"{axis}_mm") for axis in "xyz"}
-    flags = {axis: 1e-3 * millimetres for axis, millimetres in told.items() if millimetres is not None}
+    given = {axis: getattr(options, f"{axis}_mm") for axis in "xyz"}
+    flags = {axis: 1e-3 * millimetres for axis, millimetres in given.items() if millimetres is not None}
     if options.roll_deg is not None:
         flags["roll"] = math.radians(options.roll_deg)
     return DockRequest(
@@ -134,7 +132,7 @@ def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | Non
     missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
     if missing:
         raise CommandError(
-            f"{', '.join(missing)} missing: scene '{scene.name}' has no goal to take it from", WRONG_INPUT
+            f"{', '.join(missing)} missing: scene '{scene.name}' has no key goal; give them", WRONG_INPUT
         )
     return Pose(**flags)
 
@@ -152,13 +150,13 @@ class _Run:
     interrupts: Interrupts
 
     def carry_out(self) -> int:
-        """Dock, undock where this process started the charger, draw and report."""
+        """Dock, undock if this process started the charger, draw and report."""
         say(self._goal_line())
         whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
         self.recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
         printer = PhasePrinter(self.recorder.force)
         outcome = self._dock(printer)
-        cure = self._cure(outcome)
+        advice = self._advice(outcome)
         self.recorder.finish(outcome)
         more: dict[str, Any] = {
             "scene": self.scene.name,
@@ -170,13 +168,13 @@ class _Run:
             if outcome.success:
                 more["undock"] = self._undock()
             unsafe = self._truth(more)
-            # Drawing holds the interpreter for seconds, which nodes in this process would take for a broken cable.
+            # Drawing blocks the interpreter for seconds; nodes in this process would detect a broken cable.
             self.recorder.close()
             self.composition.close()
         more["picture"] = self._draw()
         report(outcome, self.options.json, more)
-        if cure:
-            say(cure)
+        if advice:
+            say(advice)
         if not self.options.json and outcome.success:
             say(outcome.figures())
         if unsafe:
@@ -188,7 +186,7 @@ class _Run:
     def _goal_line(self) -> str:
         pose = self.request.electrodes
         if pose is None:
-            return "goal: electrodes where the camera finds them"
+            return "goal: electrodes as detected by the camera"
         return f"goal: electrodes at {place(pose.x, pose.y, pose.z, pose.roll)}"
 
     def _dock(self, printer: PhasePrinter) -> Outcome:
@@ -205,19 +203,19 @@ class _Run:
         except ClientError as error:
             raise CommandError(str(error), INTERRUPTED if self.interrupts.event.is_set() else FAILED) from error
 
-    def _cure(self, outcome: Outcome) -> str:
-        """Return what to do where the camera was asked and there is none, or ''."""
+    def _advice(self, outcome: Outcome) -> str:
+        """Return what to do if the camera was requested and there is none; else ''."""
         if outcome.error_name != "ELECTRODES_NOT_FOUND" or self.client.finds_electrodes():
             return ""
         return (
-            "nothing here finds electrodes: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "
+            "no detector of electrodes runs: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "
             "has a detector, such as --scene camera (simulated), oakd or rgbd"
         )
 
     def _undock(self) -> dict[str, Any]:
         from deltacharger_ros.client import ClientError
 
-        say("undocking, since this command ends the charger that it started")
+        say("undocking, because this command stops the charger that it started")
         try:
             outcome = self.client.undock(on_progress=PhasePrinter(), deadline=60.0)
         except ClientError as error:
@@ -242,12 +240,12 @@ class _Run:
         return str(path)
 
     def _truth(self, more: dict[str, Any]) -> str:
-        """Add what really happened in an own simulated world; return why it was unsafe, or ''."""
+        """Add the record of the simulated world, if any; return why it was unsafe, or ''."""
         assert self.composition is not None
         if self.composition.charger is None:
             return ""
         record = self.composition.charger.record()
         more["simulation"] = record
         if record.get("energised_shorts") or record.get("energised_unsafe"):
-            return "the simulated world saw a short or a lost clearance while energised: this docking has failed"
+            return "short or lost clearance while energised in the simulated world: this docking failed"
         return ""

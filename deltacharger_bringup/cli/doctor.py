@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger doctor`: what is wrong with this charger and this computer, and how to mend it.
+"""`deltacharger doctor`: find problems of this charger and this computer, and print the remedies.
 
-Nothing here needs ROS, a driver or a scene to be loadable: each check says by itself what it lacks.
+It starts without ROS, driver libraries or a valid scene: each check reports what is missing.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Add the options of `doctor`."""
     scene_option(parser)
     parser.add_argument(
-        "--servo-port", metavar="PORT", help=f"of the servos, instead of the scene's; {BEHIND_BOARD}: they hang on it"
+        "--servo-port", metavar="PORT", help=f"port of the servos, instead of the scene's, or {BEHIND_BOARD}"
     )
-    parser.add_argument("--board-port", metavar="PORT", help="of the board, instead of the scene's")
+    parser.add_argument("--board-port", metavar="PORT", help="port of the board, instead of the scene's")
     speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-    text = "write this speed (bit/s) to servos that speak another one, torque off; needs --servo-port"
+    text = "write this speed (bit/s) to servos with another speed, torque off; needs --servo-port"
     parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
-    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="of --set-baud (default: all)")
+    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
 
 
 @dataclass
 class _Hardware:
-    """What is to be examined, of the scene or of the command line; a port is empty where there is none to examine."""
+    """Hardware to examine, from the scene or the command line; an empty port is not examined."""
 
     scene: str = ""
     simulated: Scene | None = None
@@ -55,22 +55,22 @@ class _Hardware:
     servo_speed: int = BAUD_RATE
     board_speed: int = BAUD_RATE
     ids: tuple[int, ...] = SERVO_IDS
-    wired: bool = False  # the electrodes hang on the battery
+    wired: bool = False  # the electrodes are wired to the battery
     current_max: float = _CURRENT_MAX
     problems: list[Finding] = field(default_factory=list)
 
     @property
     def is_one_cable(self) -> bool:
-        """Whether the servos hang on the board."""
+        """Whether the servos are connected to the board."""
         return self.servo_port == BEHIND_BOARD
 
 
 def doctor(options: argparse.Namespace) -> int:
-    """Examine everything, or write the servos' speed where that is asked for; print the findings."""
+    """Examine everything, or write the servos' speed with --set-baud; print the findings."""
     if options.set_baud is not None:
         return _set_baud(options)
     if options.ids is not None:
-        raise CommandError("--ids belongs to --set-baud", WRONG_INPUT)
+        raise CommandError("--ids needs --set-baud", WRONG_INPUT)
     hardware = _hardware(options)
     environment.prepare()
     if hardware.simulated is not None:
@@ -78,7 +78,7 @@ def doctor(options: argparse.Namespace) -> int:
     found: list[Finding] = list(hardware.problems)
     probe = RosProbe()
     try:
-        say("looking at this computer and its ROS ...")
+        say("checking this computer and ROS ...")
         found += checked("versions", examine_versions)
         found += checked("ros settings", examine_settings)
         with contextlib.ExitStack() as stack:
@@ -93,20 +93,20 @@ def doctor(options: argparse.Namespace) -> int:
 
 def _set_baud(options: argparse.Namespace) -> int:
     if not options.servo_port:
-        raise CommandError("--set-baud needs --servo-port: say which port's servos are to be written", WRONG_INPUT)
+        raise CommandError("--set-baud needs --servo-port: give the port of the servos to write", WRONG_INPUT)
     hardware = _Hardware(servo_port=options.servo_port, board_port=options.board_port or "")
     if options.scene or bool(options.board_port) != hardware.is_one_cable:
-        text = "--set-baud looks at --servo-port alone; leave --scene and --board-port out, or give both as "
+        text = "--set-baud uses --servo-port alone; leave out --scene and --board-port, or give both ports as "
         raise CommandError(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT", WRONG_INPUT)
     found = _examine_servos(hardware, lambda port: set_baud(port, options.set_baud, options.ids))
     return _report(options, found, hardware)
 
 
 def _hardware(options: argparse.Namespace) -> _Hardware:
-    """Return what to examine; the ports of the command line alone where no scene is named.
+    """Return what to examine; only the ports of the command line if no scene is given.
 
     Raises:
-        CommandError: the scene is refused, or is a simulated one and ports are given; exit code 2.
+        CommandError: the scene is refused, or it is simulated and ports are given; exit code 2.
     """
     given = bool(options.servo_port or options.board_port)
     hardware = _Hardware(servo_port=options.servo_port or "", board_port=options.board_port or "")
@@ -123,13 +123,13 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     hardware.wired = scene.node_parameters("docking_node", {}).get("power") == "none"
     if scene.simulation is not None:
         if given:
-            raise CommandError(f"scene '{scene.name}' brings its own ports; leave --servo-port and --board-port out", 2)
+            raise CommandError(f"scene '{scene.name}' has its own ports; leave out --servo-port and --board-port", 2)
         hardware.simulated = scene
         return hardware
-    environment.reach(scene.network)  # as the command that starts it
+    environment.reach(scene.network)  # as in the command that starts it
     for node, port in (("servo_node", "servo"), ("tactile_node", "board")):
         if node not in scene.nodes:
-            hardware.problems.append(ok(f"{port} port", f"scene '{scene.name}' starts no {node} and needs none"))
+            hardware.problems.append(ok(f"{port} port", f"not needed: scene '{scene.name}' starts no {node}"))
     if "servo_node" in scene.nodes:
         values = scene.node_parameters("servo_node", {})
         hardware.servo_port = hardware.servo_port or str(values.get("port", ""))
@@ -144,7 +144,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
 
 
 def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[Finding]:
-    """Serve a simulated scene's emulators as long as `stack` is open, and take their ports for the hardware's."""
+    """Run the emulators of a simulated scene until `stack` closes, and set `hardware` to their ports."""
     scene = hardware.simulated
     if scene is None or scene.simulation is None:
         return []
@@ -155,58 +155,58 @@ def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[F
 
         charger = stack.enter_context(SimulatedCharger(simulation))
         hardware.servo_port, hardware.board_port = charger.servo_port, charger.board_port
-        there = candidates()
+        ports = candidates()
         remedy = "for a real charger: --scene bench, or --servo-port and --board-port"
-        if there:
-            remedy += f"; this machine has {', '.join(there)}"
-        yield hint("scene", f"'{scene.name}' is simulated: ports, servos and board below are its emulators", remedy)
+        if ports:
+            remedy += f"; ports of this machine: {', '.join(ports)}"
+        yield hint("scene", f"'{scene.name}' is simulated: the ports, servos and board below are emulators", remedy)
 
     return checked("scene", start)
 
 
 def _examine_ports(hardware: _Hardware) -> list[Finding]:
-    """Return what is found on both ports."""
+    """Return the findings for both ports."""
     servo, board = hardware.servo_port, hardware.board_port
     found: list[Finding] = []
     if servo and board and same_device(servo, board):
-        return [wrong("ports", f"{servo} and {board} are one device", "give each its own port")]
+        return [wrong("ports", f"{servo} and {board} are one device", "give two different ports")]
     if servo:
         speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
-        named = f"--servo-port {BEHIND_BOARD} --board-port {board}" if hardware.is_one_cable else ""
-        found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=named))
+        words = f"--servo-port {BEHIND_BOARD} --board-port {board}" if hardware.is_one_cable else ""
+        found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=words))
     if board:
-        saying = f"looking at the board on {board} ..."
+        text = f"checking the board on {board} ..."
         found += _examine(
-            "board", board, saying, lambda: examine_board(board, hardware.board_speed, wired=hardware.wired)
+            "board", board, text, lambda: examine_board(board, hardware.board_speed, wired=hardware.wired)
         )
     return found
 
 
 def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding]]) -> list[Finding]:
-    """Return what is found of the servos' port and of the servos, also where they hang on the board."""
+    """Return the findings for the servos and their port, also for servos connected to the board."""
     port, found = hardware.servo_port, list[Finding]()
     if not hardware.is_one_cable:
-        return _examine("servos", port, f"looking at the servos on {port} ...", lambda: check(port))
+        return _examine("servos", port, f"checking the servos on {port} ...", lambda: check(port))
     if not hardware.board_port:
-        return [wrong("servo port", "the servos hang on the board, and no port of it is given", "give --board-port")]
+        return [wrong("servo port", "the servos are on the board, and its port is not given", "give --board-port")]
 
     def behind() -> Iterator[Finding]:
         from deltacharger_driver.board.pass_through import servos_behind
 
         with servos_behind(hardware.board_port, hardware.board_speed) as path:
-            yield ok("servo port", f"the servos hang on the board at {hardware.board_port}")
+            yield ok("servo port", f"the servos are on the board at {hardware.board_port}")
             found.extend(checked("servos", lambda: check(path)))
 
-    say(f"looking at the servos behind the board on {hardware.board_port} ...")
+    say(f"checking the servos behind the board on {hardware.board_port} ...")
     return checked("servo port", behind) + found
 
 
-def _examine(device: str, path: str, saying: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
-    """Return what is found of a port and, where it opens, of the device behind it."""
+def _examine(device: str, path: str, text: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
+    """Return the findings for a port and, if it opens, for its device."""
     part = f"{device.removesuffix('s')} port"
     found = checked(part, lambda: examine_port(part, path))
     if not any(finding.level == "wrong" for finding in found):
-        say(saying)
+        say(text)
         found += checked(device, check)
     return found
 
@@ -229,5 +229,5 @@ def _report(options: argparse.Namespace, found: list[Finding], hardware: _Hardwa
             tell(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
             if finding.remedy:
                 tell(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
-        tell(f"\n{counts['wrong']} wrong, {counts['hint']} worth a look, {counts['ok']} as they should be")
+        tell(f"\n{counts['wrong']} wrong, {counts['hint']} hints, {counts['ok']} ok")
     return FAILED if counts["wrong"] else DONE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger fault`: let something go wrong with the emulated hardware of a charger that runs."""
+"""`deltacharger fault`: inject faults into the emulated hardware of a running charger."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ _FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 
 def add_fault(parser: argparse.ArgumentParser) -> None:
     """Add the options of `fault`."""
-    parser.add_argument("kind", nargs="?", metavar="KIND", help="what; --list names them all")
-    parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="how long (default: until --clear)")
-    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="how much, in the unit of its kind")
-    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, where it concerns one servo")
-    parser.add_argument("--list", action="store_true", help="name every kind, and what goes wrong at present")
-    parser.add_argument("--clear", action="store_true", help="end everything that lasts")
-    parser.add_argument("--directory", metavar="DIR", help="of the ports (default: the charger of the ROS domain)")
+    parser.add_argument("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
+    parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="duration (default: until --clear)")
+    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="size, in the unit of its kind")
+    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, for faults of one servo")
+    parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")
+    parser.add_argument("--clear", action="store_true", help="end all lasting faults")
+    parser.add_argument("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
     namespace_option(parser)
 
 
 def fault(options: argparse.Namespace) -> int:
-    """Cause one fault, end all, or list."""
+    """Inject one fault, end all, or list them."""
     if (options.kind is not None) + options.list + options.clear != 1:
-        raise CommandError("give a KIND, --list or --clear, and one of them only", WRONG_INPUT)
+        raise CommandError("give exactly one of KIND, --list and --clear", WRONG_INPUT)
     require_domain()
     if options.kind is not None:
-        return _cause(options, _checked(options))
+        return _inject(options, _checked(options))
     if options.amount is not None or options.servo or options.for_s:
-        raise CommandError("--amount, --servo and --for-s go with a KIND", WRONG_INPUT)
+        raise CommandError("--amount, --servo and --for-s need a KIND", WRONG_INPUT)
     return _clear(options) if options.clear else _list(options)
 
 
@@ -53,20 +53,20 @@ def _checked(options: argparse.Namespace) -> Fault:
         raise CommandError(f"{flag}: {error.problem}" if flag else error.problem, WRONG_INPUT) from error
 
 
-def _cause(options: argparse.Namespace, wanted: Fault) -> int:
+def _inject(options: argparse.Namespace, wanted: Fault) -> int:
     request: dict[str, Any] = {"command": "begin", "kind": wanted.kind, "last": wanted.last, "servo": wanted.servo}
     if wanted.amount is not None:
         request["amount"] = wanted.amount
     reply = _ask(options, request)
     kind = KINDS[wanted.kind]
-    caused = {
+    injected = {
         "kind": wanted.kind,
         "servo": wanted.whom or None,
         "amount": wanted.how_much if kind.amount else None,
         "for_s": wanted.last or None,
     }
-    text = f"{_named(caused)}: {kind.text}{_until(wanted, kind)}"
-    tell_or_write(options, text, {"success": True, **caused, "active": reply["active"]})
+    text = f"{_named(injected)}: {kind.text}{_until(wanted, kind)}"
+    tell_or_write(options, text, {"success": True, **injected, "active": reply["active"]})
     return DONE
 
 
@@ -78,7 +78,7 @@ def _until(wanted: Fault, kind: Kind) -> str:
 
 def _clear(options: argparse.Namespace) -> int:
     reply = _ask(options, {"command": "clear"})
-    text = "nothing goes wrong any more; errors that a servo or the board has latched stay until they are cleared"
+    text = "no faults are active; latched errors of servos and board stay until they are cleared"
     tell_or_write(options, text, {"success": True, "active": reply["active"]})
     return DONE
 
@@ -94,11 +94,11 @@ def _list(options: argparse.Namespace) -> int:
     for name, kind in KINDS.items():
         amount = f"; amount: {kind.amount.name}, usually {kind.amount.default:g}" if kind.amount else ""
         servo = {"one": "; --servo, usually 2", "some": "; --servo, usually all"}.get(kind.servo, "")
-        tell(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; over at once'}")
+        tell(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; momentary'}")
     if active is None:
-        tell(f"\n{_nobody(options)}")
+        tell(f"\n{_none_runs(options)}")
     else:
-        tell("\nat present: " + ("; ".join(_named(each) for each in active) or "nothing goes wrong"))
+        tell("\nactive: " + ("; ".join(_named(each) for each in active) or "none"))
     return DONE
 
 
@@ -126,10 +126,10 @@ def _named(each: dict[str, Any]) -> str:
 
 
 def _ask(options: argparse.Namespace, request: dict[str, Any]) -> dict[str, Any]:
-    """Ask the charger that the options name.
+    """Send a request to the charger that the options name.
 
     Raises:
-        CommandError: none runs, or it refuses.
+        CommandError: no charger runs, or it refuses.
     """
     for path in _places(options):
         try:
@@ -137,31 +137,31 @@ def _ask(options: argparse.Namespace, request: dict[str, Any]) -> dict[str, Any]
         except ConnectionError:
             continue
         except OSError as error:
-            raise CommandError(f"{path}: {error}; is it a charger of another user, or one that hangs?") from error
+            raise CommandError(f"{path}: {error}; does the charger belong to another user, or does it hang?") from error
         if not reply["success"]:
             raise CommandError(reply["error"])
         return reply
-    raise CommandError(_nobody(options))
+    raise CommandError(_none_runs(options))
 
 
 def _places(options: argparse.Namespace) -> list[Path]:
-    """Return where the charger's socket may be: in its ports' folder, or where its ROS domain is registered."""
+    """Return possible paths of the charger's socket: in the folder of its ports, or by ROS domain."""
     if options.directory:
         return [Path(options.directory) / SOCKET]
     return [runtime.charger(domain, options.namespace) for domain in _domains()]
 
 
 def _domains() -> list[int]:
-    """Return the given ROS domain, or else that of simulated scenes and the default one."""
+    """Return the given ROS domain, or else the domain of simulated scenes and domain 0."""
     return [environment.domain()] if os.environ.get("ROS_DOMAIN_ID") else [environment.SIMULATION_DOMAIN, 0]
 
 
-def _nobody(options: argparse.Namespace) -> str:
+def _none_runs(options: argparse.Namespace) -> str:
     if options.directory:
         return f"no simulated charger runs on the ports in {options.directory}"
     where = " or ".join(str(domain) for domain in _domains())
     space = f" under the namespace '{options.namespace}'" if options.namespace else ""
     return (
-        f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`, or name the folder "
+        f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`, or give the folder "
         "of its ports with --directory"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command shall read, and where it shall write, refused before it does anything that would then be lost."""
+"""Check the files that a command will read or write before it starts, so that no work is lost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 def file_to_read(flag: str, name: str) -> Path:
-    """Return the path of a file that is there; CommandError with exit code 2 where it is not."""
+    """Return the path of an existing file; CommandError with exit code 2 if there is none."""
     if not Path(name).is_file():
         raise CommandError(f"{flag} {name}: there is no such file", WRONG_INPUT)
     return Path(name)
@@ -25,17 +25,17 @@ def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) 
     Args:
         flag: the option that names it.
         name: its value.
-        kind: how it must end.
-        overwrite: whether it may be there already.
+        kind: required suffix.
+        overwrite: whether it may exist already.
 
     Raises:
-        CommandError: it cannot, or may not, be written; exit code 2.
+        CommandError: it cannot or must not be written; exit code 2.
     """
     path = Path(name)
     if kind and path.suffix != kind:
-        raise CommandError(f"{flag} '{name}': end it in {kind}", WRONG_INPUT, file=name)
+        raise CommandError(f"{flag} '{name}': the name must end in {kind}", WRONG_INPUT, file=name)
     if not path.parent.is_dir():
-        problem = f"{flag} {name}: the folder {path.parent} does not exist; make it"
+        problem = f"{flag} {name}: the folder {path.parent} does not exist; create it"
         raise CommandError(problem, WRONG_INPUT, file=name)
     if path.is_dir() or not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
         raise CommandError(f"{flag} {name}: cannot be written; give another file", WRONG_INPUT, file=name)
@@ -46,14 +46,14 @@ def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) 
 
 
 def picture_to_write(name: str) -> Path:
-    """Return the path of `--picture`, of a kind that matplotlib draws; errors as in `file_to_write`."""
+    """Return the path of `--picture`, with a suffix that matplotlib supports; errors as in `file_to_write`."""
     if Path(name).suffix.lower() not in _PICTURES:
-        raise CommandError(f"--picture '{name}': end it in {', '.join(_PICTURES)}", WRONG_INPUT, file=name)
+        raise CommandError(f"--picture '{name}': the name must end in {', '.join(_PICTURES)}", WRONG_INPUT, file=name)
     return file_to_write("--picture", name)
 
 
 def folder_to_write(flag: str, name: str) -> Path:
-    """Return a folder, made where it is missing; errors as in `file_to_write`."""
+    """Return a folder, created if missing; errors as in `file_to_write`."""
     folder = Path(name)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -61,15 +61,15 @@ def folder_to_write(flag: str, name: str) -> Path:
         code = WRONG_INPUT if is_wrong_path(error) else FAILED
         raise CommandError(f"{flag} {name}: cannot be a folder ({error.strerror}); give another", code) from error
     if not _takes_files(folder):
-        raise CommandError(f"{flag} {name}: the folder cannot be written to; give another", WRONG_INPUT)
+        raise CommandError(f"{flag} {name}: the folder is not writable; give another one", WRONG_INPUT)
     return folder
 
 
 def _takes_files(folder: Path) -> bool:
-    """Whether a file can be made there; permissions tell root yes where a file system makes none.
+    """Whether a file can be created there. Permissions alone do not show this for root.
 
     Raises:
-        OSError: the disk is full, or fails.
+        OSError: the disk is full or fails.
     """
     try:
         with tempfile.TemporaryFile(dir=folder):

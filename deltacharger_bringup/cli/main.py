@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `deltacharger` command: its commands, options and exit codes; each has a module, with its options.
+"""The `deltacharger` command. Each subcommand has a module with its options.
 
 Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. With `--json` exactly one JSON object
-goes to stdout; progress and logs always go to stderr.
+is written to stdout. Progress and logs are always written to stderr.
 """
 
 from __future__ import annotations
@@ -35,57 +35,53 @@ GROUPS = {
     "calibrate": ("fit this one charger's dimensions, camera and pads", "Calibrate."),
     "report": ("measure a part and write a page", "Measure and report."),
     "tactile": (
-        "simulate tactile data, train and judge classifiers of misalignment",
-        "Simulate tactile data, train and judge classifiers of misalignment.",
+        "simulate tactile data, train and evaluate classifiers of misalignment",
+        "Simulate tactile data, train and evaluate classifiers of misalignment.",
     ),
     "vision": ("find electrodes in images", "Find electrodes in images."),
 }
-"""Names under which commands stand together, with what the list of commands and their own page say."""
+"""Group of commands: its line in the list of commands, and its description."""
 
 COMMANDS = {
-    "up": "run a charger in this process until it is stopped; says 'ready' when its actions answer",
-    "dock": "dock and charge, with the running charger or else with one started for it",
-    "undock": "stop charging, let go and retract the arm of the running charger",
-    "scene list": "name every packaged scene",
-    "scene check": "say whether scenes are well-formed, and what is wrong; a node checks its parameters when it starts",
+    "up": "run a charger in this process until it is stopped; prints 'ready' when its actions are available",
+    "dock": "dock and charge with the running charger; starts one if none runs",
+    "undock": "stop charging, release the target and retract the arm of the running charger",
+    "scene list": "list the packaged scenes",
+    "scene check": "check scenes and report problems; a node checks its parameters when it starts",
     "scene explain": "show what a scene sets and every key it could set",
-    "simulate": (
-        "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths"
-    ),
-    "fault": "let something go wrong with the emulated hardware of a charger that runs",
-    "doctor": "say what is wrong with this computer, its ports and what is plugged in, and how to mend it",
+    "simulate": "emulate the servos and the board of a scene on two ports, without ROS; prints their paths and 'ready'",
+    "fault": "inject a fault into the emulated hardware of a running charger",
+    "doctor": "check this computer, its ports and the connected devices; report problems and how to fix them",
     "calibrate kinematics": "plan and measure poses of the arm, and fit its geometry to them",
     "calibrate servos": "measure stiffness, torque constant, friction and play of the running charger's servos",
     "calibrate tactile": "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
-    "calibrate camera": "find where the camera sits from images of a board on the platform",
+    "calibrate camera": "find the pose of the camera from images of a board on the platform",
     "report kinematics": (
         "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace"
     ),
     "report tactile": (
-        "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
+        "compare classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
     ),
     "report vision": (
-        "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both renderers"
+        "the electrode detector on simulated images: detections, errors, run time, false alarms, both renderers"
     ),
     "report simulation": "error against run time, stability, energy and extremes of the simulated charger's mechanics",
-    "report docking": (
-        "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on"
-    ),
+    "report docking": "thousands of simulated dockings: charged, refused, unsafe; repeat the command to resume",
     "report footprint": (
-        "what each scene costs a computer: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
+        "resources that each scene needs: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
     ),
     "tactile generate": "write a simulated data set",
-    "tactile record": "dock the running charger at known offsets and record what the pads feel; the same call goes on",
+    "tactile record": "dock the running charger at known offsets and record its pads; repeat the command to resume",
     "tactile train": "train a classifier",
-    "tactile evaluate": "judge a trained classifier",
+    "tactile evaluate": "evaluate a trained classifier",
     "tactile models": "list the packaged models that misalignment_node serves: accuracy, size and time",
-    "tactile compare": "compare all models on simulated data, the same as `report tactile`",
+    "tactile compare": "compare all models on simulated data; same as `report tactile`",
     "vision detect": "find a terminal's electrodes in one image, in a folder of images or in a recording",
-    "campaign": "simulate many dockings in a row, faster than real time and without ROS; the same call goes on",
-    "replay": "say why a recorded docking ended as it did, and draw it; or list the records in a folder",
+    "campaign": "simulate many dockings without ROS, faster than real time; repeat the command to resume",
+    "replay": "explain why a recorded docking ended as it did, and draw it; or list the records in a folder",
     "view": "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
 }
-"""What each command does. It is the function of its name in the module of its name, or of its group's."""
+"""Command: what it does. The function has the command's name; its module has that name or the name of the group."""
 
 _ELSEWHERE = {
     "scene list": "scene.list_scenes",
@@ -97,7 +93,7 @@ _ELSEWHERE = {
     "tactile compare": "report.tactile",
 }
 
-_LONGEST_WORD = 4096  # characters; of a path, too
+_LONGEST_WORD = 4096  # characters; also the limit of a path
 
 _EXTRA_OF = {
     "scipy": "calibrate",
@@ -114,24 +110,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
     try:
         code = _run(words) if arguments is not None else _interruptible(words)
-    except SystemExit as end:  # argparse has said its help or a wrong usage
+    except SystemExit as end:  # argparse has printed its help or an error
         code = int(end.code or DONE)
     return streams.ended(code)
 
 
 def _interruptible(words: list[str]) -> int:
     try:
-        signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, takes signals over
+        signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, handles signals
         return _run(words)
     except KeyboardInterrupt:
-        if "--as-node" in words:  # nodes end with 0 then
+        if "--as-node" in words:  # nodes then end with 0
             return DONE
         say("interrupted")
         if "--json" in words:
             write_json({"success": False, "error": "interrupted"})
         return INTERRUPTED
     finally:
-        if signal.getsignal(signal.SIGINT) is _interrupt:  # nobody catches it while the interpreter ends
+        if signal.getsignal(signal.SIGINT) is _interrupt:  # nothing catches it while the interpreter ends
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -140,7 +136,7 @@ def _show_warning(message: Warning | str, *where: object, **more: object) -> Non
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not break off what the first one started
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not stop the clean-up
     raise KeyboardInterrupt
 
 
@@ -157,7 +153,7 @@ def _run(words: list[str]) -> int:
         return int(options.run(options))
     except CommandError as error:
         failure = error
-    except UnsupportedRos as error:  # which has said why
+    except UnsupportedRos as error:  # its message is already printed
         if options.json:
             write_json({"success": False, "error": str(error)})
         return WRONG_INPUT
@@ -178,23 +174,23 @@ def _run(words: list[str]) -> int:
 
 
 def _require_plain(words: list[str]) -> None:
-    """Refuse words that would control the terminal on which they are told, or end the line, or fill it."""
+    """Refuse words that, when printed, would control the terminal, end the line or fill it."""
     for word in words:
         if streams.plain(word) != word:
-            told = streams.plain(streams.brief(word))
-            raise CommandError(f"'{told}' holds control characters: rename or retype it", WRONG_INPUT)
+            shown = streams.plain(streams.brief(word))
+            raise CommandError(f"'{shown}' contains control characters: rename or retype it", WRONG_INPUT)
         if len(word) > _LONGEST_WORD:
             raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)
 
 
 def _known(error: Exception) -> CommandError | None:
-    """Return what tells a person which library is missing, or what ROS refuses; None for a defect."""
+    """Return an error that names the missing library or what ROS refuses; None for a defect."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-    if name == "cv2":  # its message says how to get it; FAILED would say that an image shows no electrodes
+    if name == "cv2":  # its message says how to install it; FAILED would mean that no electrodes were found
         return CommandError(str(error), WRONG_INPUT)
     if name in _EXTRA_OF:
         return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]", FAILED)
-    if "rclpy" in sys.modules:  # many commands need no ROS, and must not need it to fail
+    if "rclpy" in sys.modules:  # many commands need no ROS, not even to fail
         from deltacharger_ros.node_support import ros_problem
 
         problem = ros_problem(error)
@@ -203,12 +199,12 @@ def _known(error: Exception) -> CommandError | None:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command."""
+    """Return the parser of the command with all subcommands."""
     parser: argparse.ArgumentParser = Parser(
         prog="deltacharger",
-        description="Run, try and inspect DeltaCharger, a robot's arm that docks to other robots and charges them.",
+        description="Run, try and inspect DeltaCharger, a robot arm that docks to other robots and charges them.",
         epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
-        "Simulated scenes use ROS_DOMAIN_ID=87 on this machine only, unless ROS_DOMAIN_ID and "
+        "Simulated scenes use ROS_DOMAIN_ID=87 and this machine only, unless ROS_DOMAIN_ID and "
         "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
@@ -226,10 +222,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _fill(where: str, parser: argparse.ArgumentParser) -> None:
-    """Import a command's module, which other commands do not wait for, and add its options by `add_` and its name."""
+    """Import a command's module only when it is used, and add the options by its `add_…` function."""
     name, _, function = where.partition(".")
     module = importlib.import_module(f"deltacharger_bringup.cli.{name}")
-    add = getattr(module, f"add_{function}", None)  # a command may do without options of its own
+    add = getattr(module, f"add_{function}", None)  # a command may have no options
     if add is not None:
         add(parser)
     parser.set_defaults(run=getattr(module, function))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics --plan … --measure …`: go from pose to pose, ask what was measured, record it."""
+"""`deltacharger calibrate kinematics --plan … --measure …`: move to each pose, ask for its measurement, record it."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 if TYPE_CHECKING:
     from deltacharger_records.datasets.arm_client import ArmClient
 
-_STOPPED = 0.010  # m from the pose; an arm that is further away was stopped by something
-_DOUBTFUL = 0.020  # m between measured and predicted position; more is rather a slip of the pen than an ill-built arm
-_POLL = 0.1  # s between looks at the arm while nobody answers
+_STOPPED = 0.010  # m from the pose; a larger distance means an obstacle
+_DOUBTFUL = 0.020  # m between measured and predicted position; more is a typing error rather than a badly built arm
+_POLL = 0.1  # s between checks of the arm during input
 
 
 class Answers:
-    """Lines from standard input, waited for without missing what happens meanwhile.
+    """Lines from standard input, with checks of the arm while waiting.
 
-    `input()` would go on waiting after a signal, and would not look at the arm.
+    `input()` would keep waiting after a signal, and would not check the arm.
     """
 
     def __init__(self) -> None:
         self._left = b""
         self._ended = sys.stdin is None
 
-    def next(self, look: Callable[[], None]) -> str | None:
-        """Return the next line, or None at the end of the input; `look` is called while it is waited for."""
+    def next(self, check: Callable[[], None]) -> str | None:
+        """Return the next line, or None at the end of the input; `check` is called while waiting."""
         while b"\n" not in self._left and not self._ended:
-            look()
+            check()
             if select.select([sys.stdin], [], [], _POLL)[0]:
                 chunk = b""
                 with contextlib.suppress(OSError):  # a closed terminal
@@ -87,49 +87,49 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
                     complete = not left or _visit(arm, left, recording, counts)
         except ArmError as error:
             code = INTERRUPTED if interrupts.event.is_set() else FAILED
-            kept = f"; {options.measure} holds what was measured" if counts["measured"] else ""
+            kept = f"; {options.measure} contains the measured poses" if counts["measured"] else ""
             raise CommandError(f"{error}{kept}", code, **counts) from error
     remaining = len(poses) - len(recording.done)
-    say(f"{options.measure} holds {len(recording.done)} of {len(poses)} poses; the torque is off")
+    say(f"{options.measure} contains {len(recording.done)} of {len(poses)} poses; the torque is off")
     if options.json:
         write_json({"success": complete, "written": options.measure, **counts, "remaining": remaining})
     return DONE if complete else FAILED
 
 
-def _encoder(stated: Encoder | None, told: Encoder | None) -> Encoder:
-    """Return what turns angles back into ticks: what servo_node says, which the options may not contradict."""
-    if told is None:
+def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
+    """Return the encoder: as servo_node reports it. The options must not differ from it."""
+    if reported is None:
         used = stated or Encoder()
-        say(f"servo_node does not tell zero_ticks and direction; taking {used.zero_ticks} and {used.direction}")
+        say(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
         return used
-    if stated is not None and stated != told:
+    if stated is not None and stated != reported:
         raise CommandError(
-            f"servo_node has zero_ticks {told.zero_ticks} and direction {told.direction}: leave out the options that "
-            "say otherwise",
+            f"servo_node has zero_ticks {reported.zero_ticks} and direction {reported.direction}: leave out "
+            "options that differ",
             WRONG_INPUT,
         )
-    return told
+    return reported
 
 
 def _announce(path: str, poses: Sequence[PlannedPose], left: Sequence[PlannedPose]) -> None:
     if len(left) < len(poses):
-        say(f"{path} holds {len(poses) - len(left)} of {len(poses)} poses already; going on with the others")
-    say("keep clear: the arm moves as soon as an answer is given, and at once now")
+        say(f"{path} contains {len(poses) - len(left)} of {len(poses)} poses already; continuing with the others")
+    say("keep clear: the arm moves now, and after each answer")
 
 
 def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecording, counts: dict[str, int]) -> bool:
-    """Go to the poses one by one and record what is answered; False where the input ended too early."""
+    """Move to the poses one by one and record the answers; return False if the input ended early."""
     answers = Answers()
     arm.start()
     for number, pose in enumerate(poses, start=1):
         say(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")
         arm.move(pose.position)
         if math.dist(arm.position(), pose.position) > _STOPPED:
-            say(f"  the arm stopped at {_place(arm.position())} mm: is something in its way?")
+            say(f"  the arm stopped at {_place(arm.position())} mm: is there an obstacle?")
         say("  measured x y z in mm, s = skip, q = quit:")
         word = _record(arm, pose, recording, answers)
         if word in ("end", "quit"):
-            say("the input has ended" if word == "end" else "quitting; the same command goes on from here")
+            say("the input has ended" if word == "end" else "quitting; repeat the command to resume")
             arm.go_home()
             return word == "quit"
         counts[word] += 1
@@ -138,7 +138,7 @@ def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecordin
 
 
 def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers: Answers) -> str:
-    """Ask until there is an answer: "measured" and recorded, "skipped", "quit", or "end" of the input."""
+    """Ask until there is an answer. Return "measured" (recorded), "skipped", "quit" or "end" of the input."""
     from deltacharger_records.datasets.arm_client import STILL
 
     asked, doubted = arm.angles(), ""
@@ -154,13 +154,13 @@ def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers
         away = math.dist(position, arm.position())
         if away > _DOUBTFUL and text != doubted:
             doubted = text
-            say(f"  that is {away / MILLIMETRE:.0f} mm from where the arm should be; again, if it is so:")
+            say(f"  that is {away / MILLIMETRE:.0f} mm from the expected position; repeat it if correct:")
             continue
         angles = arm.angles()
         moved = float(np.abs(np.subtract(angles, asked)).max())
         if moved > STILL:
             asked = angles
-            say(f"  the arm has moved by {moved / TICK:.0f} ticks meanwhile; measure again, x y z in mm:")
+            say(f"  the arm moved by {moved / TICK:.0f} ticks since; measure again, x y z in mm:")
             continue
         first, second, third = recording.encoder.ticks(np.array(angles))
         recording.append(pose, (float(first), float(second), float(third)), position)
@@ -168,9 +168,9 @@ def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers
 
 
 def position_of(text: str) -> Vector | None:
-    """Return the position (m) that three numbers in mm say; None where there are not three.
+    """Return the position (m) of a text with three numbers in mm; None for any other text.
 
-    Between them stand spaces, commas or semicolons; where spaces separate, a comma may be the decimal point.
+    Separators are spaces, commas or semicolons. If spaces separate, a comma may be the decimal point.
     """
     words = text.replace(";", " ").split()
     words = [word.replace(",", ".") for word in words] if len(words) == 3 else re.split(r"[\s,;]+", text)

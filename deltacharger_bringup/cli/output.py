@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all commands share: exit codes, where text goes, and signals as events."""
+"""Common to all commands: exit codes, output of text and JSON, and signals as events."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CommandError(Exception):
     Args:
         message: what is wrong and what to do.
         exit_code: FAILED or WRONG_INPUT.
-        details: more for the JSON object.
+        details: further keys of the JSON object.
     """
 
     def __init__(self, message: str, exit_code: int = FAILED, **details: Any) -> None:
@@ -39,17 +39,17 @@ class CommandError(Exception):
 
 
 def is_wrong_path(error: OSError) -> bool:
-    """Whether another path would help; False where disk, quota, memory or a device is at fault."""
+    """Whether another path would help; False if disk, quota, memory or a device is the cause."""
     kinds = FileNotFoundError | FileExistsError | PermissionError | IsADirectoryError | NotADirectoryError
     return isinstance(error, kinds) or error.errno in _WRONG_PATH
 
 
 def of_system(error: OSError, before: str = "") -> CommandError:
-    """Return what tells a person what the system refuses; `before` begins the message."""
+    """Return an error of the operating system as a CommandError; `before` begins the message."""
     code = WRONG_INPUT if is_wrong_path(error) else FAILED
     if isinstance(error, FileNotFoundError):
         if error.filename is None and not _has_working_directory():
-            return CommandError("the working directory was removed: change to another", code)
+            return CommandError("the working directory was removed: change to another one", code)
         return CommandError(f"{before}{error.filename or error}: there is no such file", code)
     return CommandError(f"{before}{error}", code)
 
@@ -63,15 +63,15 @@ def _has_working_directory() -> bool:
 
 @contextlib.contextmanager
 def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> Iterator[None]:
-    """Turn errors that say what is wrong with a given file or value into an end of the command.
+    """Turn errors about a given file or value into a CommandError.
 
     Args:
-        kinds: of the errors.
+        kinds: classes of the errors.
         before: begins the message.
-        details: as of `CommandError`.
+        details: as in `CommandError`.
 
     Raises:
-        CommandError: instead of one of them; exit code 2, but for a disk or a device at fault.
+        CommandError: instead of them; exit code 2, or 1 if a disk or a device failed.
     """
     try:
         yield
@@ -82,17 +82,17 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
 
 
 def say(text: str) -> None:
-    """Write a line for people, to stderr."""
+    """Write a line for people to stderr."""
     streams.write(text, sys.stderr)
 
 
 def tell(text: str) -> None:
-    """Write lines of a command's answer for people, to stdout."""
+    """Write lines of a command's result to stdout."""
     streams.write(text, sys.stdout)
 
 
 def tell_or_write(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
-    """Write a command's answer: `text` for people, or the one JSON object where that is asked for."""
+    """Write a command's result: `text`, or with --json `value` as the JSON object."""
     if options.json:
         write_json(value)
     else:
@@ -100,20 +100,20 @@ def tell_or_write(options: argparse.Namespace, text: str, value: dict[str, Any])
 
 
 def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
-    """Write the one JSON object of a command early; what goes wrong later is told on stderr only."""
+    """Write the JSON object of a command early; later errors are written to stderr only."""
     write_json(value)
     options.json = False
 
 
 def write_json(value: dict[str, Any]) -> None:
-    """Write the command's one JSON object to stdout; NaN and infinity become null."""
+    """Write the JSON object of the command to stdout; NaN and infinity become null."""
     tell(json.dumps(json_ready(value), ensure_ascii=not streams.takes_unicode()))
 
 
 class Interrupts:
-    """SIGINT, SIGTERM and SIGHUP as an event, so that a command ends in its own order.
+    """SIGINT, SIGTERM and SIGHUP as an event, so that a command ends in order.
 
-    A second signal ends its waits at once. A closed terminal (SIGHUP) ends a command as SIGTERM does.
+    A second signal ends all waits at once. A closed terminal (SIGHUP) has the effect of SIGTERM.
 
     Attributes:
         event: set by the first signal.
@@ -134,11 +134,11 @@ class Interrupts:
 
     def __exit__(self, *exception: object) -> None:
         for number, handler in self._before.items():
-            # Once interrupted the process is on its way out; an impatient third signal must not break that off.
+            # After an interruption the process is ending; a third signal must not stop that.
             signal.signal(number, signal.SIG_IGN if self.number else handler)
 
     def exit_code(self, otherwise: int) -> int:
-        """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after others."""
+        """Return the exit code of a server after a signal: 130 after SIGINT, 0 after others."""
         if self.number == signal.SIGINT:
             return INTERRUPTED
         return DONE if self.number else otherwise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every command reads its words and tells a wrong usage."""
+"""How every command parses its arguments and reports wrong usage."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ DEFAULT_SCENE = "simulated"
 
 
 class Parser(argparse.ArgumentParser):
-    """Tells a wrong usage as the one JSON object too, where the words ask for one, and reads `-8e1` as a number.
+    """Parser that also reports wrong usage as JSON if --json is given, and reads `-8e1` as a number.
 
     Args:
-        fill: adds the options, once it is known that the words are for this parser.
+        fill: adds the options when this parser is used.
     """
 
     wants_json = False
@@ -33,14 +33,14 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Read the words, of which some may be left over."""
+        """Parse the arguments; some may be left over."""
         fill, self._fill = self._fill, None
         if fill is not None:
             fill(self)
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the words and end with exit code 2."""
+        """Report what is wrong with the arguments and end with exit code 2."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction) and message.endswith(f"required: {action.metavar}"):
                 message += f", one of {', '.join(action.choices)}"
@@ -55,10 +55,10 @@ class Parser(argparse.ArgumentParser):
 
 
 class Version(argparse.Action):
-    """Print the installed version, looked up only where it is asked for."""
+    """Print the installed version, looked up only on request."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        """Print it and end the process."""
+        """Print the version and end the process."""
         tell(f"deltacharger {package_version()}")
         parser.exit()
 
@@ -69,11 +69,11 @@ def add_command(
     text: str,
     fill: Callable[[argparse.ArgumentParser], None] | None = None,
 ) -> argparse.ArgumentParser:
-    """Add a command, or an action of one, with the option that all have, and return its parser.
+    """Add a command or an action with the option `--json`, and return its parser.
 
     Args:
         commands: to which it is added.
-        name: as it is called.
+        name: of the command.
         text: what it does.
         fill: as in `Parser`.
     """
@@ -83,18 +83,18 @@ def add_command(
 
 
 def scene_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--scene` to a command that works with one."""
+    """Add `--scene` to a command."""
     parser.add_argument("--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})")
 
 
 def namespace_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--namespace` to a command that speaks to a charger."""
+    """Add `--namespace` to a command that communicates with a charger."""
     parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME", help="of the charger (default: none)"
+        "--namespace", type=namespace, default="", metavar="NAME", help="ROS namespace of the charger (default: none)"
     )
 
 
 def record_option(parser: argparse.ArgumentParser) -> None:
     """Add `--record` to a command that starts a charger."""
-    text = "keep a record of each docking in this folder (without DIR: where docking_recorder_node keeps them)"
+    text = "record each docking in this folder (without DIR: the default folder of docking_recorder_node)"
     parser.add_argument("--record", nargs="?", const="true", metavar="DIR", help=text)

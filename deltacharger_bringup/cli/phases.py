@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an action goes and ends, told to people or as the one JSON object."""
+"""Print the progress and the result of an action, as text or as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deltacharger_ros.outcomes import Outcome, Progress
 
 
 def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
-    """Print how an action ended: for people, or as the one JSON object."""
+    """Print the result of an action, as text or as the JSON object."""
     if as_json:
         write_json({**outcome.as_dict(), **more})
         return
@@ -21,17 +21,17 @@ def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
     if suggested:
         place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
         turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
-        tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
+        tell(f"  possible with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
 
 
 class PhasePrinter:
-    """Print one line when a phase begins and remember when each one did.
+    """Print one line when a phase begins, and store the phases.
 
     Args:
-        force: gives the contact force now (N, NaN = unknown).
+        force: returns the present contact force (N, NaN = unknown).
 
     Attributes:
-        phases: one mapping a phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
+        phases: one mapping per phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
     """
 
     def __init__(self, force: Any = None) -> None:
@@ -39,7 +39,7 @@ class PhasePrinter:
         self.phases: list[dict[str, Any]] = []
 
     def __call__(self, progress: Progress) -> None:
-        """Take one feedback message."""
+        """Handle one feedback message."""
         if self.phases and self.phases[-1]["phase"] == progress.phase:
             return
         force = float("nan") if self._force is None else self._force()

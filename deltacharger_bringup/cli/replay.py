@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger replay`: a recorded docking in words and as a picture, and the records of a folder."""
+"""`deltacharger replay`: explain and draw a recorded docking, or list the records of a folder."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from deltacharger_records.recording.own import ABOUT, PARTIAL, SUFFIX, look
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
     """Add the options of `replay`."""
-    parser.add_argument("path", metavar="FILE|DIR", help="record, also one that was cut short, or folder of records")
-    parser.add_argument("--picture", metavar="FILE", help="draw it: .png, .pdf, .svg or .jpg")
+    parser.add_argument("path", metavar="FILE|DIR", help="record (also an incomplete one), or folder of records")
+    parser.add_argument("--picture", metavar="FILE", help="draw the record: .png, .pdf, .svg or .jpg")
     namespace_option(parser)
 
 
 def replay(options: argparse.Namespace) -> int:
-    """Tell, and draw where asked, one record; or list those of a folder."""
+    """Explain one record and draw it on request, or list the records of a folder."""
     environment.prepare()
     path = Path(options.path)
     with wrong_input(RecordingError):
@@ -65,7 +65,7 @@ def _file(options: argparse.Namespace, path: Path) -> int:
 
 def _folder(options: argparse.Namespace, folder: Path) -> int:
     if options.picture:
-        raise CommandError("--picture draws one record; name a file, not a folder", WRONG_INPUT)
+        raise CommandError("--picture draws one record; give a file, not a folder", WRONG_INPUT)
     names = sorted(path for path in folder.iterdir() if path.name.endswith((SUFFIX, PARTIAL)))
     entries = [_entry(path) for path in names if not path.name.startswith(".")]
     if options.json:
@@ -79,7 +79,7 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
             tell(f"{name}: {streams.plain(entry['problem'])}")
             continue
         size = entry["bytes"] / 1e6
-        alone = f"; the recorder leaves it alone: {entry['left_alone']}" if entry["left_alone"] else ""
+        alone = f"; the recorder does not manage it: {entry['left_alone']}" if entry["left_alone"] else ""
         tell(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
             f"{entry['outcome']:<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"

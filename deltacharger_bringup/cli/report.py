@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report`: measure a part, write a page with tables and pictures, say which targets are met."""
+"""`deltacharger report`: measure a part, write a page with tables and pictures, print which targets are met."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
     _add_common(parser, "report-kinematics", "fewer points and shorter timings")
     points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
     parser.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
-    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
+    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed of every set (default: 1)")
 
 
 def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report tactile` and `tactile compare`."""
     _add_common(parser, "report-tactile", "one rig and few models")
-    parser.add_argument("--seed", type=SEED, default=1, metavar="N", help="of the dockings (1)")
+    parser.add_argument("--seed", type=SEED, default=1, metavar="N", help="random seed of the dockings (1)")
 
 
 def add_vision(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report vision`."""
     _add_common(parser, "report-vision", "a tenth of the images")
-    images = "of a usual row, 2 to 1000 (default: 150, with --quick 15); rows of targets have more"
+    images = "per row, 2 to 1000 (default: 150, with --quick 15); rows with targets have more"
     parser.add_argument("--images", type=whole(2, 1000), metavar="N", help=images)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
 
@@ -55,27 +55,27 @@ def add_docking(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report docking`."""
     _add_common(parser, "report-docking", "a hundredth of the dockings")
     parser.add_argument(
-        "--only", action="append", default=[], metavar="NAME", help="run this campaign; may be repeated"
+        "--only", action="append", default=[], metavar="NAME", help="run only this campaign; may be repeated"
     )
-    count = "dockings of each campaign that is run (default: as planned, 200 to 20000)"
+    count = "dockings of each campaign (default: as planned, 200 to 20000)"
     parser.add_argument("-n", "--n", type=whole(1, 10_000_000), metavar="N", help=count)
-    parser.add_argument("--seed", type=SEED, metavar="S", help="of all campaigns (default: the report's own)")
+    parser.add_argument("--seed", type=SEED, metavar="S", help="random seed of all campaigns (default: the report's)")
     parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
 
 
 def add_footprint(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report footprint`."""
     _add_common(parser, "report-footprint", "once and shorter")
-    text = "measure this one; may be repeated (default: every packaged scene)"
+    text = "measure this scene; may be repeated (default: every packaged scene)"
     parser.add_argument("--scene", action="append", default=[], metavar="NAME|FILE", help=text)
-    repeats = "of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
+    repeats = "runs of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
     parser.add_argument("--repeats", type=whole(1, 100), metavar="N", help=repeats)
 
 
 def _add_common(parser: argparse.ArgumentParser, default: str, quick: str) -> None:
-    where = f"folder, made where missing (default: {default})"
+    where = f"folder, created if missing (default: {default})"
     parser.add_argument("--out", default=default, metavar="DIR", help=where)
-    parser.add_argument("--quick", action="store_true", help=f"{quick}, for a first look")
+    parser.add_argument("--quick", action="store_true", help=f"{quick}, for a preview")
 
 
 def kinematics(options: argparse.Namespace) -> int:
@@ -87,7 +87,7 @@ def kinematics(options: argparse.Namespace) -> int:
     command = f"{_command(options, 'kinematics')} --points {count} --seed {plan.seed}"
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, command, say)
-    _say_absent(results["absent"])
+    _print_absent(results["absent"])
     return _end(options, results, directory, "kinematics", ("seed", "points"))
 
 
@@ -97,21 +97,21 @@ def tactile(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.tactile import report
 
     plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
-    _say_absent(tactile_plan.absent())
+    _print_absent(tactile_plan.absent())
     if not plan.names:
-        raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
+        raise CommandError("no library for training is installed; install deltacharger[train]", FAILED)
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, f"{_command(options, 'tactile')} --seed {options.seed}", say)
     return _end(options, results, directory, "tactile", ("simulated", "rigs", "seeds"), "simulated data:")
 
 
 def vision(options: argparse.Namespace) -> int:
-    """Write what the electrode detector does on simulated images into a folder."""
+    """Write the report of the electrode detector on simulated images into a folder."""
     from deltacharger_lab.reports.vision import plan as vision_plan
     from deltacharger_lab.reports.vision import report
 
     plan = vision_plan.plan(options.images, options.seed, options.quick)
-    _say_absent(plan.absent)
+    _print_absent(plan.absent)
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
     directory = folder_to_write("--out", options.out)
@@ -126,15 +126,15 @@ def simulation(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.simulation import report, stability
 
     plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
-    _say_absent(simulation_plan.absent())
+    _print_absent(simulation_plan.absent())
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, _command(options, "simulation"), say)
     return _end(options, results, directory, "simulation", ("models", "quick"), also=(stability.MODULE,))
 
 
 def docking(options: argparse.Namespace) -> int:
-    """Run the campaigns of the docking report, or go on with them, and write what they say."""
-    from deltacharger_bringup.cli.campaign import CampaignProgress, told_campaign_errors
+    """Run or resume the campaigns of the docking report, and write it."""
+    from deltacharger_bringup.cli.campaign import CampaignProgress, campaign_errors
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
 
@@ -147,11 +147,11 @@ def docking(options: argparse.Namespace) -> int:
         say(f"{part.name}: {part.about}")
         return CampaignProgress(total, begun)
 
-    with told_campaign_errors():
+    with campaign_errors():
         with Interrupts() as interrupts:
             complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, say)
         if not complete:
-            say(f"{directory}: broken off; the same command goes on")
+            say(f"{directory}: interrupted; repeat the command to resume")
             return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
         results = docking_report.build(plan, directory, command, say)
     more = ("simulated", "seed", "quick", "not_run")
@@ -159,7 +159,7 @@ def docking(options: argparse.Namespace) -> int:
 
 
 def footprint(options: argparse.Namespace) -> int:
-    """Write what a charger costs this computer, scene by scene, into a folder."""
+    """Write the report of the resources that each scene needs into a folder."""
     from deltacharger_bringup.cli.charger import require_domain, ros_context
     from deltacharger_bringup.cli.scene import refusing_scenes
     from deltacharger_core import environment
@@ -189,11 +189,11 @@ def footprint(options: argparse.Namespace) -> int:
 
 
 def _command(options: argparse.Namespace, subject: str, words: str = "") -> str:
-    """Return how the report is called again."""
+    """Return the command that writes the report again."""
     return f"deltacharger report {subject}{words}{' --quick' if options.quick else ''}"
 
 
-def _say_absent(absent: Mapping[str, str]) -> None:
+def _print_absent(absent: Mapping[str, str]) -> None:
     for name, reason in absent.items():
         say(f"{name} is absent: {reason}")
 
@@ -207,7 +207,7 @@ def _end(
     of_what: str = "",
     also: tuple[str, ...] = (),
 ) -> int:
-    """Say what was written, the file to read first of all, and which targets are met."""
+    """Print the written files, the main one first, and which targets are met."""
     for name, reason in results["missing_pictures"].items():
         say(f"no picture {name}: {reason}")
     files = [path for kind in ("html", "md", "json") if (path := directory / f"{subject}.{kind}").exists()]

@@ -29,12 +29,12 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 def add_explain(parser: argparse.ArgumentParser) -> None:
     """Add the options of `scene explain`."""
     parser.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
-    parser.add_argument("--all", action="store_true", help="also the keys that the scene leaves at their default")
+    parser.add_argument("--all", action="store_true", help="also show the keys with default values")
 
 
 @contextlib.contextmanager
 def refusing_scenes(before: str = "") -> Iterator[None]:
-    """Turn a refused scene into exit code 2, its file and its key; `before` begins the message.
+    """Report a refused scene with exit code 2, its file and its key; `before` begins the message.
 
     Raises:
         CommandError: instead of SceneError.
@@ -46,13 +46,13 @@ def refusing_scenes(before: str = "") -> Iterator[None]:
 
 
 def load_for_command(name_or_file: str) -> Scene:
-    """Return the scene; CommandError with exit code 2 where it is refused."""
+    """Return the scene; CommandError with exit code 2 if it is refused."""
     with refusing_scenes():
         return load_scene(name_or_file)
 
 
 def list_scenes(options: argparse.Namespace) -> int:
-    """Name every packaged scene with its description."""
+    """List the packaged scenes with their descriptions."""
     scenes = []
     for name, path in packaged_scenes().items():
         try:
@@ -70,7 +70,7 @@ def list_scenes(options: argparse.Namespace) -> int:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Load scenes and report each one's first problem, what of its world is not proven and what contradicts it."""
+    """Load scenes; report the first problem of each, unvalidated values of its world and contradictions."""
     reports = []
     for name in options.scenes or list(packaged_scenes()):
         try:
@@ -96,7 +96,7 @@ def check(options: argparse.Namespace) -> int:
 
 
 def _warnings(scene: Scene) -> Iterator[str]:
-    """Yield what of a simulated world is not proven, and where a node is told otherwise than world or others."""
+    """Yield unvalidated values of a simulated world, and parameters that contradict it or each other."""
     for key, problem in servos_apart(scene.nodes, scene.parameters):
         yield f"{key}: {problem}"
     if scene.simulation is not None:
@@ -106,7 +106,7 @@ def _warnings(scene: Scene) -> Iterator[str]:
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Show what a scene sets, starts, loads and leaves out; with --all also every key that it could set."""
+    """Show what a scene sets, starts, loads and leaves out; with --all every possible key."""
     scene = load_for_command(options.scene)
     keys = list(describe(scene))
     shown = keys if options.all or options.json else [key for key in keys if key["set"]]
@@ -122,13 +122,13 @@ def explain(options: argparse.Namespace) -> int:
         if about:
             tell(f"    {'; '.join(about)}")
     if not options.all:
-        tell(f"\n{len(keys) - len(shown)} more keys stand at their default; --all shows them.")
+        tell(f"\n{len(keys) - len(shown)} more keys have their default; --all shows them.")
     tell(f"\n{tell_parts(parts)}")
     return DONE
 
 
 def describe(scene: Scene) -> Iterator[dict[str, Any]]:
-    """Yield every key of a scene with value, unit, range, meaning, and whether it differs from its default."""
+    """Yield every key of a scene: value, unit, range, meaning, and whether it differs from its default."""
     yield _entry("nodes", list(scene.nodes), True, Declaration("nodes", str, (), "executables that it starts"))
     if scene.goal is not None:
         yield from _fields("goal", scene.goal, None)

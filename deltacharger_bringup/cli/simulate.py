@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger simulate`: the emulated hardware of a scene as a process of its own, without ROS."""
+"""`deltacharger simulate`: the emulated hardware of a scene in a separate process, without ROS."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deltacharger_core import signals
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-_QUIET = 0.6  # s without a byte from any host, after which nobody is left to switch anything off
+_QUIET = 0.6  # s without a byte from any host; then no node is left that could switch off torque or contactor
 _LONGEST_LINGER = 3.0  # s
 
 
@@ -24,20 +24,18 @@ def add_simulate(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
     scene_option(parser)
     namespace_option(parser)
-    parser.add_argument(
-        "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
-    )
-    parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
-    text = "end with 0 on Ctrl-C too, as nodes do, for what starts it beside them"
+    parser.add_argument("--directory", required=True, metavar="DIR", help="folder of the ports DIR/servo and DIR/board")
+    parser.add_argument("--record", metavar="FILE", help="at the end, write the record of the simulated world as JSON")
+    text = "end with 0 on Ctrl-C, as nodes do; for launch files"
     parser.add_argument("--as-node", action="store_true", help=text)
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Serve until SIGINT or SIGTERM."""
+    """Emulate the hardware until SIGINT or SIGTERM."""
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     if scene.simulation is None:
         raise CommandError(
-            f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate; choose a simulated scene",
+            f"scene '{scene.name}' has no key 'simulation': choose a simulated scene",
             WRONG_INPUT,
         )
     if options.record:
@@ -53,8 +51,8 @@ def simulate(options: argparse.Namespace) -> int:
         while not interrupts.event.wait(0.2):
             broken = charger.errors()
             if broken:
-                raise CommandError(f"the simulated charger broke: {broken[0]!r}", FAILED)
-        # Nodes that the same Ctrl-C ends still want to switch torque off and open the contactor.
+                raise CommandError(f"the simulated charger failed: {broken[0]!r}", FAILED)
+        # Nodes that end by the same Ctrl-C still switch the torque off and open the contactor.
         hurry = threading.Event() if options.as_node else interrupts.impatient
         charger.wait_until_quiet(_QUIET, _LONGEST_LINGER, hurry)
         record = charger.record()

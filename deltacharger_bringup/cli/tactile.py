@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile`: data sets, training and judging of the classifiers."""
+"""`deltacharger tactile`: data sets, training and evaluation of the classifiers."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.training import fit_dataset
 
-_CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells when an answer may be acted on
-_TIMED = 30  # predictions, of whose times the median is told
+_CALIBRATED = 0.8  # share of the dockings for training; the rest calibrates when a prediction may be acted on
+_TIMED = 30  # predictions; their median time is printed
 
 TARGETS = ("angle", "vertical", "horizontal", "pose")
 
@@ -45,36 +45,36 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--protocol", choices=("paper", "continuous"), default="paper", help="the paper's two sets, or signed poses"
     )
-    parser.add_argument("--rigs", type=whole(1, 1000), default=5, metavar="N", help="simulated devices (5)")
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the dockings (0)")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="where to write it")
-    parser.add_argument("--first-rig", type=whole(0, 10**9), default=0, metavar="N", help="seed of the first one (0)")
-    parser.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="averaged in each row (1)")
-    parser.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="of each docking (1)")
+    parser.add_argument("--rigs", type=whole(1, 1000), default=5, metavar="N", help="simulated rigs (5)")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the dockings (0)")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--first-rig", type=whole(0, 10**9), default=0, metavar="N", help="seed of the first rig (0)")
+    parser.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
+    parser.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="rows of each docking (1)")
     parser.add_argument(
-        "--threshold", type=between(0.0, 9.0), metavar="N", help="less counts as 0 (paper 1 as there, continuous 0.25)"
+        "--threshold", type=between(0.0, 9.0), metavar="N", help="smaller forces count as 0 (paper 1, continuous 0.25)"
     )
     parser.add_argument(
-        "--dockings", type=whole(1, 100_000), metavar="N", help="of the continuous protocol on each device (400)"
+        "--dockings", type=whole(1, 100_000), metavar="N", help="dockings per rig in the continuous protocol (400)"
     )
 
 
 def add_train(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile train`."""
-    parser.add_argument("--data", required=True, metavar="F.npz", help="of `generate`")
+    parser.add_argument("--data", required=True, metavar="F.npz", help="data set of `generate`")
     parser.add_argument("--model", required=True, choices=NAMES, help="what to train")
-    parser.add_argument("--target", required=True, choices=TARGETS, help="what it shall tell")
-    parser.add_argument("--out", required=True, metavar="M.npz", help="where to write it")
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of whatever is random (0)")
+    parser.add_argument("--target", required=True, choices=TARGETS, help="what it predicts")
+    parser.add_argument("--out", required=True, metavar="M.npz", help="file to write")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
     parser.add_argument(
-        "--reference", metavar="R.npz", help="dockings that show what one device constantly does (lda, pose)"
+        "--reference", metavar="R.npz", help="dockings with the constant errors of one device (lda, pose)"
     )
 
 
 def add_evaluate(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile evaluate`."""
-    parser.add_argument("--data", required=True, metavar="F.npz", help="that it was not trained with")
-    parser.add_argument("--model", required=True, metavar="M.npz", help="of `train`")
+    parser.add_argument("--data", required=True, metavar="F.npz", help="data set that was not used for training")
+    parser.add_argument("--model", required=True, metavar="M.npz", help="model of `train`")
 
 
 def generate(options: argparse.Namespace) -> int:
@@ -100,12 +100,12 @@ def generate(options: argparse.Namespace) -> int:
 def train(options: argparse.Namespace) -> int:
     """Train a classifier, or the pose estimator, on a data set."""
     if (options.target == "pose") != (options.model == "pose") and options.target == "pose":
-        raise CommandError(f"--model {options.model} tells a class; for --target pose give --model pose", WRONG_INPUT)
+        raise CommandError(f"--model {options.model} predicts classes; give --model pose", WRONG_INPUT)
     out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
     with wrong_input(TactileError):
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
     summary = {"out": str(out), "model": options.model, "target": options.target, **result}
-    text = f"{out}: {options.model} for {options.target}, learnt from {result['n']} rows in {result['fit_time']:.2f} s"
+    text = f"{out}: {options.model} for {options.target}, trained on {result['n']} rows in {result['fit_time']:.2f} s"
     tell_or_write(options, text, {"success": True, **summary})
     return DONE
 
@@ -127,38 +127,38 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
 
 def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
     if options.reference is not None:
-        raise CommandError("--reference is for classes; for the pose see `deltacharger calibrate tactile`", WRONG_INPUT)
+        raise CommandError("--reference is for classes; for the pose use `deltacharger calibrate tactile`", WRONG_INPUT)
     started = time.perf_counter()
     fit_dataset(data, options.seed, _Progress()).save(out)
     return {"n": len(data), "fit_time": time.perf_counter() - started}
 
 
 def evaluate(options: argparse.Namespace) -> int:
-    """Judge a trained classifier or pose estimator on a data set."""
+    """Evaluate a trained classifier or pose estimator on a data set."""
     data = _load(options.data)
     file_to_read("--model", options.model)
     with wrong_input(TactileError):
         if npz.holds(options.model, "meta"):
             estimator = PoseEstimator.load(options.model)
-            name, learnt_from = estimator.name, estimator.about.get("data")
+            name, trained_on = estimator.name, estimator.about.get("data")
             found = pose_judgement.evaluate(estimator, data)
         else:
             model = Classifier.load(options.model)
-            name, learnt_from = model.name, model.about.get("data")
+            name, trained_on = model.name, model.about.get("data")
             found = judgement.evaluate(model, examples(data, model.target))
-    if "protocol" in data.meta and learnt_from == data.meta:  # files of other programs do not say how they came about
-        say(f"warning: {options.model} was trained on {options.data}: these figures flatter it; judge it on other data")
+    if "protocol" in data.meta and trained_on == data.meta:  # files of other programs do not record their origin
+        say(f"warning: {options.model} was trained on {options.data}: figures are too good; evaluate it on other data")
     if options.json:
         write_json(found)
         return DONE
     what = "simulated" if data.simulated else "recorded"
     tell(f"{name} on {found['n']} {what} rows")
     for part in [found[axis] for axis in pose_judgement.AXES] if found["target"] == "pose" else [found]:
-        _tell(part)
+        _print_result(part)
     return DONE
 
 
-def _tell(found: dict[str, Any]) -> None:
+def _print_result(found: dict[str, Any]) -> None:
     unit, scale = ("°", 57.29577951308232) if found["target"] == "angle" else ("mm", 1e3)
     tell(f"{found['target']}")
     tell(f"  accuracy                {100 * found['accuracy']:.1f} %")
@@ -167,17 +167,17 @@ def _tell(found: dict[str, Any]) -> None:
     tell(f"  may be acted on         {100 * found['act_rate']:.1f} %")
     tell(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
     if found.get("drifted_together", 0.0) > 0.0:
-        tell("  all of them together look unlike training: calibrate or train anew")
+        tell("  all together look unlike training: calibrate or train again")
 
 
 def models(options: argparse.Namespace) -> int:
-    """List the packaged models: what each tells, how well, its size and the time of one prediction on this computer."""
+    """List the packaged models: target, accuracy, size and time of one prediction on this computer."""
     with wrong_input(TactileError):
         rows = [_model_row(name, target) for name in packaged.MODELS for target in labels.TARGETS]
     if options.json:
         write_json({"success": True, "models": rows})
         return DONE
-    tell(f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs that it has not seen")
+    tell(f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs not used for training")
     for row in rows:
         percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
         tell(f"{row['name']:<10}{row['target']:<12}{percent:>9.1f}{size:>7.0f}{time_ms:>8.3f}")
@@ -206,14 +206,14 @@ def _load(name: str, flag: str = "--data") -> Dataset:
 
 
 class _Progress:
-    """Says how far training is, at most at every tenth."""
+    """Print the progress of training, at most at every tenth."""
 
     def __init__(self) -> None:
-        self._told = -1
+        self._tenth = -1
 
     def __call__(self, share: float, text: str) -> None:
-        """Take note, and say it where another tenth is done."""
+        """Print the progress if another tenth is done."""
         tenth = int(10 * share)
-        if tenth != self._told:
-            self._told = tenth
+        if tenth != self._tenth:
+            self._tenth = tenth
             say(f"{100 * share:3.0f} %  {text}")

@@ -14,7 +14,7 @@ from deltacharger_docking.codes import DockingError
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 
 DEFAULT_PLACE = {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 80.0}
-"""Options that say where the target's electrodes stand, charger_base."""
+"""Options for the position of the target's electrodes in charger_base."""
 _OF_A_RUNNING_CHARGER = ("set", "angle_deg", "repeat", "offsets_mm", "compose", "namespace", "sensor", *DEFAULT_PLACE)
 
 
@@ -23,7 +23,7 @@ def record_protocol(options: argparse.Namespace) -> int:
     for name in _OF_A_RUNNING_CHARGER:
         if getattr(options, name) not in (None, False, "", DEFAULT_PLACE.get(name)):
             flag = f"--{name.replace('_', '-')}"
-            raise CommandError(f"{flag} is for a charger that runs; leave it out beside --protocol", WRONG_INPUT)
+            raise CommandError(f"{flag} is for a running charger; leave it out with --protocol", WRONG_INPUT)
     out = file_to_write("--out", options.out, ".npz")
     from deltacharger_lab.campaigns.recording import Protocol, record_paper
 
@@ -39,7 +39,7 @@ def record_protocol(options: argparse.Namespace) -> int:
     rms = 1e3 * np.sqrt(np.mean(left**2, axis=0))
     text = (
         f"{out}: {len(data)} rows of {len(np.unique(data.attempt))} simulated dockings of rig {options.rig}; "
-        f"of the starts vision left {rms[0]:.1f} and {rms[1]:.1f} mm rms along x and y"
+        f"start errors left by vision: {rms[0]:.1f} and {rms[1]:.1f} mm rms along x and y"
     )
     tell_or_write(options, text, {"success": True, "out": str(out), "n": len(data), "left_rms_mm": rms.tolist()})
     return DONE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile record`: the paper's data sets from a charger that runs, or from a simulated one at once."""
+"""`deltacharger tactile record`: the paper's data sets from a running charger, or simulated in virtual time."""
 
 from __future__ import annotations
 
@@ -39,55 +39,43 @@ if TYPE_CHECKING:
     from deltacharger_records.datasets.dataset import Docking, Settings
     from deltacharger_records.datasets.journal import Journal
 
-_TRIES = 3  # at one docking whose failure may pass; any other failure wants a person
-_PAUSE = 3.0  # s before another try, in which a silence may pass
+_TRIES = 3  # at one docking with a retriable failure; other failures end the command
+_PAUSE = 3.0  # s before the next try, so that a silent device may recover
 _FRAME = 1.0 / 120.0  # s
 
 
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
-    parser.add_argument("--out", required=True, metavar="F.npz", help="data set, made from the folder F.recording")
-    parser.add_argument(
-        "--protocol",
-        choices=("paper",),
-        help="both sets of the paper at once, from a simulated charger in virtual time: no charger runs, no ROS",
-    )
-    parser.add_argument("--set", choices=SETS, help="the paper's two, dockings at zero, or random offsets up to 12 mm")
-    parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle and sweep)")
-    parser.add_argument(
-        "--repeat",
-        type=whole(1, 10_000),
-        metavar="N",
-        help="at each offset (position: 20), in all (angle: 100, reference: 10, sweep: 100)",
-    )
-    parser.add_argument(
-        "--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help="of position (-10 -5 0 5 10)"
-    )
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of order and random offsets (0)")
-    parser.add_argument("--compose", action="store_true", help="only write F.npz from what was recorded")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
+    text = "both sets of the paper, from a simulated charger in virtual time, without ROS"
+    parser.add_argument("--protocol", choices=("paper",), help=text)
+    parser.add_argument("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
+    parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle, sweep)")
+    text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
+    parser.add_argument("--repeat", type=whole(1, 10_000), metavar="N", help=text)
+    text = "offsets of the set position (-10 -5 0 5 10)"
+    parser.add_argument("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
+    parser.add_argument("--compose", action="store_true", help="only write F.npz from the recorded dockings")
     namespace_option(parser)
-    target = parser.add_argument_group("where the target's electrodes stand, in charger_base")
+    target = parser.add_argument_group("position of the target's electrodes in charger_base")
     for name, default in DEFAULT_PLACE.items():
         flag = f"--{name.replace('_', '-')}"
         target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
-    felt = parser.add_argument_group("of the whole file")
-    felt.add_argument("--rig", type=whole(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
-    felt.add_argument("--sensor", default="", metavar="ID", help="of its pads, for the record")
-    felt.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="averaged in each row (1)")
-    felt.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="of each docking (1)")
-    felt.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help="less counts as 0 (0.25)")
-    felt.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="rest before them (0.5)")
-    parser.add_argument(
-        "--tare-every",
-        type=whole(1, 10_000),
-        default=25,
-        metavar="N",
-        help="dockings after a tare, a session (25)",
-    )
+    shared = parser.add_argument_group("for the complete data set")
+    shared.add_argument("--rig", type=whole(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
+    shared.add_argument("--sensor", default="", metavar="ID", help="of its pads, stored in the data set")
+    shared.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
+    shared.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    text = "smaller forces count as 0 (0.25)"
+    shared.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help=text)
+    shared.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="time to rest first (0.5)")
+    text = "dockings per tare, i.e. per session (25)"
+    parser.add_argument("--tare-every", type=whole(1, 10_000), default=25, metavar="N", help=text)
 
 
 def record(options: argparse.Namespace) -> int:
-    """Record what is left of a set, or only compose the data set; or a whole protocol in virtual time."""
+    """Record the missing dockings of a set, compose the data set, or run the protocol in virtual time."""
     if options.protocol is not None:
         return record_protocol(options)
     out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
@@ -111,14 +99,14 @@ def record(options: argparse.Namespace) -> int:
                 except CommandError as error:
                     journal.compose()
                     error.details.update(call.summary(part))
-                    kept = f"; {out} holds the {call.count} dockings of this call" if call.count else ""
+                    kept = f"; {out} contains the {call.count} dockings of this call" if call.count else ""
                     raise CommandError(f"{error}{kept}", error.exit_code, **error.details) from error
             return call.finish(part)
 
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Turn what the files refuse into an end of the command."""
+    """Turn errors of the files into CommandError."""
     try:
         from deltacharger_core.mcap_file import RecordingError
         from deltacharger_records.datasets.journal import Mismatch
@@ -131,15 +119,15 @@ def _refusing() -> Iterator[None]:
 
 
 def _part(options: argparse.Namespace) -> Part:
-    """Return what the options ask for; those of another set are refused."""
+    """Return the part that the options define; options of another set are refused."""
     if options.set is None:
-        raise CommandError("give --set, or --compose to write the data set from what was recorded", WRONG_INPUT)
+        raise CommandError("give --set, or --compose to write the data set from the recorded dockings", WRONG_INPUT)
     most = TILTED.get(options.set)
     if most is None and options.angle_deg:
-        raise CommandError(f"--set {options.set} takes no --angle-deg: the target stands level", WRONG_INPUT)
+        raise CommandError(f"--set {options.set} takes no --angle-deg: the target is level", WRONG_INPUT)
     if most is not None and options.angle_deg is None:
         raise CommandError(
-            f"--set {options.set} takes --angle-deg, by which the target is turned: from +x to +y is positive",
+            f"--set {options.set} needs --angle-deg, the angle of the target: from +x to +y is positive",
             WRONG_INPUT,
         )
     angle = options.angle_deg or 0.0
@@ -162,11 +150,11 @@ def _part(options: argparse.Namespace) -> Part:
 
 
 class _Call:
-    """One call of the command: what it has recorded, and what it says.
+    """One call of the command: its journal, its progress and its output.
 
     Attributes:
-        journal: into which it records.
-        count: dockings that it added.
+        journal: of the recording.
+        count: dockings that this call added.
     """
 
     def __init__(self, journal: Journal, as_json: bool) -> None:
@@ -176,35 +164,35 @@ class _Call:
         self._began = time.monotonic()
 
     def left(self, part: Part) -> list[int]:
-        """Return the numbers of the part's dockings that are still to be made."""
+        """Return the numbers of the part's missing dockings."""
         done = self.journal.done(part)
         return [number for number in range(len(part.poses())) if number not in done]
 
     def start(self, part: Part) -> None:
-        """Say what is going to happen."""
+        """Print what is going to happen."""
         left, total = len(self.left(part)), len(part.poses())
         if left < total:
-            say(f"{self.journal.folder} holds {total - left} of {total} dockings already; going on with the others")
+            say(f"{self.journal.folder} contains {total - left} of {total} dockings already; recording the others")
         turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
-        say(f"{left} dockings; the target stands at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
-        say("keep clear: the arm moves at once now")
+        say(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
+        say("keep clear: the arm moves now")
         self._began = time.monotonic()
 
     def report(self, part: Part) -> Callable[[Docking], None]:
-        """Return what says that a docking is on the disk."""
+        """Return a callback that reports a stored docking."""
         total = len(part.poses())
 
-        def say_so(docking: Docking) -> None:
+        def report(docking: Docking) -> None:
             self.count += 1
             left = len(self.left(part))
             minutes = (time.monotonic() - self._began) / self.count * left / 60.0
             place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
             say(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
 
-        return say_so
+        return report
 
     def summary(self, part: Part | None) -> dict[str, Any]:
-        """Return what the JSON object says of the files."""
+        """Return the keys of the JSON object about the files."""
         settings = self.journal.settings
         return {
             "out": str(self.journal.out),
@@ -215,11 +203,11 @@ class _Call:
         }
 
     def finish(self, part: Part | None) -> int:
-        """Compose, and say what there is."""
+        """Compose the data set and print its size."""
         out, journal = self.journal.out, self.journal
         data = journal.compose()
         if data is None:
-            raise CommandError(f"{journal.folder} holds no dockings: record some with --set", WRONG_INPUT)
+            raise CommandError(f"{journal.folder} contains no dockings: record some with --set", WRONG_INPUT)
         if self._json:
             write_json({"success": True, **self.summary(part), "n": len(data)})
             return DONE
@@ -232,10 +220,10 @@ class _Call:
 
 
 def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Settings) -> None:
-    """Connect to the charger and make the dockings that are left.
+    """Connect to the charger and make the missing dockings.
 
     Raises:
-        CommandError: it ended early; what was recorded is on the disk.
+        CommandError: it ended early; the recorded dockings are stored.
     """
     prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
@@ -251,7 +239,7 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
                 journal.check(part, settings)
                 machine = _machine(charger, part)
                 if charger.claim(journal.driver()):
-                    say("the last call was killed while it drove the arm; taking it over")
+                    say("the last call was killed while it moved the arm; taking over")
                 journal.set_driver(charger.name)
                 begun = True
                 call.start(part)
@@ -264,18 +252,18 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
 
 
 def _commands(part: Part) -> list[Vector]:
-    """Return where the end effector meets the target for each pose: the target's place less the offset."""
+    """Return the docking position of each pose: the position of the target minus the offset."""
     x, y, z = part.target
     return [(x - pose.horizontal, y - pose.vertical, z) for pose in part.poses()]
 
 
 def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
-    """Return the machine, set as docking_node is, once all places are known to be in reach."""
+    """Return the machine with docking_node's settings, after a check that all positions are reachable."""
     from deltacharger_docking.machine import DockingMachine
     from deltacharger_records.datasets.session import check_places
 
     if not charger.has_docking_node:
-        say("docking_node is not running: docking by its default parameters")
+        say("docking_node is not running: using its default parameters")
     machine = DockingMachine(*charger.settings())
     with wrong_input(Rejected, Unreachable):
         check_places(machine, _commands(part))
@@ -283,7 +271,7 @@ def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
 
 
 class _Sessions:
-    """Sessions one after the other, each with its own tare."""
+    """Consecutive sessions, each with its own tare."""
 
     def __init__(
         self, call: _Call, part: Part, settings: Settings, charger: RecordingCharger, machine: DockingMachine
@@ -293,10 +281,10 @@ class _Sessions:
         self._commands = _commands(part)
 
     def run(self, size: int, interrupts: Interrupts) -> None:
-        """Run sessions of `size` dockings until nothing is left; one that fails is tried again in a new session.
+        """Run sessions of `size` dockings until none is missing; retry a failed docking in a new session.
 
         Raises:
-            CommandError: interrupted, or failed once too often.
+            CommandError: interrupted, or too many failures.
         """
         failures = 0
         while numbers := self._call.left(self._part)[:size]:
@@ -316,10 +304,10 @@ class _Sessions:
             if interrupts.event.wait(_PAUSE):
                 break
         if interrupts.event.is_set():
-            raise CommandError("interrupted; the same call goes on", INTERRUPTED)
+            raise CommandError("interrupted; repeat the command to resume", INTERRUPTED)
 
     def _session(self, numbers: Sequence[int]) -> DockingOutcome:
-        """Make the dockings of these numbers; all that is felt is on the disk when this ends."""
+        """Make the dockings of these numbers; all frames are stored when this returns."""
         from deltacharger_records.datasets.keeper import SessionKeeper
         from deltacharger_records.datasets.session import NotKept, TouchSession
 

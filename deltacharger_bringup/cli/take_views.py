@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate camera --take N`: move the board before the camera and keep an image at each place."""
+"""`deltacharger calibrate camera --take N`: move the board before the camera and store an image at each position."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from deltacharger_bringup.calibrate.camera_client import CameraClient
     from deltacharger_records.datasets.arm_client import ArmClient
 
-_IMAGE = 5.0  # s; what an image may take
-_BLIND = 6  # places at which the board is not seen before giving up
-_SHARE = 3  # places are tried for each view that is wanted
+_IMAGE = 5.0  # s; limit for an image
+_BLIND = 6  # positions without the board before giving up
+_SHARE = 3  # positions tried per wanted view
 
 
 def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> None:
     """Fill the folder `options.views` up to `options.take` views.
 
     Raises:
-        CommandError: the charger or the camera does not answer, or the board is not seen; exit code 130 where it was
-            interrupted. What was taken is kept.
+        CommandError: the charger or the camera does not answer, or the board is not visible; exit code 130 after an
+            interruption. Views already taken are kept.
         VisionError, ViewsError: the camera's intrinsics, its images or the folder cannot be used.
     """
     mount = Mount.load(options.mount) if options.mount else Mount.default()
@@ -55,7 +55,7 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
                 intrinsics = camera.intrinsics(DISCOVERY, arm.check)
                 folder = ViewsFolder(Path(options.views), intrinsics)
                 if folder.angles:
-                    say(f"{options.views} holds {len(folder.angles)} views already; going on to {options.take}")
+                    say(f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}")
                 radius = math.hypot(*board.pattern) / 2 + board.margin
                 places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
                 if len(folder.angles) < options.take:
@@ -63,29 +63,29 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
         except (ArmError, CameraError) as error:
             code = INTERRUPTED if interrupts.event.is_set() else FAILED
             held = 0 if folder is None else len(folder.angles)
-            kept = f"; {options.views} holds {held} views, and the same command goes on from there" if held else ""
+            kept = f"; {options.views} contains {held} views; repeat the command to resume" if held else ""
             raise CommandError(f"{error}{kept}", code, views=held) from error
-    say(f"{options.views} holds {len(folder.angles)} views; the torque is off")
+    say(f"{options.views} contains {len(folder.angles)} views; the torque is off")
 
 
 def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry) -> list[Vector]:
-    """Return the places at which the folder holds no view yet.
+    """Return the positions without a view in the folder.
 
     Raises:
-        CommandError: there is none.
+        CommandError: there are none.
     """
     kinematics = ScalarDelta(geometry)
     held = [kinematics.forward(*angles) for angles in folder.angles]
     left = [place for place in places if all(math.dist(place, other) > PLACES_APART for other in held)]
     if not left:
-        raise CommandError("the camera, as --mount has it, sees the board nowhere: correct --mount or --board-…-mm")
+        raise CommandError("by --mount the camera sees the board nowhere: correct --mount or --board-…-mm")
     return left
 
 
 def _visit(
     arm: ArmClient, camera: CameraClient, board: Board, places: Iterable[Vector], folder: ViewsFolder, wanted: int
 ) -> None:
-    """Go from place to place and keep the images that show the board, until there are enough."""
+    """Move through the positions and store images that show the board, until there are enough."""
     say("keep clear: the arm moves now")
     arm.start()
     blind, tried = 0, 0
@@ -99,10 +99,10 @@ def _visit(
         angles = arm.angles()
         where = ", ".join(f"{1e3 * value:.0f}" for value in place)
         if not _still(before, angles):
-            say(f"at ({where}) mm the arm moved while the image was taken; going on")
+            say(f"at ({where}) mm the arm moved while the image was taken; skipped")
         elif board.detect(image) is None:
             blind += 1
-            say(f"at ({where}) mm the board is not seen")
+            say(f"at ({where}) mm the board is not visible")
             if blind == _BLIND and not folder.angles:
                 raise CommandError(_unseen(board, image), FAILED)
         else:
@@ -110,9 +110,7 @@ def _visit(
             name = folder.add(image, (middle[0], middle[1], middle[2]))
             say(f"{name}: {len(folder.angles)} of {wanted}, at ({where}) mm")
     if len(folder.angles) < wanted:
-        say(
-            f"only {len(folder.angles)} views at {tried} places: correct --mount, or move the board to where it is seen"
-        )
+        say(f"only {len(folder.angles)} views at {tried} positions: correct --mount, or make the board visible")
     arm.go_home()
 
 
@@ -125,4 +123,4 @@ def _still(before: Vector, after: Vector) -> bool:
 def _unseen(board: Board, image: np.ndarray) -> str:
     others = ", ".join(markers_in(image)[:5])
     hint = f"it shows {others}: give the right --board" if others else "is the board there, lit, and facing the camera?"
-    return f"at {_BLIND} places no image shows {board.name}; {hint}"
+    return f"no image of {_BLIND} positions shows {board.name}; {hint}"

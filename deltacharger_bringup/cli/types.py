@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of command-line values: each says what is wrong with the text and what is allowed."""
+"""Types of command-line values; their errors name the value and what is allowed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def namespace(text: str) -> str:
-    """Return a ROS namespace without its outer slashes; '' is none."""
+    """Return a ROS namespace without its outer slashes; '' means none."""
     name = text.strip("/")
     if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
         raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
@@ -65,8 +65,8 @@ def web_address(text: str) -> WebAddress:
         ) from None
 
 
-POSITIVE = between(0.0, 2e9)  # what a Duration's seconds hold
-MILLIMETRES = between(-10_000.0, 10_000.0)  # beyond it a number is a slip of the unit, not a place for electrodes
+POSITIVE = between(0.0, 2e9)  # range of a Duration's seconds
+MILLIMETRES = between(-10_000.0, 10_000.0)  # a larger number has the wrong unit
 DEGREES = between(-90.0, 90.0)
 SEED = whole(0, 2**32 - 1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger undock`: the running charger lets go and retracts its arm."""
+"""`deltacharger undock`: the running charger releases the target and retracts its arm."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def add_undock(parser: argparse.ArgumentParser) -> None:
     """Add the options of `undock`."""
     scene_option(parser)
     namespace_option(parser)
-    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
-    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
 
 
 def undock(options: argparse.Namespace) -> int:

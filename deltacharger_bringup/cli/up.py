@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger up`: run a scene's charger until a signal.
 
-One charger of a ROS domain and namespace is enough. A second one of this user on this machine is refused at once, by a
-lock. Others, on other machines too, are asked over ROS: before the first node starts, since most answer by then, and
-until `LOOK` has passed. So long docking_node commands nothing and its goals wait.
+Only one charger may run in a ROS domain and namespace. A lock refuses a second one of this user on this machine at
+once. ROS discovery finds others, also on other machines: once before the first node starts, then until `LOOK` has
+passed. Until then docking_node sends no commands and its goals wait.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 
 
 def add_up(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `up`; those that change the scene are judged with it."""
+    """Add the options of `up`; options that change the scene are checked with it."""
     scene_option(parser)
     namespace_option(parser)
     record_option(parser)
     parser.add_argument(
-        "--recording", metavar="FILE", help="record that the scene plays (without --scene: that of scene replay)"
+        "--recording", metavar="FILE", help="recording that the scene plays (without --scene: scene replay plays it)"
     )
-    parser.add_argument("--servo-port", default="", metavar="PORT", help="of the servos, instead of the scene's")
-    parser.add_argument("--board-port", default="", metavar="PORT", help="of the board, instead of the scene's")
-    text = "what finds electrodes, instead of the scene's: an OAK-D, a camera that others drive, or nothing"
+    parser.add_argument("--servo-port", default="", metavar="PORT", help="port of the servos, instead of the scene's")
+    parser.add_argument("--board-port", default="", metavar="PORT", help="port of the board, instead of the scene's")
+    text = "source of images, instead of the scene's: an OAK-D, image topics of another driver, or none"
     parser.add_argument("--camera", default="", metavar="oak|topics|none", help=text)
-    for what, text in (("frame", "frame of the charger, for two in one tf"), ("joint", "joint, for two in one URDF")):
-        parser.add_argument(f"--{what}-prefix", default="", metavar="TEXT", help=f"put before the name of each {text}")
+    for what, text in (("frame", "frame, for two chargers in one tf tree"), ("joint", "joint, for two in one URDF")):
+        parser.add_argument(f"--{what}-prefix", default="", metavar="TEXT", help=f"prefix of each {text}")
     parser.add_argument("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 
@@ -66,9 +66,9 @@ def up(options: argparse.Namespace) -> int:
             composition = _alone(scene, context, options, interrupts, stack)
         else:
             composition = stack.enter_context(start(scene, context, options.namespace))
-            _say_what_runs(composition)
-            say(_what_is_there(composition))
-            _say_ready(composition, options)
+            _print_nodes(composition)
+            say(_interfaces(composition))
+            _print_ready(composition, options)
         while not interrupts.event.wait(0.5):
             raise_if_failed(composition)
     return interrupts.exit_code(DONE)
@@ -77,10 +77,10 @@ def up(options: argparse.Namespace) -> int:
 def _alone(
     scene: Scene, context: Context, options: argparse.Namespace, interrupts: Interrupts, stack: contextlib.ExitStack
 ) -> Composition:
-    """Start a charger that docks, and let it work once no other one has answered.
+    """Start a charger that docks, and release it when no other charger has answered.
 
     Raises:
-        CommandError: another one answers, a part broke, or a signal came before it was ready.
+        CommandError: another charger answers, a part failed, or a signal arrived before it was ready.
     """
     from deltacharger_ros.client import ChargerClient
     from deltacharger_scenes.composition import load_nodes
@@ -90,10 +90,10 @@ def _alone(
         load_nodes(scene)
         _refuse_others(client, 0)
         composition = stack.enter_context(start(scene, context, options.namespace, held=True))
-        _say_what_runs(composition)
+        _print_nodes(composition)
         if not wait_for_actions(composition, client, interrupts):
-            raise CommandError("interrupted before it was ready", interrupts.exit_code(DONE))
-        _say_ready(composition, options)
+            raise CommandError("interrupted before the charger was ready", interrupts.exit_code(DONE))
+        _print_ready(composition, options)
         while not interrupts.event.wait(0.1):
             raise_if_failed(composition)
             _refuse_others(client, 1)
@@ -108,21 +108,21 @@ def _refuse_others(client: ChargerClient, own: int) -> None:
         raise refusal(FAILED)
 
 
-def _say_what_runs(composition: Composition) -> None:
+def _print_nodes(composition: Composition) -> None:
     from deltacharger_scenes.composition import describe
 
     say(f"{describe(composition)}; ROS domain {environment.domain()}")
 
 
-def _say_ready(composition: Composition, options: argparse.Namespace) -> None:
+def _print_ready(composition: Composition, options: argparse.Namespace) -> None:
     say("ready")
     if options.json:
-        told = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
-        answer(options, {**told, **composition.ports()})
+        ready = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
+        answer(options, {**ready, **composition.ports()})
 
 
 def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
-    """Return the scene with what the options of `up` put in place of its own.
+    """Return the scene with the values that the options of `up` replace.
 
     Raises:
         CommandError: they do not fit the scene; exit code 2.
@@ -130,16 +130,16 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
     from deltacharger_scenes.overrides import Overrides, override
     from deltacharger_scenes.scene import SceneError
 
-    told = dataclasses.fields(Overrides)
+    fields = dataclasses.fields(Overrides)
     try:
-        return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in told}))
+        return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in fields}))
     except SceneError as error:
         problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
         raise CommandError(problem, WRONG_INPUT, file=error.file, key=error.key) from error
 
 
-def _what_is_there(composition: Composition) -> str:
-    """Return what a scene that cannot dock has instead."""
+def _interfaces(composition: Composition) -> str:
+    """Return a line with the topics and services of a scene that cannot dock."""
     from deltacharger_lab.pages.topics import endpoints
 
     found = [each for running in composition.nodes for each in endpoints(running.node) if "/_" not in each.name]
@@ -147,4 +147,4 @@ def _what_is_there(composition: Composition) -> str:
     for verb in ("publishes", "serves"):
         names = {each.name.lstrip("/") for each in found if each.verb == verb} - {"diagnostics"}
         has += [f"{verb} {', '.join(sorted(names))}"] if names else []
-    return f"no docking_node, so no goal is served; it {' and '.join(has) or 'is silent'}"
+    return f"no docking_node, so no goals are accepted; this scene {' and '.join(has) or 'publishes nothing'}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger view`: a charger at work in Rerun, live or recorded, on a screen, in a browser or in a file."""
+"""`deltacharger view`: show a live or recorded charger in Rerun, on a screen, in a browser or in a file."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ if TYPE_CHECKING:
     from deltacharger_records.view.feed import ViewFeed
 
 Settings = tuple[DockingParameters, DeltaGeometry]
-_SILENT_AFTER = 5.0  # s; who misses the first announcement of a topic waits 3 s for the next
-_LOOK = 1.0 / 30.0  # s between two looks into the topics
-_FLUSH = 10.0  # s for what is under way to the viewer
+_SILENT_AFTER = 5.0  # s; after a missed announcement of a topic the next comes 3 s later
+_PERIOD = 1.0 / 30.0  # s between two readings of the topics
+_FLUSH = 10.0  # s for pending data to reach the viewer
 _EXTRA = "install deltacharger[view], or `pip install 'rerun-sdk>=0.39'`"
 
 
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the options of `view`."""
-    parser.add_argument("--recording", metavar="FILE.mcap", help="show this instead of a running charger")
+    parser.add_argument("--recording", metavar="FILE.mcap", help="show this recording instead of a running charger")
     parser.add_argument(
-        "--scene", metavar="NAME|FILE", help="whose geometry and camera mount are drawn (default: the usual ones)"
+        "--scene", metavar="NAME|FILE", help="scene with geometry and camera mount to draw (default: nominal ones)"
     )
     where = parser.add_mutually_exclusive_group()
-    text = "write a file for later, or an animated picture, instead of opening a window"
+    text = "write a file or an animated picture instead of opening a window"
     where.add_argument("--save", metavar="FILE.rrd|FILE.gif", help=text)
     where.add_argument(
         "--web",
@@ -66,18 +66,18 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         type=web_address,
         nargs="?",
         const=WebAddress(),
-        help="serve it to a browser, at 127.0.0.1:9090 unless told otherwise; the data take the next port",
+        help="serve it to a browser (default: 127.0.0.1:9090); the data use the next port",
     )
-    where.add_argument("--connect", metavar="URL", help="show it in a viewer that runs, rerun+http://HOST:9876/proxy")
-    parser.add_argument("--camera", action="store_true", help="the camera's image too, at 5 Hz; it is taken for it")
+    where.add_argument("--connect", metavar="URL", help="show it in a running viewer, rerun+http://HOST:9876/proxy")
+    parser.add_argument("--camera", action="store_true", help="also subscribe to and show the image, at 5 Hz")
     parser.add_argument(
-        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of a running charger (default: at Ctrl-C)"
+        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="show it for this time (default: until Ctrl-C)"
     )
     namespace_option(parser)
 
 
 def view(options: argparse.Namespace) -> int:
-    """Show a running charger until it is interrupted, or a recording."""
+    """Show a running charger until an interruption, or a recording."""
     _check_places(options)
     rr = None if _is_animation(options) else _rerun()
     with contextlib.ExitStack() as stack:
@@ -95,13 +95,13 @@ def _rerun() -> Any:
         import rerun
     except ImportError as error:
         raise CommandError(f"{error.name} is not installed: {_EXTRA}", WRONG_INPUT) from error
-    if not hasattr(rerun, "StateChange"):  # another package of this name, or one too old
-        raise CommandError(f"the package rerun that is installed cannot show a charger: {_EXTRA}", WRONG_INPUT)
+    if not hasattr(rerun, "StateChange"):  # another package of this name, or too old
+        raise CommandError(f"the installed package rerun is too old or another one: {_EXTRA}", WRONG_INPUT)
     return rerun
 
 
 def _check_places(options: argparse.Namespace) -> None:
-    """Refuse, before anything is heard, what could not be read or shown at the end."""
+    """Check files and viewer before the start, so that nothing fails at the end."""
     if options.recording is not None:
         file_to_read("--recording", options.recording)
     if options.recording is not None and options.stop_after_s:
@@ -115,8 +115,8 @@ def _check_places(options: argparse.Namespace) -> None:
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (options.save or options.connect or options.web or has_screen):
         raise CommandError(
-            "there is no screen here: give --web and open its page in a browser, --save FILE.rrd and open the file "
-            "elsewhere with `rerun FILE.rrd`, or --connect to a viewer that runs on another computer",
+            "no screen found: give --web and open its page in a browser, --save FILE.rrd and open the file elsewhere "
+            "with `rerun FILE.rrd`, or --connect to a viewer on another computer",
             WRONG_INPUT,
         )
 
@@ -128,13 +128,13 @@ def _is_animation(options: argparse.Namespace) -> bool:
 def _open(
     rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings | None = None
 ) -> tuple[ViewFeed, Callable[[], None]]:
-    """Return the feed of what goes where the options say, and what completes it.
+    """Return the feed to the output that the options name, and the function that completes it.
 
     Args:
         rr: the module rerun; None for an animated picture.
         options: of the command.
-        scene: whose camera is drawn, and whose arm where there are no `settings`.
-        settings: what the charger itself decides by, and its arm.
+        scene: its camera is drawn, and its arm if there are no `settings`.
+        settings: the charger's docking parameters and its arm.
     """
     from deltacharger_records.view.feed import ViewFeed
 
@@ -163,7 +163,7 @@ def _open(
 
 
 def _program() -> Path:
-    """Return Rerun's executable, which its package brings along."""
+    """Return Rerun's executable, which is part of its package."""
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise CommandError(f"Rerun's viewer is not installed: {_EXTRA}", WRONG_INPUT)
@@ -171,7 +171,7 @@ def _program() -> Path:
 
 
 def _find_viewer() -> None:
-    """Let Rerun find the viewer that was installed with it, also where nobody has activated this environment."""
+    """Let Rerun find the viewer installed with it, also if this environment is not activated."""
     beside = str(Path(sys.executable).parent)
     os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", os.defpath)])
 
@@ -181,7 +181,7 @@ def _draw(animation: Animation, path: Path) -> None:
 
     def progress(done: int, of: int) -> None:
         if done % 40 == 0:
-            say(f"{done} of {of} pictures are drawn")
+            say(f"drew {done} of {of} pictures")
 
     try:
         animation.save(path, progress)
@@ -192,17 +192,17 @@ def _draw(animation: Animation, path: Path) -> None:
 
 
 def _close(recording: Any) -> None:
-    """Let everything that was logged arrive."""
+    """Wait until all logged data have arrived."""
     try:
         recording.flush(timeout_sec=_FLUSH)
-    except Exception as error:  # rerun raises kinds of its own; the figures are lost, the command has done its part
+    except Exception as error:  # rerun raises its own classes; the data are lost
         raise CommandError(f"not everything reached the viewer: {error}", FAILED) from error
     finally:
         recording.disconnect()
 
 
 def settings_of(scene: Scene) -> Settings:
-    """Return what a scene has docking_node decide by, and the arm's geometry as it gives it to kinematics_node.
+    """Return docking_node's parameters and kinematics_node's geometry, as a scene sets them.
 
     Raises:
         CommandError: the geometry's file cannot be read, or a value is refused; exit code 2.
@@ -215,7 +215,7 @@ def settings_of(scene: Scene) -> Settings:
 
 
 def mount_of(scene: Scene) -> NDArray[np.float64]:
-    """Return (4, 4) of the camera in charger_base as a scene gives it to electrode_detector_node.
+    """Return the pose (4, 4) of the camera in charger_base, as a scene sets it for electrode_detector_node.
 
     Raises:
         CommandError: it is refused; exit code 2.
@@ -240,11 +240,11 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
         silent: list[str] | None = None
         try:
             say(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
-            while not interrupts.event.wait(_LOOK):
+            while not interrupts.event.wait(_PERIOD):
                 listener.hand(feed)
                 passed = time.monotonic() - began
                 if silent is None and passed > _SILENT_AFTER:
-                    silent = _tell_silence(feed, options.namespace)
+                    silent = _report_silence(feed, options.namespace)
                 if options.stop_after_s and passed > options.stop_after_s:
                     break
         finally:
@@ -254,14 +254,14 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
     return interrupts.exit_code(DONE)
 
 
-def _tell_silence(feed: ViewFeed, namespace: str) -> list[str]:
+def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
     from deltacharger_records.view.feed import ALWAYS_THERE
 
     silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
     if silent:
-        hint = "no charger runs there" if len(silent) == len(ALWAYS_THERE) else "their nodes do not run"
+        hint = "no charger runs" if len(silent) == len(ALWAYS_THERE) else "their nodes do not run"
         say(
-            f"nothing came in {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint}, or in another ROS domain than "
+            f"no messages for {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint}, or in another ROS domain than "
             f"{environment.domain()} or another --namespace; still listening"
         )
     return silent
@@ -291,12 +291,12 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Sequence[str] = ()) -> None:
-    """Tell what was shown."""
+    """Report what was shown."""
     counts = dict(sorted(feed.counts.items()))
     place = options.save or (options.web.page if options.web else options.connect)
     if options.json:
-        told = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
-        write_json(told)
+        result = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
+        write_json(result)
         return
     say(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
     if options.save is not None and not _is_animation(options):

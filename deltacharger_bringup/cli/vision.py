@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger vision detect`: electrodes in an image, in a folder of images and in a recording."""
+"""`deltacharger vision detect`: find electrodes in an image, a folder of images or a recording."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _RECORDING = ".mcap"
 _ONE = ("depth", "picture")
 _TOPICS = ("color_topic", "depth_topic", "info_topic")
 _MANY = ("pictures", *_TOPICS)
-_NAMED = 10  # broken images that are named on stderr; the JSON object names all
+_NAMED = 10  # broken images named on stderr; the JSON object names all
 
 
 def add_detect(parser: argparse.ArgumentParser) -> None:
@@ -62,11 +62,11 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
     )
     one = parser.add_argument_group("one image")
     one.add_argument("--color", metavar="A.png", help="PNG or JPEG")
-    one.add_argument("--depth", metavar="A.png|A.npy", help="aligned to it: 16-bit mm, or float m (default: none)")
-    one.add_argument("--picture", metavar="OUT.png", help="draw what was found into a copy of the image")
+    one.add_argument("--depth", metavar="A.png|A.npy", help="aligned depth: 16-bit mm, or float m (default: none)")
+    one.add_argument("--picture", metavar="OUT.png", help="copy of the image with the result drawn into it")
     many = parser.add_argument_group("a folder or a recording")
-    many.add_argument("--pictures", metavar="DIR", help="the same for every image, into a folder")
-    many.add_argument("--color-topic", default="", metavar="NAME", help="(the one that ends in color/image_raw)")
+    many.add_argument("--pictures", metavar="DIR", help="folder for such a copy of every image")
+    many.add_argument("--color-topic", default="", metavar="NAME", help="(topic ending in color/image_raw)")
     many.add_argument("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
     many.add_argument("--info-topic", default="", metavar="NAME", help="(camera_info beside the colour)")
     parser.add_argument(
@@ -75,23 +75,23 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
         help="intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)",
     )
     parser.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
-    parser.add_argument("--mount", metavar="MOUNT.yaml", help="tell the pose in charger_base too")
+    parser.add_argument("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
 
 
 class _Readable(Protocol):
-    """An image that is read when its turn comes."""
+    """An image that is read only when it is needed."""
 
     @property
     def name(self) -> str:
-        """What it is called in the results."""
+        """Name in the results."""
 
     def read(self, intrinsics: Intrinsics) -> RgbdImage:
-        """Return it, or raise VisionError or OSError."""
+        """Return the image, or raise VisionError or OSError."""
 
 
 @dataclass(frozen=True)
 class _Images:
-    """Many images of one camera; `count` is how many there are, of which `images` may leave out some."""
+    """Images of one camera; `count` is their number, of which `images` may leave out some."""
 
     images: Iterable[_Readable]
     count: int
@@ -102,7 +102,7 @@ def detect(options: argparse.Namespace) -> int:
     """Find the electrodes in one image or in many."""
     _check_usage(options)
     with wrong_input(VisionError, RecordingError):
-        require_opencv().setNumThreads(1)  # an image is too little work for several, which wait for each other
+        require_opencv().setNumThreads(1)  # an image is too little work for several threads
         finder = _Finder(options)
         return _one(options, finder) if options.path is None else _many(options, finder)
 
@@ -126,7 +126,7 @@ class _Finder:
         self.mount = Mount.load(options.mount) if options.mount else None
 
     def find(self, image: RgbdImage) -> tuple[Detection | None, dict[str, Any]]:
-        """Return what is in an image, and the same JSON-ready."""
+        """Return the detection in an image, and its JSON-ready fields."""
         started = time.perf_counter()
         found = self._detector.detect(image)
         return found, vision_results.fields(found, self.mount, time.perf_counter() - started)
@@ -141,9 +141,9 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
     depth = None if options.depth is None else Path(options.depth)
     image = read_rgbd(Path(options.color), depth, load_camera_info(options.camera_info))
     if depth is None:
-        say("no --depth: the image alone is looked at")
+        say("no --depth: using the colour image alone")
     elif not np.isfinite(image.depth).any():
-        say(f"{depth}: all depth is unknown; the image alone is looked at")
+        say(f"{depth}: all depth is unknown; using the colour image alone")
     found, fields = finder.find(image)
     if picture is not None:
         write_picture(picture, annotated(image, found))
@@ -170,17 +170,17 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
             if pictures is not None:
                 write_picture(pictures / f"{each.name}.png", annotated(image, found))
             results.append({"name": each.name, **fields})
-            progress.looked(found is not None)
-    except RecordingError as error:  # what came before the damage counts
+            progress.searched(found is not None)
+    except RecordingError as error:  # images before the damage count
         if not results:
             raise
         say(str(error))
     if not results:
         raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant", WRONG_INPUT)
-    return _tell_many(options, results, source.count)
+    return _report_many(options, results, source.count)
 
 
-def _tell_many(options: argparse.Namespace, results: list[dict[str, Any]], count: int) -> int:
+def _report_many(options: argparse.Namespace, results: list[dict[str, Any]], count: int) -> int:
     total = vision_results.summary(results, count)
     if options.json:
         write_json({"frame": CAMERA_FRAME, **total, "results": results})
@@ -197,20 +197,20 @@ def _tell_many(options: argparse.Namespace, results: list[dict[str, Any]], count
 def _stored(options: argparse.Namespace, folder: Path) -> _Images:
     """Return the images of a folder."""
     if folder.is_file():
-        raise CommandError(f"{folder}: give a folder or a recording (*{_RECORDING}); one image by --color", WRONG_INPUT)
+        raise CommandError(f"{folder}: give a folder or a recording (*{_RECORDING}), or --color", WRONG_INPUT)
     recording = next(iter(sorted(folder.glob(f"*{_RECORDING}"))), None)
-    if recording is not None:  # `ros2 bag` makes folders
-        raise CommandError(f"{folder} holds a recording; give {recording}", WRONG_INPUT)
+    if recording is not None:  # `ros2 bag` writes folders
+        raise CommandError(f"{folder} contains a recording; give {recording}", WRONG_INPUT)
     for name in _TOPICS:
         if getattr(options, name):
             raise CommandError(f"{_flag(name)} is for a recording", WRONG_INPUT)
     images = images_in(folder)
     info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
     if options.camera_info is None and not info.exists():
-        raise CommandError(f"{folder} holds no {CAMERA_INFO}; put it there, or give --camera-info", WRONG_INPUT)
+        raise CommandError(f"{folder} contains no {CAMERA_INFO}; put it there, or give --camera-info", WRONG_INPUT)
     alone = sum(each.depth is None for each in images)
     if alone:
-        say(f"{alone} of {len(images)} images have no depth; they are looked at alone")
+        say(f"{alone} of {len(images)} images have no depth image")
     return _Images(images, len(images), load_camera_info(info))
 
 
@@ -228,24 +228,24 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     if not recording.images:
         raise CommandError(f"{path}: {topics.color} holds no images; record again", WRONG_INPUT)
     if not topics.depth:
-        say(f"{path} has no depth topic; the images alone are looked at")
+        say(f"{path} has no depth topic; using the colour images alone")
     return _Images(recorded_images(recording), recording.images, intrinsics)
 
 
 class _Progress:
-    """Says on stderr how far it is, at most at every tenth, and which images are broken."""
+    """Print progress on stderr, at most at every tenth, and the names of broken images."""
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._seen = self._found = self._broken = self._tenth = 0
 
-    def looked(self, found: bool) -> None:
-        """Count an image that was looked at."""
+    def searched(self, found: bool) -> None:
+        """Count a searched image."""
         self._found += found
         self._count_one()
 
     def broken(self, name: str, error: Exception) -> None:
-        """Count an image that could not be, and name it."""
+        """Count a broken image and name it."""
         self._broken += 1
         if self._broken <= _NAMED:
             say(f"{name}: {error}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rerun's web viewer, served by a process beside the command: the page at one port, the data at the next."""
+"""Rerun's web viewer in a separate process: the page at one port, the data at the next."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _POLL = 0.05  # s
 
 @dataclass(frozen=True)
 class WebAddress:
-    """Where the viewer is served: an IP address of this computer, and the port of the page; the data have the next."""
+    """Address of the viewer: an IP address of this computer and the port of the page; the data use the next."""
 
     host: str = "127.0.0.1"
     port: int = 9090
 
     @property
     def reachable(self) -> str:
-        """The host as a browser names it: this computer's name if it is served at all addresses."""
+        """Host name for a browser: the name of this computer if the viewer uses all its addresses."""
         if ipaddress.ip_address(self.host).is_unspecified:
             return socket.gethostname()
         return _local(self.host)
 
     @property
     def data(self) -> str:
-        """URL at which a browser gets the data."""
+        """URL from which a browser loads the data."""
         return f"rerun+http://{self.reachable}:{self.port + 1}/proxy"
 
     @property
@@ -58,10 +58,10 @@ class WebViewer:
 
     Args:
         program: the executable `rerun`.
-        address: where.
+        address: of the viewer.
 
     Raises:
-        CommandError: it cannot be served there.
+        CommandError: the viewer cannot be served there.
     """
 
     def __init__(self, program: Path, address: WebAddress) -> None:
@@ -116,7 +116,7 @@ class WebViewer:
             except OSError as error:
                 raise CommandError(
                     f"port {port} of {self.address.host} cannot be used ({error.strerror}): give another port, "
-                    f"--web {self.address.host}:PORT; the data take the port after it",
+                    f"--web {self.address.host}:PORT; the data use the next port",
                     FAILED,
                 ) from error
 
@@ -129,11 +129,11 @@ class WebViewer:
     def _last_line(self) -> str:
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it is silent"
+        return lines[-1] if lines else "no output"
 
 
 def _local(host: str) -> str:
-    """Return the address by which this computer reaches what it serves at `host`, as a URL has it."""
+    """Return the local address of a server at `host`, in the form for a URL."""
     address = ipaddress.ip_address(host)
     if address.is_unspecified:
         return "127.0.0.1" if address.version == 4 else "[::1]"

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the board introduce itself, stream whole frames from live taxels, and is its power stage sane?
+"""Checks of the board: greeting, complete frames from live taxels, power stage.
 
-The stream is started for a while and stopped again; one probe is made (≤ 5 V, ≤ 50 mA). Nothing else is asked of
-it: no tare, no contactor, no heartbeat.
+It starts and stops the stream and makes one probe (≤ 5 V, ≤ 50 mA). It sends no tare, contactor command or heartbeat.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ if TYPE_CHECKING:
     from deltacharger_driver.board.samples import PowerSample, TactileSample
 
 WATCHED = 2.0  # s of stream
-_RATE_SHARE = 0.95  # of the board's own rate, below which frames do not come as they should
-_LOST_SHARE = 0.01  # of frames, above which the link is bad
+_RATE_SHARE = 0.95  # of the board's nominal rate; a lower rate is wrong
+_LOST_SHARE = 0.01  # of frames; more lost frames mean a bad link
 _PINGS = 20
-_CABLE_ADVICE = "look at plugs and cables; close what keeps this computer busy"
+_CABLE_ADVICE = "check plugs and cables; close other busy programs"
 
 
 def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bool = False) -> Iterator[Finding]:
-    """Greet the board of a port, watch its stream, read its power stage, probe once.
+    """Greet the board on a port, watch its stream, read its power stage, probe once.
 
     Args:
-        path: of the port; nobody else may have it open.
+        path: of the port; no other program may have it open.
         baud_rate: bit/s.
         watched: s of stream.
-        wired: the electrodes hang on the battery (power: none), so that there is no power stage and no probe.
+        wired: the electrodes are wired to the battery (power: none): no power stage and no probe.
     """
     from deltacharger_driver.board.errors import BoardMismatch
     from deltacharger_driver.board.link import BoardLink
@@ -48,13 +47,13 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bo
         hello = link.open()
     except WrongDevice:
         advice = "exchange the two cables, or the two ports in the scene or on the command line"
-        yield wrong("board", f"{path}: here are the servos, not the board", advice)
+        yield wrong("board", f"{path}: the servos are here, not the board", advice)
         return
     except BoardMismatch as error:
-        yield failed("board", error, "flash the firmware that belongs to this version, or give the right port")
+        yield failed("board", error, "flash the firmware of this version, or give the right port")
         return
     except NoAnswer as error:
-        yield failed("board", error, "check the board's supply and both lines of its cable, and that its firmware runs")
+        yield failed("board", error, "check the board's supply, both lines of its cable, and its firmware")
         return
     try:
         yield from _firmware(link, hello)
@@ -75,10 +74,10 @@ def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
     text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
     yield ok("board", f"{text}; answers in {trip * 1e3:.1f} ms")
     if trip > HEARTBEAT_PERIOD:
-        slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats come every {HEARTBEAT_PERIOD * 1e3:.0f} ms"
-        yield hint("board", slow, "look for what holds bytes back: an adapter's latency timer, a hub, a busy computer")
+        slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats are sent every {HEARTBEAT_PERIOD * 1e3:.0f} ms"
+        yield hint("board", slow, "find what delays bytes: an adapter's latency timer, a hub, a busy computer")
     if hello.minor < MINOR:
-        yield hint("board", f"its firmware is older than this driver ({hello.major}.{MINOR})", "flash the present one")
+        yield hint("board", f"its firmware is older than this driver ({hello.major}.{MINOR})", "flash the current one")
 
 
 def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) -> Iterator[Finding]:
@@ -92,7 +91,7 @@ def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) ->
     damaged = link.decoder_counters.damaged - damaged
     if len(frames) < 2:
         text = f"{len(frames)} frames in {watched:g} s after the start of the stream"
-        yield wrong("tactile link", text, "restart the board; flash its firmware again where that does not help")
+        yield wrong("tactile link", text, "restart the board; if that does not help, flash its firmware again")
         return
     span = frames[-1].time - frames[0].time
     rate = (frames[-1].sequence - frames[0].sequence) / span if span > 0.0 else math.inf
@@ -107,7 +106,7 @@ def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) ->
 
 
 def _pads(frames: list[Any]) -> Iterator[Finding]:
-    """Yield dead taxels, what presses on a pad, and whether the pads are tared."""
+    """Yield dead taxels, force on a pad, and whether the pads are tared."""
     import numpy as np
 
     from deltacharger_core.machine import CONTACT_FORCE
@@ -125,17 +124,17 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
             text = f"{len(dead)} of {forces[0].size} taxels dead: {shown}{' ...' if len(dead) > 6 else ''}"
             if len(dead) > limit:
                 yield wrong(
-                    part, f"{text}; misalignment needs at most {limit}", "look at the pad's plug; replace the pad"
+                    part, f"{text}; misalignment needs at most {limit}", "check the pad's plug; replace the pad"
                 )
             else:
-                yield hint(part, text, "the estimate fills them in from their neighbours")
+                yield hint(part, text, "the estimate interpolates them")
         else:
             yield ok(part, f"all {forces[0].size} taxels live")
         strongest = float(live.max()) if live.size else math.nan
         if tared and strongest >= CONTACT_FORCE:
-            yield hint(part, f"pressed with up to {strongest:.1f} N on a taxel", "free the pad; a tare is refused else")
+            yield hint(part, f"up to {strongest:.1f} N on a taxel", "free the pad; else a tare is refused")
     yield ok(
-        "tare", "done since the board's start" if tared else "not done since the board's start; every docking tares"
+        "tare", "done since the board's start" if tared else "not done since the board's start; each docking tares"
     )
 
 
@@ -144,7 +143,7 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
 
     if not powers:
         yield wrong(
-            "power", "the power stage says nothing (20 times a second is due)", "flash the board's firmware again"
+            "power", "no data from the power stage (20 per second expected)", "flash the board's firmware again"
         )
         return
     power = powers[-1].power
@@ -153,28 +152,28 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
         yield wrong("power", f"fault latched: {fault_name(power.fault)}", advice)
     if power.contactor_closed:
         advice = "switch the battery off: without a heartbeat it must be open; the contactor may be welded"
-        yield wrong("power", "the contactor reports closed though nobody asked for it", advice)
+        yield wrong("power", "the contactor reports closed without a command", advice)
     if math.isnan(power.battery_voltage):
         yield hint(
             "power",
-            "the battery's voltage is not measured: with a contactor (power: board) docking energises nothing",
-            "look at the power stage's plug and at the voltage's divider; electrodes wired to the battery: power none",
+            "battery voltage is not measured: with a contactor (power: board) docking does not energise",
+            "check the power stage's plug and the voltage divider; for electrodes wired to the battery: power none",
         )
     elif not BATTERY_MIN <= power.battery_voltage <= BATTERY_MAX:
         text = f"battery {power.battery_voltage:.1f} V, outside {BATTERY_MIN} to {BATTERY_MAX} V"
-        yield wrong("power", text, "charge it, or look at it and at the voltage's divider; docking energises nothing")
+        yield wrong("power", text, "charge or check it, check the voltage divider; docking does not energise")
     else:
         yield ok("power", f"battery {power.battery_voltage:.1f} V")
 
 
 def _wired(powers: list[Any]) -> Finding:
-    """Return what to know of electrodes that hang on the battery; a power stage that measures contradicts that."""
+    """Return the finding for electrodes wired to the battery; a working power stage contradicts that."""
     power = powers[-1].power if powers else None
     if power is None or not (power.contactor_closed or math.isfinite(power.battery_voltage)):
-        text = "power: none: the electrodes hang on the battery, live whenever they touch; nothing measures or opens"
-        return hint("power", text, "see that a fuse and a switch sit close to the battery")
-    text = f"docking is told power: none, but the board has a power stage: battery {power.battery_voltage:.1f} V"
-    return wrong("power", text, "set docking_node's power to board, so that contactor and probe are used")
+        text = "power: none: the electrodes are wired to the battery, live at every contact; nothing measures or opens"
+        return hint("power", text, "fit a fuse and a switch close to the battery")
+    text = f"docking_node has power: none, but the board has a power stage: battery {power.battery_voltage:.1f} V"
+    return wrong("power", text, "set docking_node's power to board, to use contactor and probe")
 
 
 def _probe(link: BoardLink) -> Iterator[Finding]:
@@ -185,7 +184,7 @@ def _probe(link: BoardLink) -> Iterator[Finding]:
     try:
         result = link.probe()
     except (CommandRefused, NoAnswer) as error:
-        yield failed("probe", error, "open the contactor first; else look at the power stage's plug")
+        yield failed("probe", error, "open the contactor first; else check the power stage's plug")
         return
     if math.isinf(result.resistance):
         yield ok("probe", "open circuit: nothing touches the electrodes")
@@ -193,7 +192,7 @@ def _probe(link: BoardLink) -> Iterator[Finding]:
     problem = probe_problem(result.resistance, result.target_voltage)
     if problem:
         what, _, advice = problem.partition("; ")
-        yield wrong("probe", what, f"{advice}; with nothing docked, look for what lies across the electrodes")
+        yield wrong("probe", what, f"{advice}; if nothing is docked, remove what bridges the electrodes")
         return
     text = (
         f"{result.resistance:.1f} ohm and {result.target_voltage:.1f} V between the electrodes: a target is connected"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the versions, the interfaces and the ROS set-up of this computer those that the charger needs?"""
+"""Checks of versions, interfaces and ROS settings of this computer."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def _library(module: str) -> Finding:
     try:
         found = version(name)
     except PackageNotFoundError:
-        found = "of an unknown version"
+        found = "unknown version"
     if module == "dynamixel_sdk" and found[0].isdigit() and tuple(map(int, found.split(".")[:2])) < _OLDEST_SDK:
         return wrong(name, f"{found} is too old", "pip install 'dynamixel-sdk>=4.1'")
     return ok(name, found)
 
 
 def examine_settings() -> Iterator[Finding]:
-    """Yield what the environment's variables say to ROS."""
+    """Yield the findings for the environment variables of ROS."""
     problem = environment.domain_problem()
     if problem:
         what, _, remedy = problem.partition("; ")
@@ -63,9 +63,8 @@ def examine_settings() -> Iterator[Finding]:
     yield _range()
     yield ok("ros security", f"nodes started here are open to {environment.openness()}")
     if os.environ.get("ROS_LOCALHOST_ONLY"):
-        yield hint(
-            "ros discovery", "ROS_LOCALHOST_ONLY is set, which is old", "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
-        )
+        text = "ROS_LOCALHOST_ONLY is set, which is deprecated"
+        yield hint("ros discovery", text, "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST")
     yield from _prefixes()
 
 
@@ -74,10 +73,10 @@ def _range() -> Finding:
     part = "ros discovery"
     if not chosen:
         return ok(
-            part, "ROS_AUTOMATIC_DISCOVERY_RANGE is not set; ROS takes SUBNET, a scene what its key `network` says"
+            part, "ROS_AUTOMATIC_DISCOVERY_RANGE is not set; ROS uses SUBNET, a scene the value of its key `network`"
         )
     if chosen not in _RANGES:
-        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is '{chosen}', which ROS does not know"
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is '{chosen}', unknown to ROS"
         return wrong(part, text, f"set it to one of {', '.join(_RANGES)}")
     if chosen == "OFF":
         return wrong(part, "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other", "unset it")
@@ -102,11 +101,11 @@ def _prefixes() -> Iterator[Finding]:
     else:
         yield ok(part, f"the package is in {having[0]}")
     if missing:
-        yield hint(part, f"AMENT_PREFIX_PATH names what does not exist: {', '.join(missing)}", "start in a new shell")
+        yield hint(part, f"AMENT_PREFIX_PATH contains missing folders: {', '.join(missing)}", "start in a new shell")
 
 
 class RosProbe:
-    """Ask ROS in a process of its own, which runs on while other things are examined."""
+    """Check ROS in a separate process, in parallel with other checks."""
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "deltacharger_bringup.doctor.ros_probe"]
@@ -120,18 +119,18 @@ class RosProbe:
         self._report: dict[str, Any] = {}
 
     def close(self) -> None:
-        """End it, whether it has finished or not."""
+        """End the process, finished or not."""
         if self._process.poll() is None:
             self._process.kill()
         self._process.communicate()
 
     def images(self) -> int | None:
-        """Return how many publish images; None where ROS could not be asked. Call after `examine`."""
+        """Return the number of publishers of images; None if unknown. Call after `examine`."""
         count = self._report.get("images")
         return int(count) if count is not None and self._domain_works else None
 
     def examine(self) -> Iterator[Finding]:
-        """Yield what ROS says, after waiting for it."""
+        """Wait for the process and yield its findings."""
         try:
             out, err = self._process.communicate(timeout=_LONGEST_PROBE)
             problem = f"the process ended with code {self._process.returncode}: {_last_line(err)}"
@@ -150,13 +149,13 @@ class RosProbe:
             yield wrong(_STEPS[cause], problem, advice if crashed else _ADVICE[cause])
 
     def _reached(self, report: dict[str, Any]) -> Iterator[Finding]:
-        """Yield the steps of the probe that went well."""
+        """Yield the successful steps of the probe."""
         if "rclpy" in report:
             yield ok("rclpy", f"loaded from {report['rclpy']}")
         if "interfaces" in report:
             yield ok("interfaces", f"{report['interfaces']} messages, services and actions are built and loaded")
         if "numpy" in report:
-            yield ok("numpy and ROS", "arrays pass from one to the other")
+            yield ok("numpy and ROS", "arrays are compatible")
         if "chargers" in report:
             yield ok("ros middleware", f"{report['rmw']} runs")
             if self._domain_works:
@@ -175,12 +174,12 @@ _ADVICE = {
     "version": f"use {environment.RUNS_ON}",
     "interfaces": "build them: pip install ., or colcon build and source install/setup.bash",
     "numpy": "build the interfaces again with the numpy that is installed now: pip install --no-build-isolation .",
-    "middleware": "unset RMW_IMPLEMENTATION or install what it names; check ROS_DOMAIN_ID and the network",
+    "middleware": "unset RMW_IMPLEMENTATION or install that middleware; check ROS_DOMAIN_ID and the network",
 }
 
 
 def _cause(step: str, problem: str) -> str:
-    """Return the step to which a problem belongs; another one may have stumbled over it first."""
+    """Return the step that caused a problem; an earlier step may have reported it."""
     for cause, word in (("numpy", "numpy"), ("middleware", "rmw")):
         if word in problem.lower():
             return cause
@@ -188,14 +187,14 @@ def _cause(step: str, problem: str) -> str:
 
 
 def _last_line(text: str) -> str:
-    """Return the last line of what a process said, without colours."""
+    """Return the last line of a process's output, without colours."""
     lines = re.sub(r"\x1b\[[0-9;]*m", "", text).strip().splitlines()
-    return lines[-1] if lines else "nothing was said"
+    return lines[-1] if lines else "no output"
 
 
 def _running(chargers: list[str]) -> Finding:
     domain = environment.domain()
     if chargers:
         text = f"a charger runs in ROS domain {domain}, namespace {', '.join(chargers)}"
-        return hint("charger", text, "end it before another is started there; it holds the ports of its scene")
+        return hint("charger", text, "stop it before you start another one there; it has opened the ports of its scene")
     return ok("charger", f"none runs in ROS domain {domain}")

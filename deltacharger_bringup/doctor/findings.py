@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor finds: a part, how bad it is, what it is, and how to mend it."""
+"""A finding of the doctor: part, level, message and remedy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 Level = Literal["ok", "hint", "wrong"]
 
 _PACKAGES = {"serial": "pyserial", "yaml": "pyyaml", "dynamixel_sdk": "dynamixel-sdk", "rclpy": "ros-rclpy[fastrtps]"}
-"""Name of a module → name of the package that brings it, where they differ."""
+"""Name of a module → name of its package, if they differ."""
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class Finding:
 
     Attributes:
         part: e.g. "servo 2".
-        level: ok; hint = works, but look at it; wrong = the charger will not work.
-        message: what was found.
-        remedy: what to do; empty where nothing is to be done.
+        level: ok; hint = works, but should be checked; wrong = the charger will not work.
+        message: the observation.
+        remedy: what to do; empty if nothing.
     """
 
     part: str
@@ -31,26 +31,26 @@ class Finding:
 
 
 def ok(part: str, message: str) -> Finding:
-    """Return that a part is as it should be."""
+    """Return a finding without a problem."""
     return Finding(part, "ok", message)
 
 
 def hint(part: str, message: str, remedy: str = "") -> Finding:
-    """Return something worth knowing that keeps nothing from working."""
+    """Return a finding that does not stop the charger from working."""
     return Finding(part, "hint", message, remedy)
 
 
 def wrong(part: str, message: str, remedy: str) -> Finding:
-    """Return something that keeps the charger from working."""
+    """Return a finding that stops the charger from working."""
     return Finding(part, "wrong", message, remedy)
 
 
 def checked(part: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
-    """Return the findings of a check; one that breaks off is a finding itself, after those that it made before.
+    """Return the findings of a check; its exception becomes the last finding.
 
     Args:
-        part: named where the check breaks off.
-        check: gives the findings, possibly one by one.
+        part: for the finding about an exception.
+        check: yields the findings.
     """
     found: list[Finding] = []
     try:
@@ -59,16 +59,16 @@ def checked(part: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
     except ImportError as error:
         found.append(wrong(part, f"cannot be checked: {error}", install(error.name or "")))
     except Exception as error:
-        found.append(_broken_off(part, error))
+        found.append(_crashed(part, error))
     return found
 
 
-def _broken_off(part: str, error: Exception) -> Finding:
-    """Return what ended a check; the driver's errors say by themselves what is wrong and what to do."""
+def _crashed(part: str, error: Exception) -> Finding:
+    """Return an exception as a finding; errors of the driver already name problem and remedy."""
     if type(error).__module__.startswith("deltacharger_driver."):
         return failed(part, error)
-    problem = f"the check broke off: {type(error).__name__}: {error}"
-    return wrong(part, problem, "mend what it names and run the doctor again")
+    problem = f"the check failed: {type(error).__name__}: {error}"
+    return wrong(part, problem, "correct this and run the doctor again")
 
 
 def failed(part: str, error: Exception, advice: str = "") -> Finding:
@@ -77,14 +77,14 @@ def failed(part: str, error: Exception, advice: str = "") -> Finding:
     Args:
         part: where it happened.
         error: its message ends with "; advice".
-        advice: takes the place of the message's own.
+        advice: replaces the advice of the message.
     """
     what, _, own = str(error).rpartition("; ")
     return wrong(part, what or own, advice or own)
 
 
 def install(module: str) -> str:
-    """Return how to get a module that is missing."""
+    """Return how to install a missing module."""
     top = module.split(".")[0]
     package = _PACKAGES.get(top, top)
     if not package:

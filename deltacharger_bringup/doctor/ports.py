@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Can a serial port be opened, and if not, why: absent, forbidden, held by whom, not a serial port at all."""
+"""Checks of a serial port: opens, absent, forbidden, in use by which program, or no serial port."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wron
 from deltacharger_core.machine import BAUD_RATE
 
 RULES = "config/udev/99-deltacharger.rules"
-_RULES_ADVICE = f"install {RULES} as docs/hardware.md says"
-_SLOW_LATENCY = 2e-3  # s; above it 100 Hz with three servos is out of reach
+_RULES_ADVICE = f"install {RULES}, see docs/hardware.md"
+_SLOW_LATENCY = 2e-3  # s; above it 100 Hz with three servos is impossible
 
 
 def examine_port(part: str, path: str) -> Iterator[Finding]:
-    """Open and close a port and say what came of it. Sends nothing.
+    """Open and close a port and yield the findings. Sends nothing.
 
     Args:
         part: for the findings, e.g. "servo port".
         path: of the port.
 
     Yields:
-        what was found; the port can be used where none of it is wrong.
+        the findings; the port can be used if none is wrong.
     """
     from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing
     from deltacharger_driver.serial_open import open_serial
@@ -32,22 +32,22 @@ def examine_port(part: str, path: str) -> Iterator[Finding]:
     try:
         open_serial(path, BAUD_RATE).close()
     except PortMissing as error:
-        yield failed(part, error, _what_there_is())
+        yield failed(part, error, _other_ports())
     except PortDenied as error:
         yield failed(part, error, _group_advice(path))
     except PortBusy as error:
         who = ", ".join(holders(path))
         if who:
-            advice = "end that program; where it is this charger at work, look at its /diagnostics instead"
+            advice = "end that program; if it is this running charger, see its /diagnostics instead"
             yield wrong(part, f"{path}: in use by {who}", advice)
         else:
-            yield failed(part, error, f"another user has it: sudo lsof {path} names the program")
+            yield failed(part, error, f"another user has opened it: sudo lsof {path} names the program")
     except PortError as error:
         yield failed(part, error)
     else:
         target = os.path.realpath(path)
         yield ok(part, f"{path} opens" + (f" (it is {target})" if target != path else ""))
-        yield from _habits(part, path, target)
+        yield from _improvements(part, path, target)
 
 
 def same_device(first: str, second: str) -> bool:
@@ -56,7 +56,7 @@ def same_device(first: str, second: str) -> bool:
 
 
 def candidates() -> list[str]:
-    """Return the serial ports of this machine's adapters, with what they say of themselves."""
+    """Return the serial ports of this machine's adapters, with their USB identity."""
     from serial.tools.list_ports import comports
 
     found = []
@@ -67,7 +67,7 @@ def candidates() -> list[str]:
 
 
 def holders(path: str) -> list[str]:
-    """Return the processes that hold a port, as far as this user may see; those that locked it, where any did.
+    """Return the visible processes that have opened a port; if any locked it, only these.
 
     Args:
         path: of the port, or of a link to it.
@@ -85,11 +85,11 @@ def holders(path: str) -> list[str]:
     return locked or opened
 
 
-def _what_there_is() -> str:
-    there = candidates()
-    if not there:
-        return "plug the adapter in; this machine has no serial adapter at all (lsusb, dmesg)"
-    return f"plug it in, or give the right name; this machine has {', '.join(there)}"
+def _other_ports() -> str:
+    ports = candidates()
+    if not ports:
+        return "plug the adapter in; this machine has no serial adapter (see lsusb, dmesg)"
+    return f"plug it in, or give the right name; ports of this machine: {', '.join(ports)}"
 
 
 def _group_advice(path: str) -> str:
@@ -105,21 +105,21 @@ def _group_advice(path: str) -> str:
     return f"sudo usermod -aG {group} $USER, then log in again; or {_RULES_ADVICE}"
 
 
-def _habits(part: str, path: str, target: str) -> Iterator[Finding]:
-    """Yield what is worth changing about a port that works."""
+def _improvements(part: str, path: str, target: str) -> Iterator[Finding]:
+    """Yield possible improvements of a working port."""
     from deltacharger_driver.servos.port import latency_timer
 
     latency = latency_timer(path)
     if latency > _SLOW_LATENCY:
-        text = f"{path}: the adapter holds received bytes back for {latency * 1e3:.0f} ms"
+        text = f"{path}: the adapter delays received bytes by {latency * 1e3:.0f} ms"
         yield hint(part, f"{text}; the servos' 100 Hz need 1 ms", _RULES_ADVICE)
     name = Path(target).name
     if path == target and name.startswith(("ttyUSB", "ttyACM")):
         yield hint(
-            part, f"{path}: the number depends on the order of plugging in", f"{_RULES_ADVICE}, for a lasting name"
+            part, f"{path}: the number depends on the order of plugging in", f"{_RULES_ADVICE}, for a fixed name"
         )
     if name.startswith("ttyACM") and "ModemManager" in {_text(process / "comm").strip() for process in _processes()}:
-        yield hint(part, f"{path}: ModemManager may speak to it after every plugging in", _RULES_ADVICE)
+        yield hint(part, f"{path}: ModemManager may write to it after it is plugged in", _RULES_ADVICE)
 
 
 def _processes() -> list[Path]:
@@ -148,7 +148,7 @@ def _text(path: Path) -> str:
 
 
 def _name(process: Path) -> str:
-    """Return a process as a person knows it: its command line, shortened, and its number."""
+    """Return the shortened command line of a process, and its number."""
     command = _text(process / "cmdline").replace("\0", " ").strip() or _text(process / "comm").strip()
     shown = command if len(command) <= 80 else command[:77] + "..."
     return f"'{shown}' (process {process.name})"

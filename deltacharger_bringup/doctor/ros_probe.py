@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ROS itself says, asked in a process of its own: python -m deltacharger_bringup.doctor.ros_probe.
+"""Checks of ROS in a separate process: python -m deltacharger_bringup.doctor.ros_probe.
 
-A wrong library can end or hang the process that loads it; this one may. It prints what it knows as a line of JSON
-before each step, so that the last line tells how far it came. With `--alone` it does not look for chargers.
+A wrong library can end or hang the process that loads it, so this process may do so. Before each step it prints its
+results as a line of JSON; the last line shows the failed step. With `--alone` it does not search for chargers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from deltacharger_core import streams
 
 ALONE = "--alone"
-_LOOK = 3.3  # s; who misses a charger's first announcement waits 3 s for the next
+_LOOK = 3.3  # s; after a missed announcement of a charger the next comes 3 s later
 _STEP = 0.05  # s
 
 
@@ -26,50 +26,50 @@ def main() -> int:
     report: dict[str, Any] = {"error": ""}
     try:
         _probe(report)
-        _tell(report, "")
+        _print(report, "")
     except Exception as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
         report["error"] = f"{type(error).__name__}: {lines[0]}"
-        _tell(report, report["step"])
-    os._exit(0)  # the middleware's own threads must not keep a report back
+        _print(report, report["step"])
+    os._exit(0)  # the middleware's threads must not delay the report
 
 
-def _tell(report: dict[str, Any], step: str) -> None:
-    """Print what is known before `step` is tried; '' = all were."""
+def _print(report: dict[str, Any], step: str) -> None:
+    """Print the results before `step`; '' = after the last step."""
     report["step"] = step
     streams.write(json.dumps(report), sys.stdout)
 
 
 def _probe(report: dict[str, Any]) -> None:
-    _tell(report, "rclpy")
+    _print(report, "rclpy")
     import rclpy
 
     report["rclpy"] = os.path.dirname(os.path.dirname(str(rclpy.__file__)))
-    _tell(report, "version")
+    _print(report, "version")
     importlib.import_module("rclpy.experimental.events_executor")
-    _tell(report, "interfaces")
+    _print(report, "interfaces")
     report["interfaces"] = _load_interfaces()
-    _tell(report, "numpy")
+    _print(report, "numpy")
     _exchange_arrays()
     report["numpy"] = True
-    _tell(report, "middleware")
+    _print(report, "middleware")
     _look_around(report)
 
 
 def _load_interfaces() -> int:
-    """Load the compiled half of every interface and return how many there are."""
+    """Load the compiled part of every interface and return their number."""
     count = 0
     for kind in ("msg", "srv", "action"):
         module = importlib.import_module(f"deltacharger.{kind}")
         for name, interface in vars(module).items():
             if isinstance(interface, type) and hasattr(interface, "__import_type_support__"):
                 interface.__import_type_support__()
-                count += "_" not in name  # Dock_Goal is a part of Dock
+                count += "_" not in name  # Dock_Goal is part of Dock
     return count
 
 
 def _exchange_arrays() -> None:
-    """Let the compiled half handle numpy's arrays, which another ABI of numpy breaks."""
+    """Pass numpy arrays through the compiled interfaces; this fails with another ABI of numpy."""
     import numpy as np
     from deltacharger.msg import ServoState, TactileFrame
     from geometry_msgs.msg import PoseWithCovariance
@@ -78,7 +78,7 @@ def _exchange_arrays() -> None:
     sent = PoseWithCovariance(covariance=np.arange(36.0))
     received: Any = deserialize_message(serialize_message(sent), PoseWithCovariance)
     if not np.array_equal(received.covariance, sent.covariance):
-        raise RuntimeError("an array came back changed")
+        raise RuntimeError("an array was changed by serialisation")
     deserialize_message(serialize_message(TactileFrame(left=[1.0] * 100)), TactileFrame)
     deserialize_message(serialize_message(ServoState(position=[1.0] * 3)), ServoState)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the servos there, at the right speed, healthy, and set as the driver demands? Reads only."""
+"""Checks of the servos: present, right speed, healthy, set as the driver requires. Reads only."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def examine_servos(
     speeds: Sequence[int] = (),
     options: str = "",
 ) -> Iterator[Finding]:
-    """Find all servos of a port and look into those that the charger uses.
+    """Find all servos of a port and check those that the charger uses.
 
     Args:
-        path: of the port; nobody else may have it open.
-        baud_rate: at which they should answer, bit/s.
+        path: of the port; no other program may have it open.
+        baud_rate: expected speed, bit/s.
         ids: of limbs 0, 1, 2.
-        current_max: A, the largest current bound that will be asked of them.
-        speeds: at which they are looked for, bit/s; none = every one that servos know.
-        options: of the command line that name the port; empty = by its path.
+        current_max: A, the largest current bound that will be used.
+        speeds: to search, bit/s; empty = all speeds of the servos.
+        options: command-line options of the port for the remedy; empty = --servo-port with its path.
     """
     from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
@@ -57,17 +57,17 @@ def examine_servos(
             yield ok(f"servo {servo}", f"answers at {baud_rate} bit/s, MX-64, firmware {matching[0].firmware}")
     yield from _strangers(found.servos, ids)
     if ready:
-        yield from _look_inside(path, baud_rate, ready, current_max)
+        yield from _check_registers(path, baud_rate, ready, current_max)
 
 
 def _none(found: PortIdentity) -> Finding:
     if found.kind == "board":
         advice = "exchange the two cables, or the two ports in the scene or on the command line"
-        return wrong("servos", f"{found.port}: here is the board, not the servos", advice)
+        return wrong("servos", f"{found.port}: the board is here, not the servos", advice)
     if found.kind == "silent":
         text = f"{found.port}: no servo answers, at any speed, with Protocol 2.0 or 1.0"
         return wrong("servos", text, f"{_SUPPLY_ADVICE}; or give the right port")
-    return wrong("servos", f"{found.port}: {found.details}", "give the right port, or look for noise and duplicate ids")
+    return wrong("servos", f"{found.port}: {found.details}", "give the right port, or check noise and duplicate ids")
 
 
 def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options: str) -> Finding | None:
@@ -76,16 +76,14 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
 
     part = f"servo {servo}"
     if not matching:
-        return wrong(
-            part, "does not answer at any speed", f"{_SUPPLY_ADVICE}; give it the id {servo} where it has another"
-        )
+        return wrong(part, "does not answer at any speed", f"{_SUPPLY_ADVICE}; set its id to {servo} if it has another")
     one = matching[0]
     if len(matching) > 1 or one.garbled:
         where = " and ".join(str(one.speed) for one in matching)
         text = f"answers unintelligibly or twice (at {where} bit/s): two servos have this id, or there is noise"
-        return wrong(part, text, "unplug one and give it another id; else look at the plugs")
+        return wrong(part, text, "unplug one and give it another id; else check the plugs")
     if one.protocol == 1:
-        return wrong(part, f"speaks Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
+        return wrong(part, f"uses Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
     if one.model != MODEL:
         return wrong(part, f"is model {one.model}, not an MX-64 with Protocol 2.0 ({MODEL})", "replace it")
     if one.speed != baud_rate:
@@ -97,13 +95,11 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
 def _strangers(servos: Sequence[FoundServo], ids: Sequence[int]) -> Iterator[Finding]:
     for one in servos:
         if one.servo not in ids:
-            yield hint(
-                "servos", f"a servo answers that the charger does not use: {one}", "its id may be meant as another"
-            )
+            yield hint("servos", f"unused servo on the bus: {one}", "check whether its id is wrong")
 
 
-def _look_inside(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
-    """Yield what the registers of servos at the right speed say."""
+def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
+    """Yield the findings from the registers of servos at the right speed."""
     from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
     from deltacharger_driver.servos.link import ServoLink
 
@@ -116,9 +112,9 @@ def _look_inside(path: str, baud_rate: int, servos: Sequence[int], current_max: 
                 yield from _settings(link, servo, current_max)
             except NoAnswer:
                 text = "answers pings but no reads: its status return level is 0, or the line is bad"
-                yield hint(f"servo {servo}", text, "servo_node sets the level when it starts; else look at the plugs")
+                yield hint(f"servo {servo}", text, "servo_node sets the level when it starts; else check the plugs")
             except (CorruptReply, ServoFault) as error:
-                yield failed(f"servo {servo}", error, "look for noise, a bad plug or two servos with this id")
+                yield failed(f"servo {servo}", error, "check for noise, a bad plug or two servos with this id")
         yield from _line(link, servos)
     finally:
         link.close()
@@ -133,9 +129,9 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
         advice = "remove the cause, then call the service reboot_servos or switch the supply off and on"
         yield wrong(part, f"hardware error latched: {describe_hardware_error(errors)}", advice)
     if link.read(servo, "torque_enable"):
-        yield hint(part, "its torque is on though no driver runs", "servo_node switches it off when it starts")
+        yield hint(part, "its torque is on although no driver runs", "servo_node switches it off when it starts")
     if link.read(servo, "bus_watchdog") == WATCHDOG_TRIPPED:
-        text = "its bus watchdog has tripped: it heard nothing for too long and takes no goals"
+        text = "its bus watchdog has tripped: it received nothing for too long and accepts no goals"
         yield hint(part, text, "servo_node clears it when it starts")
     voltage = VOLTAGE_UNIT * link.read(servo, "input_voltage")
     temperature, limit = link.read(servo, "temperature"), link.read(servo, "temperature_limit")
@@ -149,12 +145,12 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
     if temperature >= limit:
         yield wrong(part, f"{temperature} °C, at its limit of {limit} °C: it will switch off", "let it cool")
     elif temperature > limit - _WARM:
-        yield hint(part, f"{temperature} °C, near its limit of {limit} °C", "let it cool, or ease its load")
+        yield hint(part, f"{temperature} °C, near its limit of {limit} °C", "let it cool, or reduce its load")
     yield ok(part, f"supply {voltage:.1f} V, {temperature} °C")
 
 
 def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Finding]:
-    """Yield which registers servo_node would refuse."""
+    """Yield the registers that servo_node would refuse."""
     from deltacharger_driver.servos.setup import check_registers
 
     for fault in check_registers(link, servo, current_max):
@@ -164,7 +160,7 @@ def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Findi
 
 
 def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
-    """Yield how reliably and how fast the servos answer."""
+    """Yield the reliability and the response time of the servos."""
     from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
 
     times: list[float] = []
@@ -186,9 +182,9 @@ def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
         text += f", median {statistics.median(times) * 1e3:.1f} ms each"
     if lost > asked // 100:
         yield wrong(
-            "servo line", text, "look at plugs and cables, keep them away from the power stage's, check the ground"
+            "servo line", text, "check plugs and cables, keep them away from the power stage's, check the ground"
         )
     elif lost:
-        yield hint("servo line", text, "look at plugs and cables")
+        yield hint("servo line", text, "check plugs and cables")
     else:
         yield ok("servo line", text)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Give servos another speed, at a person's request: torque off first, read back at the new speed afterwards."""
+"""Write the speed of servos on request: first torque off, then write, then read back at the new speed."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ _STEP = 0.05  # s
 
 
 def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[int] = ()) -> Iterator[Finding]:
-    """Write the speed of servos that speak another one; nothing else but torque off is written.
+    """Write the speed of servos that have another one. Except torque off, nothing else is written.
 
     Args:
-        path: of the port; nobody else may have it open.
+        path: of the port; no other program may have it open.
         baud: new speed, a value of mx64.SPEEDS, bit/s.
-        ids: which servos; None = every one that answers.
-        speeds: at which they are looked for, bit/s; none = every one that servos know.
+        ids: of the servos; None = all that answer.
+        speeds: to search, bit/s; empty = all speeds of the servos.
 
     Yields:
-        one finding per servo, ok where it speaks `baud` now.
+        one finding per servo, ok if it has the speed `baud` now.
     """
     from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
     wanted = None if ids is None else list(dict.fromkeys(ids))
     found = identify(path, speeds or SERVO_SPEEDS, wanted or SERVO_IDS, _PATIENCE)
     if found.kind == "board":
-        yield wrong("servos", f"{path}: here is the board, not the servos", "give the servos' port")
+        yield wrong("servos", f"{path}: the board is here, not the servos", "give the servos' port")
         return
     everyone = sorted({one.servo for one in found.servos})
     if not everyone and wanted is None:
@@ -57,19 +57,19 @@ def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -
     one = matching[0]
     if len(matching) > 1 or one.garbled:
         text = "answers unintelligibly or twice: two servos have this id, or there is noise; nothing was written"
-        return wrong(part, text, "unplug one and give it another id first; else look at the plugs")
+        return wrong(part, text, "unplug one and give it another id first; else check the plugs")
     if one.protocol == 1 or one.model != MODEL:
         text = f"is no MX-64 with Protocol 2.0 ({one}); nothing was written"
         return wrong(part, text, "update its firmware to 39 or later with the vendor's wizard")
     if one.speed == baud:
-        return ok(part, f"speaks {baud} bit/s already; nothing was written")
+        return ok(part, f"has {baud} bit/s already; nothing was written")
     link = ServoLink(path, one.speed)
     link.open()
     try:
         return _write(link, servo, one.speed, baud)
     except DriverError as error:
         return wrong(
-            part, str(error), "check the 12 V supply and the cable, then run the doctor again to see where it is"
+            part, str(error), "check the 12 V supply and the cable, then run the doctor again to find its speed"
         )
     finally:
         link.close()
@@ -88,8 +88,8 @@ def _write(link: ServoLink, servo: int, old: int, new: int) -> Finding:
     code = next(code for code, speed in SPEEDS.items() if speed == new)
     link.write(servo, "torque_enable", 0)
     if link.read(servo, "torque_enable") != 0:
-        return wrong(part, "its torque does not go off; nothing was written", "switch its supply off and on")
-    with contextlib.suppress(NoAnswer, CorruptReply):  # it may confirm at the new speed already
+        return wrong(part, "its torque cannot be switched off; nothing was written", "switch its supply off and on")
+    with contextlib.suppress(NoAnswer, CorruptReply):  # it may already confirm at the new speed
         link.write(servo, "baud", code)
     link.set_speed(new)
     end = time.monotonic() + _COMES_BACK
@@ -98,6 +98,6 @@ def _write(link: ServoLink, servo: int, old: int, new: int) -> Finding:
             if link.read(servo, "baud") == code:
                 return ok(part, f"set from {old} to {new} bit/s and read back at {new}")
         if time.monotonic() > end:
-            advice = "switch its supply off and on, then run the doctor again: it names the speed that it speaks"
-            return wrong(part, f"does not answer at {new} bit/s after that was written", advice)
+            advice = "switch its supply off and on, then run the doctor again to find its speed"
+            return wrong(part, f"does not answer at the new speed of {new} bit/s", advice)
         time.sleep(_STEP)

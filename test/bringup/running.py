@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger in a process of its own, for commands that move its arm."""
+"""A charger in a separate process, for commands that move its arm."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..chargers import Process, new_namespace, wait_until
 
 
 class Charger:
-    """What the servos of a running charger say."""
+    """The servo_state of a running charger."""
 
     def __init__(self, namespace: str, node: Node) -> None:
         self.namespace = namespace

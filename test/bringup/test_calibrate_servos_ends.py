@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How `deltacharger calibrate servos` ends, with an arm that fails where it should; the whole in another file."""
+"""Ends of `deltacharger calibrate servos` with an arm that fails in a given step."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from deltacharger_records.datasets.arm_guest import ArmError
 
 pytestmark = pytest.mark.ros
 
-TOLD = {"torque_constant": 1.3, "position_p_gain": 500, "position_i_gain": 0, "position_d_gain": 3}
+GAINS = {"torque_constant": 1.3, "position_p_gain": 500, "position_i_gain": 0, "position_d_gain": 3}
 MEASURED = SimpleNamespace(fit=SimpleNamespace(common=lambda what: (12.0, 0.2)))
 
 
 class Arm:
-    """Stands in for `MeasuringArm`."""
+    """Replaces `MeasuringArm`."""
 
     trouble: Mapping[str, str] = MappingProxyType({})
-    servo: Mapping[str, Any] = TOLD
+    servo: Mapping[str, Any] = GAINS
     released = True
 
     def __init__(self, *given: Any) -> None:
@@ -78,21 +78,21 @@ def measured() -> Any:
 
 
 @pytest.mark.parametrize(
-    ("where", "released", "said"),
+    ("where", "released", "named"),
     [("wait", True, False), ("start", True, True), ("measure", True, True), ("measure", False, False)],
 )
-def test_the_torque_is_said_to_be_off_where_it_was_switched_off_and_nowhere_else(
-    arm: type[Arm], where: str, released: bool, said: bool
+def test_torque_is_reported_off_only_if_it_was_switched_off(
+    arm: type[Arm], where: str, released: bool, named: bool
 ) -> None:
     arm.trouble, arm.released = {where: "docking_node is at work"}, released
     with pytest.raises(CommandError) as caught:
         measured()
     assert caught.value.exit_code == FAILED
     assert "docking_node is at work; nothing was written" in str(caught.value)
-    assert ("the torque is off" in str(caught.value)) is said
+    assert ("the torque is off" in str(caught.value)) is named
 
 
-def test_a_way_home_that_fails_costs_no_measurement(arm: type[Arm], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_way_home_keeps_the_measurement(arm: type[Arm], capsys: pytest.CaptureFixture[str]) -> None:
     arm.trouble = {"retire": "the arm cannot go that way"}
     task, gains, found = measured()
     assert (task.torque_constant, gains, found) == (1.3, Gains(500, 0, 3), MEASURED)
@@ -100,9 +100,9 @@ def test_a_way_home_that_fails_costs_no_measurement(arm: type[Arm], capsys: pyte
 
 
 @pytest.mark.parametrize(
-    ("servo", "reason"), [({}, "does not tell its gains"), ({**TOLD, "position_i_gain": 7}, "position_i_gain.*is 7")]
+    ("servo", "reason"), [({}, "does not report its gains"), ({**GAINS, "position_i_gain": 7}, "position_i_gain.*is 7")]
 )
-def test_gains_that_are_unknown_or_hide_the_spring_are_refused_before_anything_moves(
+def test_unknown_gains_and_i_gains_are_refused_before_anything_moves(
     arm: type[Arm], servo: dict[str, Any], reason: str
 ) -> None:
     arm.servo, arm.trouble = servo, {"start": "the arm was moved"}

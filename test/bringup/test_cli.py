@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command's contract: exit codes, one JSON object on stdout, everything else on stderr."""
+"""The contract of the command: exit codes, one JSON object on stdout, everything else on stderr."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def one_object(text: str) -> dict[str, Any]:
     return value
 
 
-def test_help_names_every_command_of_the_interface(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "--help")
     assert code == 0
     for command in COMMANDS:
@@ -65,7 +65,7 @@ def test_help_names_every_command_of_the_interface(capsys: pytest.CaptureFixture
         ("simulate", "--directory", "never", "--scene", "bench"),
     ],
 )
-def test_wrong_usage_is_2_with_a_reason_on_stderr(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+def test_wrong_usage_ends_with_2_and_a_reason(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
     code, out, err = run(capsys, *words)
     assert (code, out) == (2, "")
     assert err
@@ -76,7 +76,7 @@ def test_wrong_usage_is_2_with_a_reason_on_stderr(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("command", ["up", "dock", "undock", "simulate"])
-def test_a_refused_scene_is_2_and_names_file_and_key(
+def test_a_refused_scene_ends_with_2_and_names_file_and_key(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
 ) -> None:
     path = tmp_path / "bad.yaml"
@@ -90,7 +90,7 @@ def test_a_refused_scene_is_2_and_names_file_and_key(
 
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999999999"])
-def test_a_domain_that_ros_cannot_use_is_2(
+def test_an_invalid_ros_domain_ends_with_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, domain: str
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
@@ -113,7 +113,7 @@ def test_a_domain_that_ros_cannot_use_is_2(
         (IsADirectoryError(errno.EISDIR, "Is a directory", "mount.yaml"), 2),
     ],
 )
-def test_a_full_disk_is_a_failed_job_and_a_path_that_cannot_be_used_is_wrong_input(
+def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, problem: OSError, exit_code: int
 ) -> None:
     def fail(options: object) -> int:
@@ -134,14 +134,14 @@ def test_a_full_disk_is_a_failed_job_and_a_path_that_cannot_be_used_is_wrong_inp
     ],
     ids=lambda value: value if isinstance(value, str) else value[0],
 )
-def test_a_disk_that_takes_no_file_is_no_wrong_input(
+def test_a_full_disk_is_not_wrong_input(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     words: tuple[str, ...],
     refuse: str,
 ) -> None:
-    """Beside it: a folder that takes no files stays one."""
+    """A folder without write permission stays wrong input."""
     for number, exit_code in ((errno.ENOSPC, 1), (errno.EACCES, 2)):
 
         def fail(*arguments: object, number: int = number, **more: object) -> None:
@@ -153,7 +153,7 @@ def test_a_disk_that_takes_no_file_is_no_wrong_input(
         assert (code, err.count("\n")) == (exit_code, 1), err
 
 
-def test_what_a_full_device_does_not_take_is_a_failed_job(deltacharger: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_full_device_is_a_failed_job(deltacharger: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "plan.csv").symlink_to("/dev/full")
     words = [*deltacharger, "calibrate", "kinematics", "--plan", str(tmp_path / "plan.csv"), "--force"]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
@@ -163,7 +163,7 @@ def test_what_a_full_device_does_not_take_is_a_failed_job(deltacharger: tuple[st
     assert subprocess.run(words, capture_output=True, timeout=60, check=False).returncode == 2
 
 
-def test_numbers_and_namespaces_as_people_write_them() -> None:
+def test_common_forms_of_numbers_and_namespaces_are_accepted() -> None:
     words = ["dock", "--z-mm", "-8e1", "--x-mm", "-.5", "--deadline-s", "0", "--namespace", "/robot/arm/"]
     options = build_parser().parse_args(words)
     assert (options.z_mm, options.x_mm, options.deadline_s) == (-80.0, -0.5, math.inf)
@@ -175,7 +175,7 @@ def test_version_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert (code, out.split()[0], len(out.splitlines())) == (0, "deltacharger", 1)
 
 
-def test_a_reader_that_leaves_is_no_error(deltacharger: tuple[str, ...]) -> None:
+def test_a_closed_pipe_is_no_error(deltacharger: tuple[str, ...]) -> None:
     words = shlex.join((*deltacharger, "scene", "explain", "simulated", "--all"))
     ended = subprocess.run(
         ["bash", "-c", f"{words} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True, check=False
@@ -184,7 +184,7 @@ def test_a_reader_that_leaves_is_no_error(deltacharger: tuple[str, ...]) -> None
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_ctrl_c_before_anything_runs_is_130_with_one_object(
+def test_ctrl_c_during_start_ends_with_130_and_one_object(
     start: Callable[..., Process], tmp_path: Path, times: int
 ) -> None:
     (tmp_path / "yaml.py").write_text("import time\nprint('reading', flush=True)\ntime.sleep(30)\n", encoding="utf-8")
@@ -218,7 +218,7 @@ def test_scene_list_check_and_explain_print_one_object_each(capsys: pytest.Captu
     assert any(key["key"] == "simulation.world.servo.stiffness" for key in one_object(out)["keys"])
 
 
-def test_scene_check_warns_of_a_world_that_is_not_proven(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_scene_check_warns_of_an_unvalidated_world(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "coarse.yaml"
     path.write_text("simulation: {world: {step: 0.1}}\n")
     code, out, err = run(capsys, "scene", "check", "--json", str(path))
@@ -228,7 +228,7 @@ def test_scene_check_warns_of_a_world_that_is_not_proven(capsys: pytest.CaptureF
     assert "warning" in err
 
 
-def test_scene_check_is_2_where_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_scene_check_ends_with_2_if_one_scene_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text("goal: {x: 9}", encoding="utf-8")
     code, out, err = run(capsys, "scene", "check", "simulated", str(path), "--json")
@@ -239,7 +239,7 @@ def test_scene_check_is_2_where_one_is_refused(capsys: pytest.CaptureFixture[str
     assert "goal.x" in err
 
 
-def test_explain_for_people_hides_defaults_until_asked(capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_shows_defaults_only_on_request(capsys: pytest.CaptureFixture[str]) -> None:
     _, short, _ = run(capsys, "scene", "explain", "simulated")
     _, everything, _ = run(capsys, "scene", "explain", "simulated", "--all")
     assert "simulation.world.target.x = 0.004 m" in short

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics`: what it prints, writes and refuses."""
+"""`deltacharger calibrate kinematics`: its output, its files and its errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 
 def record(path: Path, arm: DeltaGeometry = ARM, wrong: int | None = None) -> Path:
-    """Write what an operator of `arm` would measure; row `wrong` off by 3 mm."""
+    """Write the measurements of an operator of `arm`; row `wrong` is off by 3 mm."""
     random = np.random.default_rng(4)
     recording = PoseRecording(path, Encoder())
     for index, pose in enumerate(plan(NOMINAL)):
@@ -42,7 +42,7 @@ def record(path: Path, arm: DeltaGeometry = ARM, wrong: int | None = None) -> Pa
     return path
 
 
-def test_a_fit_says_how_well_and_writes_a_geometry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data, out = record(tmp_path / "measured.csv"), tmp_path / "arm.yaml"
     code, text, err = run(capsys, data, "--out", out)
     assert code == 0, err
@@ -79,9 +79,7 @@ def test_one_object_in_si_units(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert from_mapping(found["geometry"], DeltaGeometry).limbs != NOMINAL.limbs
 
 
-def test_nothing_is_overwritten_or_written_in_doubt_without_force(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_without_force_no_file_is_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data, out = record(tmp_path / "measured.csv"), tmp_path / "arm.yaml"
     out.write_text("mine", encoding="utf-8")
     code, _, err = run(capsys, data, "--out", out)
@@ -92,28 +90,28 @@ def test_nothing_is_overwritten_or_written_in_doubt_without_force(
     assert run(capsys, data, "--out", tmp_path / "no" / "folder.yaml")[0] == 2
 
 
-def test_an_outlier_is_named_and_keeps_the_geometry_from_being_written(
+def test_an_outlier_is_named_and_the_geometry_is_not_written(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     data, out = record(tmp_path / "measured.csv", wrong=10), tmp_path / "arm.yaml"
     code, text, err = run(capsys, data, "--out", out, "--json")
     assert code == 1
     assert not out.exists()
-    assert json.loads(text)["outliers"] == [14]  # two comments and the header stand above
+    assert json.loads(text)["outliers"] == [14]  # two comments and the header come first
     assert "line 14: the other rows contradict" in err
     assert "was not written" in err
     assert run(capsys, data, "--out", out, "--force")[0] == 0
     assert "doubtful: line 14" in out.read_text(encoding="utf-8")
 
 
-def test_a_fit_that_does_not_help_where_it_was_not_fitted_is_1(
+def test_a_fit_that_does_not_improve_held_out_rows_ends_with_1(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     data, calibrated, out = record(tmp_path / "measured.csv"), tmp_path / "arm.yaml", tmp_path / "again.yaml"
     assert run(capsys, data, "--out", calibrated)[0] == 0
-    code, _, err = run(capsys, data, "--nominal", calibrated, "--out", out)  # what is fitted already
+    code, _, err = run(capsys, data, "--nominal", calibrated, "--out", out)  # already fitted
     assert code == 1
-    assert "does not help" in err
+    assert "does not improve" in err
     assert not out.exists()
 
 
@@ -142,7 +140,7 @@ def test_a_fit_that_does_not_help_where_it_was_not_fitted_is_1(
         ("--plan", "DATA"),
     ],
 )
-def test_wrong_usage_is_2_with_a_reason(
+def test_wrong_usage_ends_with_2_and_a_reason(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -153,15 +151,15 @@ def test_wrong_usage_is_2_with_a_reason(
     assert not (tmp_path / "new.csv").exists()
 
 
-def test_a_bad_row_is_told_with_file_and_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_bad_row_is_reported_with_file_and_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data = record(tmp_path / "measured.csv")
     lines = data.read_text(encoding="utf-8").splitlines()
     lines[6] = lines[6].replace(",", ",x", 1)
     data.write_text("\n".join(lines), encoding="utf-8")
     code, out, err = run(capsys, data, "--json")
     assert code == 2
-    told = json.loads(out)
-    assert (told["file"], told["lines"]) == (str(data), [7])
+    result = json.loads(out)
+    assert (result["file"], result["lines"]) == (str(data), [7])
     assert f"{data}: line 7: held_out" in err
 
 
@@ -176,7 +174,7 @@ def test_zero_ticks_shift_the_angles(capsys: pytest.CaptureFixture[str], tmp_pat
     assert np.allclose(np.subtract(offsets[1], offsets[0]), [10 * TICK, 0.0, 0.0], atol=1e-4)
 
 
-def test_a_plan_is_written_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_plan_is_not_overwritten_without_force(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     code, out, _ = run(capsys, "--plan", path, "--json", "--zero-ticks", 2000, 2048, 2048)
     assert code == 0

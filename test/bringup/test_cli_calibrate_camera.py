@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate camera` on rendered views of a charger whose mount is known, and on all that can be wrong."""
+"""`deltacharger calibrate camera` on rendered views with a known mount, and on wrong input."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def taken(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of views, to read only."""
+    """A folder of views, read-only."""
     return rig.write(tmp_path_factory.mktemp("views") / "taken", COUNT)
 
 
 @pytest.fixture
 def views(taken: Path, tmp_path: Path) -> Path:
-    """A folder of views, to spoil."""
+    """A folder of views that a test may change."""
     return Path(shutil.copytree(taken, tmp_path / "views"))
 
 
@@ -63,7 +63,7 @@ def lines_of(folder: Path) -> list[str]:
     return (folder / VIEWS).read_text(encoding="utf-8").splitlines()
 
 
-def test_views_give_the_mount_within_its_covariance_and_a_file_that_detections_use(
+def test_views_give_the_mount_within_its_covariance_and_a_usable_file(
     capsys: pytest.CaptureFixture[str], rig: Rig, taken: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "mount.yaml"
@@ -98,7 +98,7 @@ def test_one_object_in_si_units(capsys: pytest.CaptureFixture[str], rig: Rig, ta
     assert any("few" in note for note in found["notes"])
 
 
-def test_positions_do_as_well_as_angles(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
+def test_positions_and_angles_give_the_same_mount(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
     _, text, _ = run(capsys, "--views", views, *offset(rig), "--json")
     by_angles = json.loads(text)
     rows = read_rows(views)
@@ -124,7 +124,7 @@ def test_a_charuco_board_end_to_end(capsys: pytest.CaptureFixture[str], tmp_path
     assert squared(rig.error(mount), mount.covariance) < 25.0
 
 
-def test_a_board_to_print(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_board_is_drawn_for_printing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     drawing = tmp_path / "board.svg"
     words = ("--print", drawing, "--board", "charuco:4x4_50:5x4", "--size-mm", 12)
     code, text, err = run(capsys, *words, "--json")
@@ -145,7 +145,7 @@ def test_the_offset_must_be_given(capsys: pytest.CaptureFixture[str], taken: Pat
     assert "ruler" in err
 
 
-def test_a_wrong_sign_of_the_offset_shows_only_against_the_believed_mount(
+def test_a_wrong_sign_of_the_offset_is_detected_by_the_believed_mount(
     capsys: pytest.CaptureFixture[str], rig: Rig, taken: Path, tmp_path: Path
 ) -> None:
     words = offset(rig)
@@ -190,7 +190,7 @@ def test_a_row_with_the_position_of_another_image_is_left_out(
     assert json.loads(text)["left_out"] == ["view_004.png"]
 
 
-def test_images_without_the_board_are_told(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
+def test_images_without_the_board_are_reported(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
     assert cv2.imwrite(str(views / "view_003.png"), np.full((400, 640, 3), 90, dtype=np.uint8))
     code, text, err = run(capsys, "--views", views, *offset(rig), "--json")
     assert code == DONE
@@ -206,7 +206,7 @@ def test_images_without_the_board_are_told(capsys: pytest.CaptureFixture[str], r
         ("charuco:4x4_50:5x4", "36h11"),
     ],
 )
-def test_another_board_is_named_where_this_one_is_in_no_image(
+def test_another_board_is_named_if_no_image_shows_the_given_one(
     capsys: pytest.CaptureFixture[str], rig: Rig, taken: Path, board: str, hint: str
 ) -> None:
     code, text, err = run(capsys, "--views", taken, *offset(rig), "--board", board, "--json")
@@ -246,7 +246,7 @@ def test_too_few_views_and_one_line_are_refused(capsys: pytest.CaptureFixture[st
         (lambda lines: ["image,x_mm,y_mm,z_mm,angle_0_rad"], "one of x_mm,y_mm,z_mm"),
         (lambda lines: [*lines, "view_011.png,1,2"], "line 12: 3 cells for 4 columns"),
         (lambda lines: [*lines, lines[-1].replace("view_010", "view_999")], "line 12: there is no image view_999.png"),
-        (lambda lines: [*lines, lines[1]], "line 12: image view_001.png stands in line 2 already"),
+        (lambda lines: [*lines, lines[1]], "line 12: image view_001.png is already in line 2"),
         (lambda lines: [*lines, "../x.png,0,0,0"], "file of the same folder"),
         (lambda lines: [*lines, "x.txt,0,0,0"], "file of the same folder"),
         (lambda lines: [lines[0], "view_001.png,nan,0,0"], "line 2: angle_0_rad is 'nan'"),
@@ -326,7 +326,7 @@ def test_options_have_bounds(capsys: pytest.CaptureFixture[str], rig: Rig, taken
     assert run(capsys, "--views", taken, *offset(rig), *words)[0] == WRONG_INPUT
 
 
-def test_a_folder_goes_on_only_where_it_was_begun(taken: Path, views: Path, tmp_path: Path) -> None:
+def test_a_folder_resumes_only_with_the_same_settings(taken: Path, views: Path, tmp_path: Path) -> None:
     folder = ViewsFolder(views, OAK_D)
     assert len(folder.angles) == COUNT
     assert folder.add(np.zeros((400, 640, 3), dtype=np.uint8), (0.1, 0.2, 0.3)) == "view_011.png"
@@ -343,7 +343,7 @@ def test_a_folder_goes_on_only_where_it_was_begun(taken: Path, views: Path, tmp_
         ViewsFolder(views, OAK_D)
 
 
-def test_a_lens_survives_the_file(tmp_path: Path) -> None:
+def test_distortion_is_stored_and_loaded(tmp_path: Path) -> None:
     for distortion in ((-0.1, 0.02, 0.001, -0.002, 0.0), (6.5, -3.1, 0.0, 0.0, 0.9, 6.7, -2.4, 0.6)):
         lens = Intrinsics(640, 400, 441.0, 440.0, 319.5, 199.5, distortion)
         folder = tmp_path / str(len(distortion))
@@ -351,7 +351,7 @@ def test_a_lens_survives_the_file(tmp_path: Path) -> None:
         assert load_camera_info(folder / "camera_info.yaml") == lens
 
 
-def test_places_fill_what_the_camera_sees() -> None:
+def test_positions_fill_the_visible_workspace() -> None:
     rig = Rig(3, AprilTag())
     places = np.array([place for (place, _), _ in zip(rig.stands(), range(20), strict=False)])
     assert (np.ptp(places, axis=0) > (0.07, 0.06, 0.04)).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate servos` with a running charger: over the real bytes once, and whatever may interrupt it."""
+"""`deltacharger calibrate servos` with a running charger: once over the real bytes, and its interruptions."""
 
 from __future__ import annotations
 
@@ -52,32 +52,32 @@ def measure(charger: Charger, start: Callable[..., Process], deltacharger: tuple
 
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    """A file of earlier numbers."""
+    """A file of earlier values."""
     path = tmp_path / "servos.yaml"
     path.write_text(OLD)
     return path
 
 
 def moves(charger: Charger, process: Process) -> None:
-    """Wait until the arm is under way."""
+    """Wait until the arm moves."""
     process.wait_for_line("Ctrl-C ends it", process.err)
     start = list(charger.state.position)
     wait_until(lambda: max(abs(a - b) for a, b in zip(charger.state.position, start, strict=True)) > 0.05, "motion")
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)  # it takes 90 s by its nature
-def test_it_measures_the_servos_over_the_real_bytes(
+@pytest.mark.timeout(400)  # it takes 90 s
+def test_servos_are_measured_over_the_real_bytes(
     measure: Callable[..., Process], charger: Charger, tmp_path: Path
 ) -> None:
     path = tmp_path / "servos.yaml"
     process = measure("--out", str(path), "--seconds", "80")
     process.process.wait(300.0)
     assert process.end() == 0, (process.out, process.err)
-    told = json.loads(process.out[0])
-    assert told["success"]
-    assert told["written"] == str(path)
-    assert not told["doubts"]
+    result = json.loads(process.out[0])
+    assert result["success"]
+    assert result["written"] == str(path)
+    assert not result["doubts"]
     found = load_servos(path)
     assert found.stiffness == pytest.approx(10.0, rel=0.05)
     assert found.torque_constant == pytest.approx(1.3, rel=0.05)
@@ -88,7 +88,7 @@ def test_it_measures_the_servos_over_the_real_bytes(
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, slow(signal.SIGTERM), slow(signal.SIGHUP)])
-def test_whatever_interrupts_it_the_torque_goes_off_and_the_old_numbers_stay(
+def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
     measure: Callable[..., Process], charger: Charger, old: Path, how: signal.Signals
 ) -> None:
     process = measure("--out", str(old), "--force")
@@ -101,7 +101,7 @@ def test_whatever_interrupts_it_the_torque_goes_off_and_the_old_numbers_stay(
     assert old.read_text() == OLD
 
 
-def test_a_servo_that_is_lost_meanwhile_ends_it(
+def test_a_lost_servo_ends_it(
     measure: Callable[..., Process], charger: Charger, old: Path, start: Callable[..., Process], deltacharger: Any
 ) -> None:
     process = measure("--out", str(old), "--force")
@@ -114,10 +114,10 @@ def test_a_servo_that_is_lost_meanwhile_ends_it(
     assert "nothing was written" in json.loads(process.out[0])["error"]
     wait_until(lambda: not charger.torque(), "torque off")
     assert old.read_text() == OLD
-    wait_until(lambda: all(charger.state.valid), "the servo to come back")
+    wait_until(lambda: all(charger.state.valid), "the return of the servo")
 
 
-def test_torque_that_somebody_else_switched_on_is_left_alone(
+def test_torque_switched_on_by_another_program_stays_on(
     measure: Callable[..., Process], charger: Charger, tmp_path: Path
 ) -> None:
     client = charger.node.create_client(SetBool, f"/{charger.namespace}/set_torque", qos_profile=qos.SERVICE)
@@ -146,7 +146,7 @@ def test_an_old_file_is_refused_before_anything_moves(
     assert old.read_text() == OLD
 
 
-def test_without_a_charger_it_is_1(start: Callable[..., Process], tmp_path: Path) -> None:
+def test_without_a_charger_it_ends_with_1(start: Callable[..., Process], tmp_path: Path) -> None:
     command = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "servos", "--json")
     process = start(*command, "--namespace", "nobody_here", "--out", str(tmp_path / "servos.yaml"))
     assert process.end() == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate tactile`: what it prints, writes and refuses."""
+"""`deltacharger calibrate tactile`: its output, its files and its errors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def data(recorded: Dataset, tmp_path: Path) -> Path:
     return tmp_path / "data.npz"
 
 
-def test_it_says_what_was_found_and_writes_it(
+def test_the_calibration_is_printed_and_written(
     capsys: pytest.CaptureFixture[str], data: Path, recorded: Dataset, tmp_path: Path
 ) -> None:
     out = tmp_path / "pads.yaml"
@@ -82,7 +82,7 @@ def test_one_object_in_si_units(capsys: pytest.CaptureFixture[str], data: Path, 
     assert found["doubts"] == []
 
 
-def test_doubts_are_told(capsys: pytest.CaptureFixture[str], recorded: Dataset, data: Path, tmp_path: Path) -> None:
+def test_doubts_are_reported(capsys: pytest.CaptureFixture[str], recorded: Dataset, data: Path, tmp_path: Path) -> None:
     broken = {name: np.array(getattr(recorded, name)) for name in ("right", "tare", "vertical")}
     broken["right"][:, 9, 0] = 1.5
     broken["tare"][recorded.session == 2, 1, 4, 4] += 0.6
@@ -107,7 +107,7 @@ def test_doubts_are_told(capsys: pytest.CaptureFixture[str], recorded: Dataset, 
     assert "replace the pad" in err
 
 
-def test_several_rigs_need_a_choice(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_data_of_several_rigs_need_the_option_rig(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data, out = tmp_path / "two.npz", tmp_path / "pads.yaml"
     generate_continuous(rigs=(5, 6), count=30, seed=2, frames=4, threshold=0.25, **NEAR).save(data)
     code, _, err = run(capsys, "--data", data, "--out", out)
@@ -129,10 +129,10 @@ def test_nothing_is_overwritten_without_force(capsys: pytest.CaptureFixture[str]
     assert TactileCalibration.load(out).rig == 661
 
 
-def test_what_makes_estimates_worse_is_not_written(
+def test_a_calibration_that_makes_estimates_worse_is_not_written(
     capsys: pytest.CaptureFixture[str], recorded: Dataset, data: Path, tmp_path: Path
 ) -> None:
-    # The commanded poses are 3 mm off and the poses in contact are right: every correction goes astray.
+    # The commanded poses are 3 mm off and the poses in contact are right: every correction is wrong.
     dataclasses.replace(recorded, vertical=recorded.vertical + 0.003).save(data)
     out = tmp_path / "pads.yaml"
     code, text, err = run(capsys, "--data", data, "--out", out, "--json")
@@ -145,7 +145,7 @@ def test_what_makes_estimates_worse_is_not_written(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reason"),
     [
         (("--out", "new.yaml"), "--data"),
         (("--data", "DATA"), "--out"),
@@ -160,13 +160,13 @@ def test_what_makes_estimates_worse_is_not_written(
         (("--data", "FEW", "--out", "new.yaml"), "in range"),
     ],
 )
-def test_wrong_input_is_2_with_a_reason(
+def test_wrong_input_ends_with_2_and_a_reason(
     capsys: pytest.CaptureFixture[str],
     data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
-    told: str,
+    reason: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.npz").write_text("no", encoding="utf-8")
@@ -177,5 +177,5 @@ def test_wrong_input_is_2_with_a_reason(
     assert code == 2, err
     answer = json.loads(out)
     assert answer["success"] is False
-    assert told in answer["error"]
+    assert reason in answer["error"]
     assert not (tmp_path / "new.yaml").exists()

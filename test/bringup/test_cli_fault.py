@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger fault` against simulated chargers that run: in this process, and as people start them."""
+"""`deltacharger fault` on running simulated chargers, in this process and as separate processes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SIMULATED = parse_scene({"nodes": [], "simulation": {}}, "test").simulation
 
 @pytest.fixture(autouse=True)
 def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No other charger of this machine is met, and none that runs is disturbed."""
+    """Isolate the test from other chargers of this machine."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     (tmp_path / "run").mkdir()
 
@@ -43,20 +43,20 @@ def charger(tmp_path: Path) -> Iterator[SimulatedCharger]:
 
 
 def silent(port: str, servo: int) -> bool:
-    """Whether a servo does not answer a ping; what is left of an earlier answer does not count."""
+    """Whether a servo does not answer a ping; remains of an earlier answer do not count."""
     try:
         return answer(port, servo)[4:5] != bytes((servo,))
-    except serial.SerialException:  # just being taken away or put back
+    except serial.SerialException:  # the port is being removed or restored
         return True
 
 
 def answers(port: str, servo: int) -> bool:
-    """Whether a servo answers one of many pings: a loaded machine may lose some."""
+    """Whether a servo answers one of many pings, because a loaded machine may lose some."""
     return any(not silent(port, servo) for _ in range(50))
 
 
 def heard(port: str) -> bytes:
-    """Return what a port says within 0.2 s; b'' also where it is just being taken away or put back."""
+    """Return the bytes of a port within 0.2 s; b'' also while it is removed or restored."""
     try:
         with serial.Serial(port, 1_000_000, timeout=0.2) as line:
             return bytes(line.read(256))
@@ -64,7 +64,7 @@ def heard(port: str) -> bytes:
         return b""
 
 
-class Said:
+class Output:
     def __init__(self, code: int, out: str, err: str) -> None:
         self.code, self.out, self.err = code, out, err
 
@@ -75,46 +75,49 @@ class Said:
         return value
 
 
+Command = Callable[..., Output]
+
+
 @pytest.fixture
-def fault(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
-    return lambda *words: Said(*command.run(capsys, "fault", *words))
+def fault(capsys: pytest.CaptureFixture[str]) -> Command:
+    return lambda *words: Output(*command.run(capsys, "fault", *words))
 
 
-def test_a_servo_goes_missing_for_a_while(charger: SimulatedCharger, fault: Callable[..., Said]) -> None:
+def test_a_servo_is_missing_for_a_given_time(charger: SimulatedCharger, fault: Command) -> None:
     assert answers(charger.servo_port, 3)
-    said = fault("servo_missing", "--servo", "3", "--for-s", "3", "--json")
-    assert (said.code, said.json["kind"], said.json["servo"], said.json["for_s"]) == (0, "servo_missing", 3, 3.0)
-    assert [each["kind"] for each in said.json["active"]] == ["servo_missing"]
+    done = fault("servo_missing", "--servo", "3", "--for-s", "3", "--json")
+    assert (done.code, done.json["kind"], done.json["servo"], done.json["for_s"]) == (0, "servo_missing", 3, 3.0)
+    assert [each["kind"] for each in done.json["active"]] == ["servo_missing"]
     assert silent(charger.servo_port, 3)
     assert answers(charger.servo_port, 1)
     assert answers(charger.servo_port, 3)
     assert fault("--list", "--json").json["active"] == []
 
 
-def test_what_lasts_is_listed_and_ends_with_clear(charger: SimulatedCharger, fault: Callable[..., Said]) -> None:
+def test_lasting_faults_are_listed_and_end_with_clear(charger: SimulatedCharger, fault: Command) -> None:
     assert fault("servo_missing").code == 0
     assert fault("board_drop", "--amount", "0.5").code == 0
     listed = fault("--list")
     assert listed.code == 0
-    assert "at present: servo_missing of servo 2; board_drop (0.5)" in listed.out
+    assert "active: servo_missing of servo 2; board_drop (0.5)" in listed.out
     assert all(kind in listed.out for kind in KINDS)
     assert silent(charger.servo_port, 2)
     assert fault("--clear", "--json").json == {"success": True, "active": []}
     assert answers(charger.servo_port, 2)
 
 
-def test_the_same_fault_again_takes_the_first_ones_place(charger: SimulatedCharger, fault: Callable[..., Said]) -> None:
+def test_a_repeated_fault_replaces_the_first_one(charger: SimulatedCharger, fault: Command) -> None:
     fault("servo_delay", "--amount", "0.3", "--for-s", "0.2")
     active = fault("servo_delay", "--amount", "0.01", "--json").json["active"]
     assert [(each["amount"], each["remaining_s"]) for each in active] == [(0.01, None)]
     fault("board_silent", "--for-s", "0.4")
-    wait_until(lambda: len(fault("--list", "--json").json["active"]) == 1, "the other one over")  # later than 0.2 s
+    wait_until(lambda: len(fault("--list", "--json").json["active"]) == 1, "the other's end")  # later than 0.2 s
     assert fault("--list", "--json").json["active"] == active
     assert fault("--clear").code == 0
     assert answers(charger.servo_port, 1)
 
 
-def test_a_servo_at_another_speed_is_heard_there_only(charger: SimulatedCharger, fault: Callable[..., Said]) -> None:
+def test_a_servo_at_another_speed_answers_only_there(charger: SimulatedCharger, fault: Command) -> None:
     assert fault("servo_wrong_baud", "--servo", "2", "--amount", "57600").code == 0
     assert silent(charger.servo_port, 2)
     assert answers(charger.servo_port, 1)
@@ -130,9 +133,7 @@ def test_a_servo_at_another_speed_is_heard_there_only(charger: SimulatedCharger,
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_can_be_ordered_while_it_runs_and_cleared(
-    charger: SimulatedCharger, fault: Callable[..., Said], kind: str
-) -> None:
+def test_every_kind_can_be_injected_and_cleared(charger: SimulatedCharger, fault: Command, kind: str) -> None:
     ordered = fault(kind, "--json")
     assert (ordered.code, ordered.json["success"]) == (0, True)
     assert [each["kind"] for each in ordered.json["active"]] == ([kind] if KINDS[kind].lasts else [])
@@ -144,7 +145,7 @@ def test_every_kind_can_be_ordered_while_it_runs_and_cleared(
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "reason"),
     [
         (("servo_mising",), "servo_missing"),
         (("servo_drop", "--amount", "1.5"), "--amount: 1.5 is not a share of 0 to 1"),
@@ -159,28 +160,28 @@ def test_every_kind_can_be_ordered_while_it_runs_and_cleared(
         (("board_drop", "--servo", "1"), "does not affect a single servo"),
         (("servo_missing", "--servo", "4"), "outside 1 to 3"),
         (("servo_missing", "--for-s", "-1"), "outside 0 to"),
-        (("servo_missing", "--list"), "one of them only"),
-        ((), "give a KIND"),
-        (("--clear", "--amount", "1"), "go with a KIND"),
+        (("servo_missing", "--list"), "exactly one of"),
+        ((), "exactly one of KIND"),
+        (("--clear", "--amount", "1"), "need a KIND"),
     ],
 )
-def test_a_wrong_order_is_wrong_usage_and_says_what_is_allowed(
-    fault: Callable[..., Said], words: tuple[str, ...], says: str
+def test_an_invalid_fault_is_wrong_usage_with_the_allowed_values(
+    fault: Command, words: tuple[str, ...], reason: str
 ) -> None:
-    said = fault(*words)
-    assert said.code == 2
-    assert says in said.err
+    done = fault(*words)
+    assert done.code == 2
+    assert reason in done.err
     assert fault(*words, "--json").json["success"] is False
 
 
-def test_where_nothing_runs_an_order_fails_and_the_list_does_not(
-    fault: Callable[..., Said], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_a_charger_injection_fails_and_the_list_does_not(
+    fault: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    said = fault("servo_missing")
-    assert said.code == 1
-    assert "domain 87 or 0" in said.err
-    assert "deltacharger up" in said.err
+    done = fault("servo_missing")
+    assert done.code == 1
+    assert "domain 87 or 0" in done.err
+    assert "deltacharger up" in done.err
     assert fault("--clear", "--directory", str(tmp_path)).code == 1
     listed = fault("--list", "--json")
     assert (listed.code, listed.json["active"]) == (0, None)
@@ -188,8 +189,8 @@ def test_where_nothing_runs_an_order_fails_and_the_list_does_not(
     assert "no simulated charger runs" in fault("--list").out
 
 
-def test_each_namespace_and_each_folder_has_its_own(fault: Callable[..., Said], tmp_path: Path) -> None:
-    deep = tmp_path / ("a" * 100) / "ports"  # longer than a socket's address
+def test_each_namespace_and_each_folder_has_its_own_faults(fault: Command, tmp_path: Path) -> None:
+    deep = tmp_path / ("a" * 100) / "ports"  # longer than the address of a socket
     with (
         SimulatedCharger(SIMULATED, deep, "robot_1") as one,
         SimulatedCharger(SIMULATED, tmp_path / "two", "robot_2") as two,
@@ -205,9 +206,7 @@ def test_each_namespace_and_each_folder_has_its_own(fault: Callable[..., Said], 
         assert answers(one.servo_port, 1)
 
 
-def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
-    fault: Callable[..., Said], tmp_path: Path
-) -> None:
+def test_a_charger_keeps_its_socket_until_it_ends_and_leaves_nothing(fault: Command, tmp_path: Path) -> None:
     place = runtime.charger(int(os.environ["ROS_DOMAIN_ID"]), "")
     first = SimulatedCharger(SIMULATED, tmp_path / "one").start()
     second = SimulatedCharger(SIMULATED, tmp_path / "two").start()
@@ -219,14 +218,14 @@ def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
     first.stop()
     assert not os.path.lexists(place)
     assert list((tmp_path / "one").iterdir()) == list((tmp_path / "two").iterdir()) == []
-    place.symlink_to(tmp_path / "two" / "control")  # as one that was killed leaves it
+    place.symlink_to(tmp_path / "two" / "control")  # as a killed process leaves it
     assert fault("--clear").code == 1
     with SimulatedCharger(SIMULATED, tmp_path / "two"):
         assert fault("--clear").code == 0
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "reason"),
     [
         (b"nonsense\n", "JSON"),
         (b"[1]\n", "unknown command"),
@@ -234,8 +233,8 @@ def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
         (b'{"command": "begin", "kind": "board_drop", "until": 7}\n', "unknown key"),
     ],
 )
-def test_the_socket_survives_whoever_does_not_speak_its_language(
-    charger: SimulatedCharger, tmp_path: Path, line: bytes, says: str
+def test_the_socket_survives_invalid_requests(
+    charger: SimulatedCharger, tmp_path: Path, line: bytes, reason: str
 ) -> None:
     control = tmp_path / "ports" / "control"
     with socket.socket(socket.AF_UNIX) as silent, socket.socket(socket.AF_UNIX) as client:
@@ -243,21 +242,21 @@ def test_the_socket_survives_whoever_does_not_speak_its_language(
         client.connect(str(control))
         client.settimeout(10.0)
         client.sendall(line)
-        assert says in json.loads(client.makefile().readline())["error"]
+        assert reason in json.loads(client.makefile().readline())["error"]
     assert ask(control, {"command": "active"}) == {"success": True, "active": []}
     assert control.stat().st_mode & 0o077 == 0
 
 
-def test_a_folder_of_somebody_else_is_not_used(tmp_path: Path, fault: Callable[..., Said]) -> None:
-    runtime.charger(0, "").parent.symlink_to(tmp_path)  # as somebody might prepare in a folder that all may write
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, fault: Command) -> None:
+    runtime.charger(0, "").parent.symlink_to(tmp_path)  # as another user might prepare it in a world-writable folder
     with SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
         assert fault("--clear").code == 1
         assert fault("servo_missing", "--directory", str(tmp_path / "ports")).code == 0
         assert silent(charger.servo_port, 2)
 
 
-def test_what_is_ordered_befalls_the_nodes_of_a_charger_that_is_up(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, fault: Callable[..., Said]
+def test_faults_reach_the_nodes_of_a_running_charger(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, fault: Command
 ) -> None:
     scene = tmp_path / "servos.yaml"
     scene.write_text("nodes: [servo_node]\nsimulation: {}\n", encoding="utf-8")
@@ -269,6 +268,6 @@ def test_what_is_ordered_befalls_the_nodes_of_a_charger_that_is_up(
     assert process.end(signal.SIGTERM) == 0
 
 
-def test_the_page_on_emulators_tells_of_every_kind() -> None:
+def test_the_page_on_emulators_names_every_kind() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "emulators.md").read_text(encoding="utf-8")
     assert [kind for kind in KINDS if f"`{kind}`" not in page] == []

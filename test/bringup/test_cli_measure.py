@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics --plan … --measure …`: a person, a plan, and a running charger made of mocks."""
+"""`deltacharger calibrate kinematics --plan … --measure …` with an operator and a running charger of mocks."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ MEASURE = ("calibrate", "kinematics")
         ("", None),
     ],
 )
-def test_positions_as_people_type_them(text: str, position: tuple[float, ...] | None) -> None:
+def test_common_forms_of_positions_are_accepted(text: str, position: tuple[float, ...] | None) -> None:
     assert position_of(text) == (None if position is None else pytest.approx([1e-3 * value for value in position]))
 
 
 class Operator(Process):
-    """`--measure` with a person at its terminal."""
+    """`--measure` with an operator at its terminal."""
 
     def __init__(self, *words: str) -> None:
         reading, self._writing = os.pipe()
@@ -115,7 +115,7 @@ def operator(charger: Charger, short_plan: Path) -> Iterator[Callable[..., Opera
 
 
 def place(charger: Charger) -> Callable[[], str]:
-    """Return what reads off where the arm is, as a person types it."""
+    """Return a function that reads the position of the arm, as an operator types it."""
     return lambda: " ".join(f"{1000 * value:.3f}" for value in position(charger))
 
 
@@ -123,19 +123,19 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     operator: Callable[..., Operator], charger: Charger, short_plan: Path
 ) -> None:
     path = short_plan.with_name("measured.csv")
-    person = operator("--json")
-    person.answer("what?")
-    person.answer("1 2")
-    person.wait_for_question()
+    user = operator("--json")
+    user.answer("what?")
+    user.answer("1 2")
+    user.wait_for_question()
     first = position(charger)
     assert charger.torque()
-    person.answer("900 0 0")  # a slip, and asked for again
-    person.answer(place(charger))
-    person.answer("s")
-    person.answer(place(charger))
-    person.answer("q")
-    assert person.end() == 0, person.err
-    assert json.loads(person.out[0]) == {
+    user.answer("900 0 0")  # a typing error; the question is repeated
+    user.answer(place(charger))
+    user.answer("s")
+    user.answer(place(charger))
+    user.answer("q")
+    assert user.end() == 0, user.err
+    assert json.loads(user.out[0]) == {
         "success": True,
         "written": str(path),
         "measured": 2,
@@ -162,34 +162,34 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, slow(signal.SIGTERM), slow(signal.SIGHUP), "end of input"])
-def test_whatever_ends_it_the_torque_goes_off_and_what_was_measured_is_kept(
+def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
     operator: Callable[..., Operator], charger: Charger, short_plan: Path, how: signal.Signals | str
 ) -> None:
-    person = operator("--json")
-    person.wait_for_question()
+    user = operator("--json")
+    user.wait_for_question()
     assert charger.torque()
-    person.answer(place(charger))
-    person.wait_for_question()
+    user.answer(place(charger))
+    user.wait_for_question()
     if isinstance(how, signal.Signals):
-        assert person.end(how) == 130, person.err
+        assert user.end(how) == 130, user.err
     else:
-        person.hang_up()
-        assert person.end() == 1, person.err
-    assert json.loads(person.out[0])["success"] is False
+        user.hang_up()
+        assert user.end() == 1, user.err
+    assert json.loads(user.out[0])["success"] is False
     wait_until(lambda: not charger.torque(), "torque off")
     assert len(read_measurements(short_plan.with_name("measured.csv"))) == 1
 
 
-def test_a_docking_that_begins_meanwhile_keeps_the_arm(
+def test_a_docking_takes_the_arm_over(
     operator: Callable[..., Operator], charger: Charger, deltacharger: tuple[str, ...], quick_file: Path
 ) -> None:
-    person = operator()
-    person.wait_for_question()
+    user = operator()
+    user.wait_for_question()
     goal = ("--scene", str(quick_file), "--namespace", charger.namespace, "--no-picture", "--no-charge", "--json")
     dock = Process(*deltacharger, "dock", *goal)
-    assert person.end() == 1
-    assert any("docking_node is at work" in line for line in person.err)
-    assert dock.end() == 0, dock.err  # nobody took its torque away
+    assert user.end() == 1
+    assert any("docking_node is at work" in line for line in user.err)
+    assert dock.end() == 0, dock.err  # its torque was not switched off
     second = operator()
     assert second.end() == 1  # docked
     assert charger.torque()
@@ -197,8 +197,8 @@ def test_a_docking_that_begins_meanwhile_keeps_the_arm(
     assert undock.end() == 0, undock.err
 
 
-def test_without_a_charger_it_is_1(operator: Callable[..., Operator], charger: Charger) -> None:
-    person = operator("--namespace", "nobody_here")
-    assert person.end() == 1
-    assert any("deltacharger up" in line for line in person.err)
+def test_without_a_charger_it_ends_with_1(operator: Callable[..., Operator], charger: Charger) -> None:
+    user = operator("--namespace", "nobody_here")
+    assert user.end() == 1
+    assert any("deltacharger up" in line for line in user.err)
     assert not charger.torque()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile`: from a simulated data set to a judged classifier, and what is said where that cannot be."""
+"""`deltacharger tactile`: from a simulated data set to an evaluated classifier, and its errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
     return dict(json.loads(capsys.readouterr().out.splitlines()[-1]))
 
 
-def test_a_data_set_has_the_fields_that_are_promised(data: Path) -> None:
+def test_a_data_set_has_the_documented_fields(data: Path) -> None:
     with np.load(data, allow_pickle=False) as file:
         assert file["left"].shape == file["right"].shape == (1100, 10, 10)
         assert file["tare"].shape == (1100, 2, 10, 10)
@@ -48,7 +48,7 @@ def test_the_same_seed_makes_the_same_data(data: Path, tmp_path: Path, capsys: p
         assert not np.array_equal(one["left"], three["left"])
 
 
-def test_signed_poses_are_averaged_over_as_many_frames_as_asked(tmp_path: Path) -> None:
+def test_signed_poses_are_averaged_over_the_given_frames(tmp_path: Path) -> None:
     path = tmp_path / "data.npz"
     words = ["--protocol", "continuous", "--rigs", "2", "--dockings", "30", "--frames", "5", "--out", str(path)]
     assert main(["tactile", "generate", *words]) == DONE
@@ -58,7 +58,7 @@ def test_signed_poses_are_averaged_over_as_many_frames_as_asked(tmp_path: Path) 
         assert json.loads(str(file["meta"]))["frames"] == 5
 
 
-def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_classifier_is_trained_and_evaluated(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     model, fresh = tmp_path / "model.npz", tmp_path / "fresh.npz"
     words = ["--data", str(data), "--model", "lda", "--target", "vertical", "--out", str(model), "--json"]
@@ -72,14 +72,14 @@ def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert 0.0 < found["mean_absolute_error"] < 0.001  # type: ignore[operator]
     assert all(0.0 <= found[name] <= 1.0 for name in ("coverage", "act_rate", "drift_rate"))  # type: ignore[operator]
     assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(model)]) == DONE
-    told = capsys.readouterr()
-    assert "simulated" in told.out
-    assert "was trained on" not in told.err
+    output = capsys.readouterr()
+    assert "simulated" in output.out
+    assert "was trained on" not in output.err
     assert main(["tactile", "evaluate", "--data", str(data), "--model", str(model)]) == DONE
     assert f"{model} was trained on {data}" in capsys.readouterr().err
 
 
-def test_data_of_another_program_are_not_taken_for_those_of_the_training(
+def test_data_of_another_program_are_not_taken_for_training_data(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
@@ -96,7 +96,7 @@ def test_data_of_another_program_are_not_taken_for_those_of_the_training(
     assert "was trained on" not in capsys.readouterr().err
 
 
-def test_a_pose_estimator_is_trained_on_rigs_and_judged_on_others(
+def test_a_pose_estimator_is_trained_and_evaluated_on_different_rigs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data, fresh, model = (tmp_path / name for name in ("data.npz", "fresh.npz", "pose.npz"))
@@ -120,13 +120,11 @@ def test_a_pose_estimator_is_trained_on_rigs_and_judged_on_others(
         assert packaged["mean_absolute_error"] < own["mean_absolute_error"] < 0.2  # type: ignore[index]
         assert packaged["coverage"] > 0.85  # type: ignore[index]
     assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(MODEL_PATH)]) == DONE
-    told = capsys.readouterr().out
-    assert all(axis in told for axis in ("simulated", "angle", "vertical", "horizontal"))
+    output = capsys.readouterr().out
+    assert all(axis in output for axis in ("simulated", "angle", "vertical", "horizontal"))
 
 
-def test_references_of_the_device_are_learnt_from(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reference_dockings_change_the_bias(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     plain, referred, other = (tmp_path / name for name in ("plain.npz", "referred.npz", "other.npz"))
     assert main(["tactile", "generate", "--rigs", "1", "--first-rig", "9", "--out", str(other)]) == DONE
@@ -141,9 +139,9 @@ def test_references_of_the_device_are_learnt_from(
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "reason"),
     [
-        (("generate", "--out", "data.csv"), "end it in .npz"),
+        (("generate", "--out", "data.csv"), "must end in .npz"),
         (("generate", "--out", "nowhere/data.npz"), "does not exist"),
         (("evaluate", "--data", "missing.npz", "--model", "missing.npz"), "no such file"),
         (("evaluate", "--data", "DATA", "--model", "DATA"), "no pose model"),
@@ -157,7 +155,7 @@ def test_references_of_the_device_are_learnt_from(
 )
 def test_wrong_input_is_named(
     words: tuple[str, ...],
-    says: str,
+    reason: str,
     data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -166,4 +164,4 @@ def test_wrong_input_is_named(
     monkeypatch.chdir(tmp_path)
     Path("broken.npz").write_text("no archive")
     assert main(["tactile", *(str(data) if word == "DATA" else word for word in words), "--json"]) == WRONG_INPUT
-    assert says in str(answer(capsys)["error"])
+    assert reason in str(answer(capsys)["error"])

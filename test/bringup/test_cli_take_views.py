@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate camera --take N`: a running charger of mocks with the simulated camera shows its board."""
+"""`deltacharger calibrate camera --take N` with a running charger of mocks and the simulated camera."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def taking(charger: Charger, start: Callable[..., Process]) -> Iterator[Callable
     wait_until(lambda: not charger.torque(), "torque off")
 
 
-def test_an_interrupted_command_leaves_the_arm_safe_and_what_was_taken(
+def test_an_interrupted_command_leaves_the_arm_safe_and_keeps_its_views(
     taking: Callable[..., Process], charger: Charger, tmp_path: Path
 ) -> None:
     folder = tmp_path / "views"
@@ -79,15 +79,15 @@ def test_an_interrupted_command_leaves_the_arm_safe_and_what_was_taken(
     command.wait_for_line("view_001.png", command.err)
     assert charger.torque()
     assert command.end(signal.SIGINT) == 130, command.err
-    told = json.loads(command.out[0])
-    assert told["success"] is False
-    assert 1 <= told["views"] < 5
-    assert f"{folder} holds {told['views']} views" in told["error"]
+    result = json.loads(command.out[0])
+    assert result["success"] is False
+    assert 1 <= result["views"] < 5
+    assert f"{folder} contains {result['views']} views" in result["error"]
     wait_until(lambda: not charger.torque(), "torque off")
-    assert len(read_rows(folder)) == told["views"]
+    assert len(read_rows(folder)) == result["views"]
 
 
-def test_a_folder_that_was_begun_is_filled_up_elsewhere_and_solved(
+def test_a_partly_filled_folder_is_completed_and_solved(
     taking: Callable[..., Process], charger: Charger, tmp_path: Path
 ) -> None:
     rig = Rig(1, joints=0.0, offset=0.0)
@@ -95,7 +95,7 @@ def test_a_folder_that_was_begun_is_filled_up_elsewhere_and_solved(
     folder, out = rig.write(tmp_path / "views", 4), tmp_path / "mount.yaml"
     command = taking("--views", folder, "--take", 6, "--out", out)
     assert command.end() == 0, command.err
-    assert any("holds 4 views already" in line for line in command.err)
+    assert any("contains 4 views already" in line for line in command.err)
     found = json.loads(command.out[0])
     assert found["views"] == 6
     assert found["held_out"]["rms"] < 0.001
@@ -107,11 +107,11 @@ def test_a_folder_that_was_begun_is_filled_up_elsewhere_and_solved(
     assert np.linalg.norm(rig.dock_error(mount)) < 0.002
 
 
-def test_without_charger_or_camera_it_is_1(taking: Callable[..., Process], charger: Charger, tmp_path: Path) -> None:
-    nobody = taking("--views", tmp_path / "a", "--take", 5, "--namespace", "nobody_here")
+def test_no_charger_or_no_camera_ends_with_1(taking: Callable[..., Process], charger: Charger, tmp_path: Path) -> None:
+    absent = taking("--views", tmp_path / "a", "--take", 5, "--namespace", "nobody_here")
     blind = taking("--views", tmp_path / "b", "--take", 5, "--color-topic", "other/image_raw")
-    assert nobody.end() == 1
-    assert any("deltacharger up" in line for line in nobody.err)
+    assert absent.end() == 1
+    assert any("deltacharger up" in line for line in absent.err)
     elsewhere = taking("--views", tmp_path / "c", "--take", 5, "--board-x-mm", 400)
     assert blind.end() == 1
     assert elsewhere.end() == 1
@@ -122,7 +122,7 @@ def test_without_charger_or_camera_it_is_1(taking: Callable[..., Process], charg
 
 
 class _Arm:
-    """Stands at once wherever it is sent; every third time it has moved meanwhile."""
+    """An arm that reaches each goal at once; if `restless`, it moves during every third image."""
 
     def __init__(self, restless: bool = False) -> None:
         self.angle: Vector = (0.0, 0.0, 0.0)
@@ -169,16 +169,16 @@ def test_an_image_during_which_the_arm_moved_is_not_kept(tmp_path: Path, capsys:
     assert arm.home
 
 
-def test_a_board_that_is_never_seen_ends_it_early_with_what_is_seen(tmp_path: Path) -> None:
+def test_a_board_that_is_never_visible_ends_it_early_with_the_visible_markers(tmp_path: Path) -> None:
     rig, arm = Rig(1), _Arm()
     folder = ViewsFolder(tmp_path / "views", OAK_D)
-    with pytest.raises(CommandError, match="at 6 places no image shows apriltag:36h11:0; it shows apriltag 36h11 4"):
+    with pytest.raises(CommandError, match="no image of 6 positions shows apriltag:36h11:0; it shows apriltag 36h11 4"):
         visited(rig, arm, AprilTag(tag=4), folder, 20)
     assert not folder.angles
 
 
 class Driver:
-    """A camera whose images the test publishes, with stamps of its choice (s before or after now)."""
+    """A camera whose images the test publishes, with given stamps (s relative to now)."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         node = Node("driver", **options(context, namespace))
@@ -213,15 +213,15 @@ def client(context: Any, namespace: str, driver: Driver) -> Iterator[CameraClien
         yield found
 
 
-def test_an_image_from_before_the_question_is_not_taken(client: CameraClient, driver: Driver) -> None:
+def test_an_image_from_before_the_request_is_not_used(client: CameraClient, driver: Driver) -> None:
     def publish() -> None:
-        driver.image(1, driver.stamp(-2.0))  # on its way since before the arm stood still
+        driver.image(1, driver.stamp(-2.0))  # taken before the arm stopped
         driver.image(2, driver.stamp(0.05))
 
     assert client.image(DEADLINE, publish)[0, 0, 0] == 2
 
 
-def test_where_the_camera_has_another_clock_what_arrives_later_counts(client: CameraClient, driver: Driver) -> None:
+def test_with_another_camera_clock_the_arrival_time_counts(client: CameraClient, driver: Driver) -> None:
     image = client.image(DEADLINE, lambda: driver.image(3, Time(seconds=5).to_msg()))
     assert image.shape == (400, 640, 3)
     assert (image == 3).all()
@@ -232,9 +232,9 @@ def test_intrinsics_come_from_camera_info(client: CameraClient, driver: Driver) 
 
 
 def test_binned_images_and_silence_are_refused(client: CameraClient, driver: Driver) -> None:
-    with pytest.raises(CameraError, match="no image comes on color/image_raw"):
+    with pytest.raises(CameraError, match="no image received on color/image_raw"):
         client.image(0.05, lambda: None)
-    with pytest.raises(CameraError, match="no color/camera_info is heard"):
+    with pytest.raises(CameraError, match="no color/camera_info received"):
         client.intrinsics(0.05, lambda: None)
     with pytest.raises(CameraInfoError, match="binning"):
         client.intrinsics(DEADLINE, lambda: driver.info(binning_x=2))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger vision detect`: simulated images as files and recordings, and what is said where that cannot be."""
+"""`deltacharger vision detect` on simulated images in files and recordings, and its errors."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, dict[str, Any], str]]:
-    """Exit code, the one JSON object, and what was said."""
+    """Return exit code, JSON object and stderr."""
 
     def runner(*words: object) -> tuple[int, dict[str, Any], str]:
         code = main(["vision", "detect", *map(str, words), "--json"])
@@ -104,7 +104,7 @@ def one(files: Path, name: str = "a", depth: str = ".depth.png") -> tuple[object
 
 
 def near(found: dict[str, Any], away: float = 0.3, roll: float = 0.1, x: float = 0.01) -> None:
-    """What was found lies within 5 standard deviations of the truth, and these are small."""
+    """Check that the result is within 5 standard deviations of the truth, and that these are small."""
     covariance = np.array(found["covariance"])
     off = np.array(found["position"]) - pose(away, roll, x)[:3, 3]
     assert off @ np.linalg.solve(covariance[:3, :3], off) < 25.0
@@ -113,7 +113,7 @@ def near(found: dict[str, Any], away: float = 0.3, roll: float = 0.1, x: float =
 
 
 @pytest.mark.parametrize("depth", [".depth.png", ".npy"])
-def test_electrodes_are_found_where_they_are(files: Path, run: Run, depth: str) -> None:
+def test_electrodes_are_found_at_their_pose(files: Path, run: Run, depth: str) -> None:
     code, found, _ = run(*one(files, depth=depth))
     assert code == DONE
     assert set(found) == KEYS
@@ -125,7 +125,7 @@ def test_electrodes_are_found_where_they_are(files: Path, run: Run, depth: str) 
     assert 0.0 < found["confidence"] <= 1.0
 
 
-def test_none_is_1_and_no_guess(files: Path, run: Run) -> None:
+def test_no_electrodes_ends_with_1_and_without_a_guess(files: Path, run: Run) -> None:
     code, found, _ = run(*one(files, "b"))
     assert code == FAILED
     assert found["found"] is False
@@ -133,18 +133,18 @@ def test_none_is_1_and_no_guess(files: Path, run: Run) -> None:
     assert all(found[name] is None for name in KEYS - {"found", "frame", "detection_time"})
 
 
-def test_people_read_millimetres_and_degrees(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_is_in_millimetres_and_degrees(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["vision", "detect", *map(str, one(files))]) == DONE
-    told = capsys.readouterr().out
-    assert "camera_color_optical_frame: x 10." in told
-    assert "roll 5." in told
-    assert "image and depth" in told
+    text = capsys.readouterr().out
+    assert "camera_color_optical_frame: x 10." in text
+    assert "roll 5." in text
+    assert "image and depth" in text
     assert main(["vision", "detect", *map(str, one(files, "b"))]) == FAILED
     assert "no electrodes found" in capsys.readouterr().out
 
 
-def test_with_a_mount_the_same_is_told_in_charger_base(files: Path, tmp_path: Path, run: Run) -> None:
-    """A camera that looks along +z of charger_base: its x is −x there, its y is −y."""
+def test_with_a_mount_the_pose_is_also_in_charger_base(files: Path, tmp_path: Path, run: Run) -> None:
+    """The camera looks along +z of charger_base: its x is −x there, its y is −y."""
     mount = tmp_path / "mount.yaml"
     numbers = {"position": [0.0, 0.1, -0.2], "orientation": [0.0, 0.0, 1.0, 0.0]}
     mount.write_text(yaml.safe_dump({"frame": "charger_base", **numbers}))
@@ -160,18 +160,18 @@ def test_with_a_mount_the_same_is_told_in_charger_base(files: Path, tmp_path: Pa
     assert (code, found["charger_base"]["position"]) == (FAILED, None)
 
 
-def test_without_depth_the_image_alone_tells(files: Path, tmp_path: Path, run: Run) -> None:
-    code, found, said = run("--color", files / "a.png", "--camera-info", files / "k.yaml")
+def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, run: Run) -> None:
+    code, found, stderr = run("--color", files / "a.png", "--camera-info", files / "k.yaml")
     assert (code, found["source"]) == (DONE, "pnp")
     near(found)
-    assert "image alone" in said
+    assert "image alone" in stderr
     empty = write_image(tmp_path / "empty.png", np.zeros((400, 640), dtype=np.uint16))
-    code, found, said = run("--color", files / "a.png", "--depth", empty, "--camera-info", files / "k.yaml")
+    code, found, stderr = run("--color", files / "a.png", "--depth", empty, "--camera-info", files / "k.yaml")
     assert (code, found["source"]) == (DONE, "pnp")
-    assert "image alone" in said
+    assert "image alone" in stderr
 
 
-def test_a_normal_that_is_not_known_is_null(tmp_path: Path, run: Run) -> None:
+def test_an_unknown_normal_is_null(tmp_path: Path, run: Run) -> None:
     image = view(3, 0.9, 0.0, 0.0)
     color = write_image(tmp_path / "far.png", image.color)
     code, found, _ = run("--color", color, "--camera-info", write_info(tmp_path / "k.yaml"))
@@ -188,7 +188,7 @@ def test_a_terminal_of_another_size_needs_its_file(files: Path, tmp_path: Path, 
     assert run(*one(files), "--terminal", paper)[0] == DONE
 
 
-def test_the_picture_shows_the_answer(files: Path, tmp_path: Path, run: Run) -> None:
+def test_the_picture_shows_the_result(files: Path, tmp_path: Path, run: Run) -> None:
     for name in ("a", "b"):
         run(*one(files, name), "--picture", tmp_path / f"{name}.png")
         before, after = cv2.imread(str(files / f"{name}.png")), cv2.imread(str(tmp_path / f"{name}.png"))
@@ -197,27 +197,27 @@ def test_the_picture_shows_the_answer(files: Path, tmp_path: Path, run: Run) -> 
 
 
 def refused(run: Run, *words: object) -> str:
-    code, found, said = run(*words)
+    code, found, stderr = run(*words)
     assert code == WRONG_INPUT, found
     assert found["success"] is False
-    assert found["error"] in said
+    assert found["error"] in stderr
     return str(found["error"])
 
 
 @pytest.mark.parametrize(
-    ("other", "says"),
+    ("other", "reason"),
     [
         ({"camera_matrix": {"data": [0.0] * 9}}, "calibrate the camera first"),
         ({"distortion_coefficients": {"data": [-9.0, 0, 0, 0, 0]}}, "two directions"),
     ],
 )
-def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other: dict[str, Any], says: str) -> None:
+def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other: dict[str, Any], reason: str) -> None:
     info = write_info(tmp_path / "k.yaml", **other)
-    assert says in refused(run, "--color", files / "a.png", "--depth", files / "a.npy", "--camera-info", info)
+    assert reason in refused(run, "--color", files / "a.png", "--depth", files / "a.npy", "--camera-info", info)
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "reason"),
     [
         ("", "--color"),
         ("--color a.png", "--camera-info"),
@@ -240,7 +240,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
         ("none", "none: there is no such file"),
         ("k.yaml", "give a folder or a recording"),
         ("nothing", "holds no images"),
-        ("bare", "holds no camera_info.yaml"),
+        ("bare", "contains no camera_info.yaml"),
         ("bag", "give bag/x_0.mcap"),
         ("bare --camera-info k.yaml --color-topic /x", "--color-topic is for a recording"),
         ("bare --camera-info k.yaml --pictures a.png", "cannot be a folder"),
@@ -248,7 +248,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
     ],
 )
 def test_wrong_usage_is_named(
-    files: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, words: str, says: str
+    files: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, words: str, reason: str
 ) -> None:
     pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
     monkeypatch.chdir(tmp_path)
@@ -259,10 +259,10 @@ def test_wrong_usage_is_named(
         Path(folder).mkdir()
     shutil.copy(files / "a.png", "bare/a.color.png")
     Path("bag/x_0.mcap").touch()
-    assert says in refused(run, *words.split())
+    assert reason in refused(run, *words.split())
 
 
-def test_a_folder_is_gone_through_whatever_is_broken_in_it(files: Path, tmp_path: Path, run: Run) -> None:
+def test_broken_images_do_not_stop_a_folder(files: Path, tmp_path: Path, run: Run) -> None:
     for name in ("a", "b"):
         shutil.copy(files / f"{name}.png", tmp_path / f"{name}.color.png")
         shutil.copy(files / f"{name}.depth.png", tmp_path / f"{name}.depth.png")
@@ -270,7 +270,7 @@ def test_a_folder_is_gone_through_whatever_is_broken_in_it(files: Path, tmp_path
     (tmp_path / "broken.color.png").write_bytes((files / "a.png").read_bytes()[:9000])
     shutil.copy(files / "a.depth.png", tmp_path / "colorless.depth.png")
     shutil.copy(files / "k.yaml", tmp_path / "camera_info.yaml")
-    code, found, said = run(tmp_path, "--pictures", tmp_path / "out")
+    code, found, stderr = run(tmp_path, "--pictures", tmp_path / "out")
     assert code == DONE
     results = {each.pop("name"): each for each in found["results"]}
     assert list(results) == ["a", "alone", "b", "broken", "colorless"]
@@ -284,7 +284,7 @@ def test_a_folder_is_gone_through_whatever_is_broken_in_it(files: Path, tmp_path
     assert found["detection_time"]["median"] == sorted(times)[1]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.png", "alone.png", "b.png"]
     for line in ("broken: ", "2 of 5 images", "100 %", "ms per image"):
-        assert line in said
+        assert line in stderr
 
 
 def test_a_folder_of_folders_and_its_exit_codes(
@@ -300,13 +300,13 @@ def test_a_folder_of_folders_and_its_exit_codes(
     assert (code, found["broken"], found["detection_time"]) == (WRONG_INPUT, 1, {"median": None, "p95": None})
     shutil.copy(files / "a.png", tmp_path / "color" / "8.png")
     assert main(["vision", "detect", str(tmp_path), "--camera-info", str(files / "k.yaml")]) == DONE
-    told = capsys.readouterr().out
-    assert "8: x 10." in told
-    assert "electrodes found in 1 of 2 images" in told
+    text = capsys.readouterr().out
+    assert "8: x 10." in text
+    assert "electrodes found in 1 of 2 images" in text
 
 
 class Recording:
-    """Writes what a camera publishes."""
+    """Writes the messages of a camera."""
 
     def __init__(self, path: Path, prefix: str = "", model: str = "plumb_bob") -> None:
         pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
@@ -356,7 +356,7 @@ class Recording:
 
 
 def test_a_recording_is_matched_by_stamps(tmp_path: Path, run: Run) -> None:
-    """Depth comes late and 5 ms off; one colour image has none, one depth image has another size."""
+    """Depth is late and 5 ms off; one colour image has no depth, one depth image has another size."""
     recording, period = Recording(tmp_path / "rec.mcap", "/charger").info(), 33_000_000
     views = [view(each, 0.25 + 0.02 * each) for each in range(5)]
     for number, image in enumerate(views):
@@ -368,7 +368,7 @@ def test_a_recording_is_matched_by_stamps(tmp_path: Path, run: Run) -> None:
             recording.image("depth/image_raw", millimetres(image)[:200], "16UC1", 10**9 + number * period)
         else:
             recording.depth(image, 10**9 + number * period + 5_000_000, metres=number == 2)
-    code, found, said = run(recording.write(), "--pictures", tmp_path)
+    code, found, stderr = run(recording.write(), "--pictures", tmp_path)
     assert code == DONE
     assert (found["found"], found["images"], found["broken"], found["left_out"]) == (3, 4, 1, 1)
     results = {each["name"]: each for each in found["results"]}
@@ -378,11 +378,11 @@ def test_a_recording_is_matched_by_stamps(tmp_path: Path, run: Run) -> None:
         assert results[name]["source"] == "fused"
         assert (tmp_path / f"{name}.png").exists()
     assert "64" in results["1.099000000"]["error"]
-    assert "1.099000000: " in said
-    assert "1 more left out" in said
+    assert "1.099000000: " in stderr
+    assert "1 more left out" in stderr
 
 
-def test_another_drivers_names_and_intrinsics_of_a_file(files: Path, tmp_path: Path, run: Run) -> None:
+def test_topic_names_of_another_driver_and_intrinsics_from_a_file(files: Path, tmp_path: Path, run: Run) -> None:
     image = view(1)
     recording = Recording(tmp_path / "rec.mcap")
     recording.color(image.color[:, :, ::-1], 5, "oak/rgb/image_raw", "bgr8").depth(image, 5, "oak/stereo/image_raw")
@@ -393,12 +393,12 @@ def test_another_drivers_names_and_intrinsics_of_a_file(files: Path, tmp_path: P
     assert (code, found["results"][0]["source"]) == (DONE, "fused")
     near(found["results"][0])
     assert "name one of" in refused(run, path, "--camera-info", files / "k.yaml")
-    code, found, said = run(path, *words[:2], "--camera-info", files / "k.yaml")
+    code, found, stderr = run(path, *words[:2], "--camera-info", files / "k.yaml")
     assert (code, found["results"][0]["source"]) == (DONE, "pnp")
-    assert "no depth topic" in said
+    assert "no depth topic" in stderr
 
 
-def test_a_lens_that_distorts_is_known_from_the_recording(tmp_path: Path, run: Run) -> None:
+def test_lens_distortion_is_read_from_the_recording(tmp_path: Path, run: Run) -> None:
     for model, distortion in LENSES.items():
         camera = dataclasses.replace(OAK_D, distortion=distortion)
         image = view(4, 0.3, 0.1, 0.06, camera=SimulatedCamera(camera))
@@ -408,7 +408,7 @@ def test_a_lens_that_distorts_is_known_from_the_recording(tmp_path: Path, run: R
         near(found["results"][0], 0.3, 0.1, 0.06)
 
 
-def test_recordings_that_hold_no_images_say_so(tmp_path: Path, run: Run) -> None:
+def test_recordings_without_images_are_refused(tmp_path: Path, run: Run) -> None:
     image = view(1)
     path = tmp_path / "rec.mcap"
     assert "no topic /x" in refused(run, Recording(path).info().color(image.color, 1).write(), "--color-topic", "x")
@@ -423,19 +423,19 @@ def test_recordings_that_hold_no_images_say_so(tmp_path: Path, run: Run) -> None
     assert "no MCAP file" in refused(run, path)
 
 
-def test_what_stands_before_damage_counts(tmp_path: Path, run: Run) -> None:
+def test_images_before_damage_count(tmp_path: Path, run: Run) -> None:
     recording = Recording(tmp_path / "rec.mcap").info()
     for number in range(3):
         image = view(number)
         recording.color(image.color, number * 10**8).depth(image, number * 10**8)
     path = recording.write()
     path.write_bytes(path.read_bytes()[: int(0.7 * path.stat().st_size)])
-    code, found, said = run(path)
+    code, found, stderr = run(path)
     assert code == DONE
     assert 1 <= found["found"] == found["images"] < 3
-    assert "ends early" in said
+    assert "ends early" in stderr
 
 
-def test_without_opencv_it_is_no_answer(files: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_opencv_it_ends_with_2(files: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert "pip install 'deltacharger[vision]'" in refused(run, *one(files))

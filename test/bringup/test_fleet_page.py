@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/fleet.md is true: its table of codes, its command lines, and the client it gives to copy."""
+"""docs/fleet.md matches the code: its table of codes, its command lines, and its example client."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ PAGE = (ROOT / "docs" / "fleet.md").read_text(encoding="utf-8")
 CLIENT = ROOT / "examples" / "charge_robot.py"
 _ROW = re.compile(r"^\| (\d+) \| ([A-Z_]+) \| (\S+) \| ([^|]+) \| ([^|]+) \|$", re.MULTILINE)
 _GOAL = re.compile(r'ros2 action send_goal (\S+) (\S+)/action/(\S+) "([^"]+)"')
-# Own classes of a code, in the order of their making: the first one is the rule, the others are exceptions to it.
+# Classes of a code in the order of definition: the first is the rule, the others are exceptions.
 RETRIABLE = {kind.code: kind.retriable for kind in reversed(DockingError.__subclasses__()) if "code" in vars(kind)}
 
 
-def test_every_code_is_in_the_table_and_again_is_what_the_code_says() -> None:
+def test_every_code_is_in_the_table_with_the_right_retriable_value() -> None:
     rows = _ROW.findall(PAGE)
     assert [(int(number), name) for number, name, *_ in rows] == [(int(code), code.name) for code in Code]
     for number, name, level, again, who in rows[1:]:
@@ -45,7 +45,7 @@ def test_every_code_is_in_the_table_and_again_is_what_the_code_says() -> None:
         assert again.startswith("yes" if RETRIABLE.get(code, False) else "no"), name
 
 
-def test_the_client_and_the_table_agree_on_what_needs_a_person() -> None:
+def test_the_client_and_the_table_agree_on_fatal_codes() -> None:
     fatal = {int(number) for number, _, level, *_ in _ROW.findall(PAGE) if level == "FATAL"}
     tree = ast.parse(CLIENT.read_text(encoding="utf-8"))
     values = [
@@ -54,13 +54,13 @@ def test_the_client_and_the_table_agree_on_what_needs_a_person() -> None:
     assert set(ast.literal_eval(values[0])) == fatal
 
 
-def test_every_stage_is_told_in_both_languages() -> None:
+def test_every_stage_is_in_the_page_twice() -> None:
     for stage in Stage:
         assert len(re.findall(rf"\b{stage.name}\b", PAGE)) >= 2, stage.name
 
 
 def fill(message: Any, values: dict[str, Any]) -> None:
-    """Set a message's fields as ros2 action does; a field that it does not have is an error."""
+    """Set the fields of a message as ros2 action does; an unknown field is an error."""
     for name, value in values.items():
         assert name in message.get_fields_and_field_types(), f"{type(message).__name__} has no field {name}"
         if isinstance(value, dict):
@@ -69,7 +69,7 @@ def fill(message: Any, values: dict[str, Any]) -> None:
             setattr(message, name, value)
 
 
-def test_the_command_lines_name_fields_that_there_are() -> None:
+def test_the_command_lines_use_existing_fields() -> None:
     lines = _GOAL.findall(re.sub(r"\\\n\s*", "", PAGE))
     assert {action for _, _, action, _ in lines} == {"ChargeRobot", "Dock", "Undock"}
     assert len(lines) == PAGE.count("ros2 action send_goal /")
@@ -83,7 +83,7 @@ def test_the_command_lines_name_fields_that_there_are() -> None:
 
 @pytest.fixture
 def docking(context: Any, namespace: str) -> Iterator[MockDocking]:
-    """What docks for a mission_node that stands still."""
+    """A docking_node for a mission_node that does not drive."""
     node = MockDocking(context, namespace)
     scene = {"nodes": ["mock_detector_node", "mission_node"]}
     with Composition(parse_scene(scene, "standing"), context, namespace):
@@ -91,17 +91,17 @@ def docking(context: Any, namespace: str) -> Iterator[MockDocking]:
     node.stop()
 
 
-def told(process: Process) -> list[dict[str, Any]]:
+def states_of(process: Process) -> list[dict[str, Any]]:
     return [json.loads(line) for line in process.out]
 
 
-def test_the_client_tells_startcharging_as_vda5050_wants_it(
+def test_the_client_reports_startcharging_as_vda5050_requires(
     docking: MockDocking, namespace: str, start: Callable[..., Process]
 ) -> None:
     here = ("--ros-args", "-r", f"__ns:=/{namespace}")
     client = start(sys.executable, str(CLIENT), "1", *here)
     assert client.end() == 0, (client.out, client.err)
-    states = told(client)
+    states = states_of(client)
     statuses = [state["actionStatus"] for state in states]
     assert list(dict.fromkeys(statuses)) == ["WAITING", "RUNNING", "FINISHED"]
     for state in states:
@@ -113,7 +113,7 @@ def test_the_client_tells_startcharging_as_vda5050_wants_it(
     client = start(sys.executable, str(CLIENT), "0", *here)
     client.wait_for_line('"batteryState.charging": true', client.out)
     assert client.end(signal.SIGINT) == 1
-    last = told(client)[-1]
+    last = states_of(client)[-1]
     assert (last["actionStatus"], last["batteryState.charging"]) == ("FINISHED", False)
     assert [error["errorType"] for error in last["errors"]] == ["CANCELED"]
     assert not docking.docked

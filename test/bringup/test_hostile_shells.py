@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command in every kind of shell: a line that says what is wrong and the right exit code, never a traceback."""
+"""Every command in every kind of shell: a line with the problem and the right exit code, never a traceback."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CLI = (sys.executable, "-m", "deltacharger_bringup.cli")
 LONG = "x" * 100_000
 
-# What is typed, and how it ends in a shell where all is well.
-TYPED: dict[str, tuple[tuple[str, ...], int]] = {
+# Command lines, and their exit codes in a normal shell.
+COMMAND_LINES: dict[str, tuple[tuple[str, ...], int]] = {
     "list": ((*CLI, "scene", "list"), 0),
     "json": ((*CLI, "scene", "check", "--json"), 0),
     "help": ((*CLI, "--help"), 0),
@@ -60,7 +60,7 @@ SHELLS = {
     "no home": "env -u HOME -u ROS_LOG_DIR {}",
     "a home that cannot be": "env -u ROS_LOG_DIR HOME=/proc/nowhere {}",
     "no folder for what is temporary": "TMPDIR=/nowhere {}",
-    "optimised": "{} ",  # the words say so
+    "optimised": "{} ",  # by option -O
     "removed folder": "mkdir gone && cd gone && rmdir ../gone && {}",
 }
 FULL_OUT = ("full", "both full", "closed", "both closed", "all closed")
@@ -81,14 +81,14 @@ DIAGONAL = [
 
 
 @pytest.mark.parametrize(
-    ("typed", "shell"),
+    ("command", "shell"),
     [
         pytest.param(*each, marks=() if each in DIAGONAL else pytest.mark.slow)
-        for each in itertools.product(TYPED, SHELLS)
+        for each in itertools.product(COMMAND_LINES, SHELLS)
     ],
 )
-def test_a_shell_that_takes_nothing_away_from_a_command_but_its_words(typed: str, shell: str, tmp_path: Path) -> None:
-    words, code = TYPED[typed]
+def test_a_hostile_shell_costs_a_command_only_its_output(command: str, shell: str, tmp_path: Path) -> None:
+    words, code = COMMAND_LINES[command]
     if shell == "optimised":
         words = (words[0], "-O", *words[1:])
     line = SHELLS[shell].format(shlex.join(words))
@@ -96,19 +96,19 @@ def test_a_shell_that_takes_nothing_away_from_a_command_but_its_words(typed: str
     ended = subprocess.run(
         ["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, check=False, timeout=60
     )
-    said = ended.stderr.decode()
-    if shell in FULL_OUT and typed not in ("missing", "folder", "below a file", "node"):
+    text = ended.stderr.decode()
+    if shell in FULL_OUT and command not in ("missing", "folder", "below a file", "node"):
         code = code or 1
-    assert ended.returncode == code, said
-    assert "Traceback" not in said
-    assert "Exception ignored" not in said
+    assert ended.returncode == code, text
+    assert "Traceback" not in text
+    assert "Exception ignored" not in text
     if shell in NO_ERRORS:
-        assert said == ""
+        assert text == ""
     elif code:
-        assert said.strip(), "a line says what is wrong"
+        assert text.strip(), "no line names the problem"
     if shell in FULL_OUT:
         assert ended.stdout == b""
-    elif typed in ("json", "wrong") and shell != "a reader that leaves":
+    elif command in ("json", "wrong") and shell != "a reader that leaves":
         assert isinstance(json.loads(ended.stdout.decode()), dict)
     assert list(tmp_path.iterdir()) == []
 
@@ -120,7 +120,7 @@ def _executables() -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("shell", ["full", "all closed", "full errors", "C", "optimised", "a home that cannot be"])
 @pytest.mark.parametrize("module", _executables())
-def test_a_node_that_cannot_start_says_so_in_every_shell(module: str, shell: str, tmp_path: Path) -> None:
+def test_a_node_that_cannot_start_reports_it_in_every_shell(module: str, shell: str, tmp_path: Path) -> None:
     words = [sys.executable, *(["-O"] if shell == "optimised" else []), "-m", module]
     line = SHELLS[shell].format(shlex.join([*words, "--ros-args", "-p", "no_such_parameter:=1"]))
     ended = subprocess.run(
@@ -131,11 +131,11 @@ def test_a_node_that_cannot_start_says_so_in_every_shell(module: str, shell: str
         check=False,
         timeout=60,
     )
-    said = ended.stderr.decode()
-    assert (ended.returncode, ended.stdout) == (2, b""), said
-    assert "Traceback" not in said
-    assert "Exception ignored" not in said
-    assert bool(said.strip()) is (shell not in NO_ERRORS)
+    text = ended.stderr.decode()
+    assert (ended.returncode, ended.stdout) == (2, b""), text
+    assert "Traceback" not in text
+    assert "Exception ignored" not in text
+    assert bool(text.strip()) is (shell not in NO_ERRORS)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -152,7 +152,7 @@ def test_a_node_that_cannot_start_says_so_in_every_shell(module: str, shell: str
     ],
     ids=" ".join,
 )
-def test_where_nothing_can_be_written_is_told_before_anything_is_done(
+def test_an_unwritable_path_is_refused_before_any_work(
     capsys: pytest.CaptureFixture[str], words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if words[0] == "view":
@@ -166,14 +166,14 @@ def test_where_nothing_can_be_written_is_told_before_anything_is_done(
 
 def _commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
-        parser.parse_args(["--help"])  # options are added once words are for it
+        parser.parse_args(["--help"])  # options are added when a command is parsed
     groups = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     yield name, parser
     for word, below in (each for group in groups for each in group.choices.items()):
         yield from _commands(below, f"{name} {word}".strip())
 
 
-def test_no_option_takes_a_number_without_end() -> None:
+def test_no_option_accepts_an_infinite_number() -> None:
     found = dict(_commands(build_parser()))
     assert set(COMMANDS) <= set(found)
     tried = 0
@@ -191,7 +191,7 @@ def test_no_option_takes_a_number_without_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "told"),
+    ("word", "shown"),
     [
         ("a\nb", "a\\u000ab"),
         ("\x1b]0;mine\x07", "\\u001b]0;mine\\u0007"),
@@ -203,21 +203,21 @@ def test_no_option_takes_a_number_without_end() -> None:
     ids=["newline", "escape", "C1", "right to left", "nul", "long"],
 )
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_word_that_would_control_the_terminal_is_refused(
-    capsys: pytest.CaptureFixture[str], command: str, word: str, told: str
+def test_a_word_with_control_characters_is_refused(
+    capsys: pytest.CaptureFixture[str], command: str, word: str, shown: str
 ) -> None:
     for words in ((*command.split(), word), (*command.split(), "--json", f"--{word}")):
         code, out, err = run(capsys, *words)
         assert code == 2
-        assert told in err
+        assert shown in err
         assert len(err) < 5000
-        assert streams.plain(err.strip()) == err.strip(), "one line, that controls nothing"
+        assert streams.plain(err.strip()) == err.strip(), "one line without control characters"
         assert not out or json.loads(out)["success"] is False
 
 
 @pytest.mark.parametrize("word", ["\udcff.yaml", "caf\udce9", "", "-"], ids=["bytes", "Latin-1", "empty", "dash"])
 @pytest.mark.parametrize("command", ["replay", "vision detect", "scene check", "scene explain", "tactile evaluate"])
-def test_a_name_that_is_not_utf8_or_nothing_is_told(
+def test_a_name_that_is_empty_or_not_utf8_is_reported(
     capsys: pytest.CaptureFixture[str], command: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -226,7 +226,7 @@ def test_a_name_that_is_not_utf8_or_nothing_is_told(
     assert err
 
 
-def test_what_a_file_is_called_controls_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_file_names_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     pytest.importorskip("mcap", reason="records with deltacharger[record]")
     (tmp_path / "\x1b]0;mine\x07\n\x9b.mcap").write_bytes(b"no")
     code, out, _ = run(capsys, "replay", tmp_path)
@@ -237,14 +237,14 @@ def test_what_a_file_is_called_controls_no_terminal(capsys: pytest.CaptureFixtur
 
 
 class Stream(io.TextIOWrapper):
-    """A standard output of its own kind, without a file of the system."""
+    """A standard output with another encoding, without a file descriptor."""
 
     def __init__(self, encoding: str) -> None:
         super().__init__(io.BytesIO(), encoding=encoding, errors="backslashreplace", write_through=True)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8", "utf-16"])
-def test_json_is_json_in_every_alphabet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, encoding: str) -> None:
+def test_json_is_valid_in_every_encoding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, encoding: str) -> None:
     out = Stream(encoding)
     monkeypatch.setattr(sys, "stdout", out)
     folder = tmp_path / "ü–\udcff\U0001f50c"
@@ -254,7 +254,7 @@ def test_json_is_json_in_every_alphabet(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 @pytest.mark.parametrize("words", [("scene", "list"), ("--help",), ("scene", "check", "--json")])
-def test_an_answer_that_is_lost_is_a_failed_job(
+def test_a_lost_output_is_a_failed_job(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     with open("/dev/full", "w", encoding="utf-8") as full:
@@ -265,8 +265,8 @@ def test_an_answer_that_is_lost_is_a_failed_job(
     assert streams.settle() == ""
 
 
-def test_product_code_asserts_nothing_that_python_O_would_leave_out() -> None:
-    """An assert of ours tells mypy what is known; it calls nothing, and no input can break it."""
+def test_product_code_does_not_depend_on_assert() -> None:
+    """Asserts only help mypy; they call nothing, and no input can violate them."""
     wrong = []
     for path in ROOT.glob("deltacharger_*/**/*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -278,14 +278,14 @@ def test_product_code_asserts_nothing_that_python_O_would_leave_out() -> None:
 
 
 @pytest.mark.parametrize("name", ["de_DE.UTF-8", "fr_FR.UTF-8", "C"])
-def test_numbers_are_told_with_a_point_in_every_country(capsys: pytest.CaptureFixture[str], name: str) -> None:
+def test_numbers_have_a_decimal_point_in_every_locale(capsys: pytest.CaptureFixture[str], name: str) -> None:
     import locale
 
     before = locale.setlocale(locale.LC_ALL)
     try:
         locale.setlocale(locale.LC_ALL, name)
     except locale.Error:
-        pytest.skip(f"there is no locale {name} here")
+        pytest.skip(f"locale {name} is not installed")
     try:
         code, out, _ = run(capsys, "scene", "explain", "simulated", "--json", "--all")
     finally:

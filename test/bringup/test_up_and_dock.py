@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger up` and `deltacharger dock` as people run them: separate processes, signals and exit codes."""
+"""`deltacharger up` and `deltacharger dock` as separate processes: signals and exit codes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: 
     assert next(phase["phase"] for phase in result["phases"]) == "approach"
     assert result["picture"] is None or picture.is_file()
     assert any("contact" in line for line in dock.err)
-    assert any("the charger that runs already; of scene 'quick' only the goal" in line for line in dock.err)
+    assert any("using the running charger; only the goal of scene 'quick'" in line for line in dock.err)
     undock = run("undock", "--json")
     assert undock.end() == 0, undock.err
     assert json.loads("\n".join(undock.out))["success"] is True
@@ -59,7 +59,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: 
     assert charger.out == []
 
 
-def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_parameters(
+def test_up_ends_with_130_on_sigint_and_with_2_on_refused_parameters(
     up: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
 ) -> None:
     assert up().end(signal.SIGINT) == 130
@@ -70,9 +70,7 @@ def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_paramete
     assert any("did you mean 'standoff'" in line for line in refused.err)
 
 
-def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_refused_at_once(
-    up: Run, run: Run
-) -> None:
+def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_is_refused_at_once(up: Run, run: Run) -> None:
     charger = up()
     second = run("up")
     assert second.end() == 2
@@ -80,7 +78,7 @@ def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_re
     assert charger.end(signal.SIGHUP) == 0
 
 
-def test_a_charger_of_separate_processes_is_known_by_the_same_lock(
+def test_a_charger_of_separate_processes_uses_the_same_lock(
     start: Run, run: Run, quick_scene: Scene, namespace: str
 ) -> None:
     words, lock = arguments(quick_scene, "docking_node", namespace), runtime.charger(environment.domain(), namespace)
@@ -90,37 +88,37 @@ def test_a_charger_of_separate_processes_is_known_by_the_same_lock(
         return path.read_text(encoding="utf-8").strip() if path.exists() else ""
 
     first = start(*words)
-    wait_until(lambda: holder() == str(first.process.pid), "the lock of the first")
-    for second, says in ((start(*words), "already runs in ROS domain"), (run("up"), "already answers in ROS domain")):
+    wait_until(lambda: holder() == str(first.process.pid), "the lock of the first process")
+    for second, text in ((start(*words), "already runs in ROS domain"), (run("up"), "already answers in ROS domain")):
         assert second.end() == 2, second.err
-        told = [line for line in second.err if says in line]
-        assert len(told) == 1, second.err
-        assert f"process {first.process.pid}" in told[0]
+        refusals = [line for line in second.err if text in line]
+        assert len(refusals) == 1, second.err
+        assert f"process {first.process.pid}" in refusals[0]
     assert first.end(signal.SIGKILL) == -signal.SIGKILL
     third = start(*words)
-    wait_until(lambda: holder() == str(third.process.pid), "the lock of another after it")
+    wait_until(lambda: holder() == str(third.process.pid), "the lock of the next process")
     assert third.end(signal.SIGTERM) == 0, third.err
 
 
-def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(run: Run) -> None:
+def test_of_two_chargers_started_together_exactly_one_runs(run: Run) -> None:
     both = [run("up"), run("up")]
-    wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one")
+    wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one process")
     refused, runs = sorted(both, key=lambda each: each.process.poll() is None)
     assert refused.end() == 2
     runs.wait_for_line("ready", runs.err)
     assert runs.end(signal.SIGTERM) == 0
 
 
-def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturbed(
+def test_a_charger_without_the_lock_is_found_over_ros_and_not_disturbed(
     up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = up()
     assert run("dock", "--json", "--no-picture").end() == 0
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user, or another computer, has
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as for another user or another computer
     second = run("up")
     assert second.end() == 1
     assert any("already answers in ROS domain" in line for line in second.err)
-    # Again where the computer was too busy: charging has then ended by itself, and the arm is on its way back.
+    # Repeat if the computer was too busy: charging has then ended already, and the arm is retracting.
     undocks = [run("undock", "--json")]
     while undocks[-1].end() != 0 and len(undocks) < 4:
         undocks.append(run("undock", "--json"))
@@ -129,20 +127,20 @@ def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturb
 
 
 @pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_ends_dock_and_its_own_charger_with_130_and_one_object(run: Run, presses: int) -> None:
+def test_ctrl_c_ends_dock_and_the_charger_it_started_with_130_and_one_object(run: Run, presses: int) -> None:
     dock = run("dock", "--json", "--no-picture")
-    dock.wait_for_line(" s  contact ", dock.err)  # the phase: a log may speak of contact before
+    dock.wait_for_line(" s  contact ", dock.err)  # the phase: a log line may mention contact before
     if presses == 2:
         dock.process.send_signal(signal.SIGINT)
     assert dock.end(signal.SIGINT) == 130
     result = json.loads("\n".join(dock.out))
     assert not any("Traceback" in line for line in dock.err), dock.err
     assert result["success"] is False
-    if presses == 1:  # a second one gives the result up, unless the two arrive as one
+    if presses == 1:  # a second one abandons the result, unless both arrive as one
         assert (result["charger"], result["error_name"]) == ("started", "CANCELED")
 
 
-def test_a_refused_docking_is_1_with_its_code(run: Run) -> None:
+def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
     dock = run("dock", "--x-mm", "200", "--json", "--no-picture")
     assert dock.end() == 1
     result = json.loads("\n".join(dock.out))
@@ -150,7 +148,7 @@ def test_a_refused_docking_is_1_with_its_code(run: Run) -> None:
     assert result["suggested_base_pose"]
 
 
-def test_undock_without_scene_domain_and_charger_is_1_and_names_both_domains(
+def test_undock_without_scene_domain_and_charger_ends_with_1_and_names_both_domains(
     start: Run, deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
@@ -172,8 +170,8 @@ def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
     assert charger.end(signal.SIGTERM) == 0
 
 
-@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix to find")
-def test_the_command_finds_its_environment_by_itself(up: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix")
+def test_the_command_sets_its_environment(up: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     charger = up()
@@ -183,15 +181,15 @@ def test_the_command_finds_its_environment_by_itself(up: Run, monkeypatch: pytes
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shell", ["exec {} >/dev/full 2>&-", "exec {} >&- 2>/dev/full"])
-def test_a_docking_is_finished_whatever_takes_what_is_said_of_it(
+def test_a_docking_finishes_without_usable_output_streams(
     up: Run, run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str
 ) -> None:
     where = ("--scene", str(quick_file), "--namespace", namespace)
     charger = start("bash", "-c", shell.format(shlex.join((*deltacharger, "up", *where))))
-    wait_until(lambda: run("undock").end() == 0, "a charger that answers")
+    wait_until(lambda: run("undock").end() == 0, "a running charger")
     dock = start("bash", "-c", shell.format(shlex.join((*deltacharger, "dock", *where, "--json"))))
-    assert dock.end() == 1, "its answer is lost"
+    assert dock.end() == 1, "its output is lost"
     assert (dock.out, dock.err) == ([], [])
     undock = run("undock", "--json")
     assert undock.end() == 0, undock.err
-    assert charger.end(signal.SIGTERM) == 0, "it had nothing to answer"
+    assert charger.end(signal.SIGTERM) == 0, "it had no output"

@@ -99,7 +99,7 @@ def test_after_kill_9_the_same_command_completes_every_docking_once(
     assert 4 <= len(before) < 14
     code, summary, err = run(capsys, *common, "--out", str(out), "--workers", "2")
     assert (code, summary["n"]) == (0, 14)
-    assert "of 14 dockings are there already" in err
+    assert "of 14 dockings exist already" in err
     rows = stored(out)
     assert [row["number"] for row in rows] == list(range(14))
     assert rows == comparable(run_batch(settings(14).to_json(), range(14)))
@@ -282,12 +282,12 @@ def test_wilson_intervals_have_their_nominal_coverage() -> None:
 def test_the_commands_refuse_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     for words, named in (
         ((), "--out DIR is missing"),
-        (("--out", str(Path(quick) / "no" / "where")), "cannot be made"),
+        (("--out", str(Path(quick) / "no" / "where")), "cannot be created"),
         (("--out", str(tmp_path / "x"), "--scenes", "defualt"), "did you mean 'default'"),
         (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
         (("--out", quick, "--scenes", quick), "is a file"),
         (("compare", str(tmp_path), str(tmp_path)), "has no campaign"),
-        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "end it in"),
+        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "must end in"),
     ):
         code, answer, _ = run(capsys, *words)
         assert (code, answer["success"]) == (2, False), words

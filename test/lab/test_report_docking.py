@@ -162,7 +162,7 @@ def test_a_report_runs_missing_dockings_and_shows_present_ones(
     assert "upright" not in answer["not_run"]
     code, answer, err = report(capsys, "--only", "upright", "--only", "random", "-n", "3", *out)
     assert code == 0
-    assert "2 of 3 dockings are there already" in err
+    assert "2 of 3 dockings exist already" in err
     assert {Path(name).name for name in answer["files"]} == {
         "docking.md",
         "docking.json",

@@ -90,15 +90,15 @@ def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -
     ("words", "error"),
     [
         ((), "give --set"),
-        (("--set", "angle"), "takes --angle-deg"),
-        (("--set", "sweep"), "takes --angle-deg"),
+        (("--set", "angle"), "needs --angle-deg"),
+        (("--set", "sweep"), "needs --angle-deg"),
         (("--set", "angle", "--angle-deg", "6"), "outside -5 to 5"),
-        (("--set", "position", "--angle-deg", "1"), "stands level"),
+        (("--set", "position", "--angle-deg", "1"), "is level"),
         (("--set", "reference", "--offsets-mm", "1"), "no --offsets-mm"),
-        (("--set", "reference", "--out", "F.csv"), "end it in .npz"),
+        (("--set", "reference", "--out", "F.csv"), "must end in .npz"),
         (("--set", "reference", "--out", "nowhere/F.npz"), "does not exist"),
         (("--set", "reference", "--out", "other.npz"), "give another --out"),
-        (("--compose",), "holds no dockings"),
+        (("--compose",), "contains no dockings"),
     ],
 )
 def test_wrong_input_is_reported(

@@ -254,7 +254,7 @@ def test_up_plays_a_recording_reports_its_content_and_ends_in_order(
     scene = start(*deltacharger, "up", "--recording", str(recording), "--namespace", namespace)
     scene.wait_for_line("ready", scene.err)
     assert any(
-        "no goal is served" in line and "docking_state" in line and "predict_misalignment" in line for line in scene.err
+        "no docking_node" in line and "docking_state" in line and "predict_misalignment" in line for line in scene.err
     ), scene.err
     assert scene.end(signal.SIGTERM) == 0, scene.err
     assert not any("Traceback" in line for line in scene.err), scene.err

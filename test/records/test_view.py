@@ -253,7 +253,7 @@ def write(path: Path, topics: dict[str, int]) -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (("--save", "view.png"), "end it in .rrd"),
+        (("--save", "view.png"), "must end in .rrd"),
         (("--save", "/no/such/folder/a.gif"), "does not exist"),
         (("--save", "/no/such/folder/a.rrd"), "does not exist"),
         (("--connect", "localhost"), "rerun+http"),
@@ -322,8 +322,8 @@ def test_silent_topics_are_reported_and_ctrl_c_ends_it(
 ) -> None:
     namespace, path = new_namespace(), tmp_path / "live.rrd"
     process = start(*deltacharger, "view", "--namespace", namespace, "--save", str(path))
-    process.wait_for_line("nothing came in 5 s", process.err)
-    line = next(line for line in process.err if "nothing came" in line)
+    process.wait_for_line("no messages for 5 s", process.err)
+    line = next(line for line in process.err if "no messages for" in line)
     for topic in ("servo_state", "tactile_frame", "charger_power", "docking_state"):
         assert f"/{namespace}/{topic}" in line
     assert process.end(signal.SIGINT) == 130

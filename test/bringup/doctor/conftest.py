@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor looks at: emulated hardware behind real pseudo-terminals."""
+"""Fixtures of the doctor's tests: emulated hardware behind real pseudo-terminals."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: made, and looked through."""
+"""Helpers that make and filter findings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deltacharger_bringup.doctor.servos import examine_servos
 from ...emulated_ports import IDS
 
 LIKELY = (1_000_000, 57600)
-"""Speeds to look at where the others are no matter of the test: each takes a fifth of a second or more."""
+"""Speeds to search if the others do not matter: each takes 0.2 s or more."""
 
 
 def servo_findings(port: str, speeds: Sequence[int] = LIKELY) -> list[Finding]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger doctor` on a computer that lacks something; judged by no real time, as it computes a lot at once."""
+"""`deltacharger doctor` on a computer that lacks something; not in real time, because of its many processes."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .test_command import by_level
 LACKING = {
     "rclpy": ("rclpy", "raise ImportError(\"No module named 'rclpy'\", name='rclpy')"),
     "rclpy that crashes": ("rclpy", "import os; os._exit(11)"),
-    "what rclpy has since Jazzy": ("sitecustomize", "import sys; sys.modules['rclpy.experimental'] = None"),
+    "rclpy of Jazzy": ("sitecustomize", "import sys; sys.modules['rclpy.experimental'] = None"),
     "dynamixel_sdk": ("dynamixel_sdk", "raise ImportError('no SDK', name='dynamixel_sdk')"),
     "serial": ("serial", "raise ImportError('no serial', name='serial')"),
     "yaml": ("yaml", "raise ImportError('no yaml', name='yaml')"),
 }
-"""What a computer may lack: the module, and what stands in its place."""
+"""What a computer may lack: the module and its replacement."""
 
 
 @pytest.fixture(scope="module")
 def doctors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, subprocess.Popen[str]]]:
-    """Doctors in processes of their own, all at once: each takes seconds, mostly to wait."""
+    """Run all doctors in parallel processes, because each takes seconds, mostly waiting."""
     running: dict[str, subprocess.Popen[str]] = {}
 
     def start(name: str, *words: str, path: str = "") -> None:
@@ -70,7 +70,7 @@ def test_with_nothing_plugged_in_both_ports_are_wrong(doctors: dict[str, subproc
     assert value["success"] is False
 
 
-def test_one_device_cannot_be_both(doctors: dict[str, subprocess.Popen[str]]) -> None:
+def test_one_device_for_both_ports_is_wrong(doctors: dict[str, subprocess.Popen[str]]) -> None:
     code, value = ended(doctors["one device"])
     assert code == 1
     assert "are one device" in by_level(value, "wrong")["ports"]
@@ -81,13 +81,13 @@ def test_one_device_cannot_be_both(doctors: dict[str, subprocess.Popen[str]]) ->
     [
         ("rclpy", "rclpy", "ros-rclpy"),
         ("rclpy that crashes", "rclpy", "one ROS installation"),
-        ("what rclpy has since Jazzy", "ros version", "Jazzy"),
+        ("rclpy of Jazzy", "ros version", "Jazzy"),
         ("dynamixel_sdk", "dynamixel-sdk", "dynamixel-sdk"),
         ("serial", "pyserial", "pyserial"),
         ("yaml", "PyYAML", "pyyaml"),
     ],
 )
-def test_it_works_without_what_it_looks_for(
+def test_it_works_without_the_libraries_that_it_checks(
     doctors: dict[str, subprocess.Popen[str]], lacking: str, part: str, remedy: str
 ) -> None:
     code, value = ended(doctors[lacking])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor says of a board, healthy and broken in every way it names."""
+"""Findings of the doctor for a healthy board and for each fault that it can name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def board_findings(port: str, watched: float = 0.5) -> list[Finding]:
     return list(examine_board(port, 1_000_000, watched))
 
 
-def test_a_healthy_board_is_ok_and_left_as_it_was(board: BoardEmulator, board_port: str) -> None:
+def test_a_healthy_board_is_ok_and_unchanged(board: BoardEmulator, board_port: str) -> None:
     found = board_findings(board_port)
     assert not only(found, "wrong")
     assert "0 of" in one(found, "ok", "tactile link").message
@@ -54,13 +54,13 @@ def test_lost_frames_are_counted(board: BoardEmulator, board_port: str) -> None:
     assert "cables" in finding.remedy
 
 
-def test_a_slow_board_is_hinted_at(board: BoardEmulator, board_port: str) -> None:
+def test_a_slow_board_gives_a_hint(board: BoardEmulator, board_port: str) -> None:
     board.faults.delay = 0.04
     assert "heartbeats" in one(board_findings(board_port), "hint", "board").message
 
 
 def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None:
-    with BoardLink(board_port):  # it has booted, which would clear the fault
+    with BoardLink(board_port):  # wait for the boot, which clears the fault
         board.trip(BoardFault.OVER_CURRENT)
     found = board_findings(board_port)
     assert "over current" in one(found, "wrong", "power").message
@@ -69,7 +69,7 @@ def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None
 @pytest.mark.parametrize(
     ("resistance", "level", "words"), [(0.2, "wrong", "short circuit"), (25.0, "hint", "a target is connected")]
 )
-def test_the_probe_is_judged(resistance: float, level: str, words: str) -> None:
+def test_the_probe_result_is_judged(resistance: float, level: str, words: str) -> None:
     plant = BenchPlant()
     plant.resistance = resistance
     with PseudoTerminal(BoardEmulator(plant)) as terminal:
@@ -96,7 +96,7 @@ def test_the_battery_is_judged_as_docking_judges_it(volts: float, level: str, wo
 @pytest.mark.parametrize(
     ("volts", "level", "words"), [(math.nan, "hint", "live"), (26.0, "wrong", "has a power stage")]
 )
-def test_a_board_beside_electrodes_on_the_battery_is_not_probed(volts: float, level: str, words: str) -> None:
+def test_with_electrodes_wired_to_the_battery_there_is_no_probe(volts: float, level: str, words: str) -> None:
     plant = BenchPlant()
     plant.battery = volts
     with PseudoTerminal(BoardEmulator(plant)) as terminal:
@@ -106,9 +106,9 @@ def test_a_board_beside_electrodes_on_the_battery_is_not_probed(volts: float, le
 
 
 @pytest.mark.parametrize(
-    ("fixture", "words"), [("servo_port", "here are the servos"), ("silent_port", "no answer to HELLO")]
+    ("fixture", "words"), [("servo_port", "the servos are here"), ("silent_port", "no answer to HELLO")]
 )
-def test_where_the_board_is_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
+def test_a_port_without_the_board_is_wrong(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
     found = board_findings(request.getfixturevalue(fixture))
     assert [finding.level for finding in found] == ["wrong"]
     assert words in found[0].message

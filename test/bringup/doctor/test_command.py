@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger doctor` as people and programs call it."""
+"""`deltacharger doctor` on the command line: text, JSON, exit codes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def by_level(value: dict[str, Any], level: str) -> dict[str, str]:
 
 
 def test_nothing_is_wrong_with_the_simulated_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    def sound() -> dict[str, Any]:  # a computer that others keep busy does lose replies and frames
+    def sound() -> dict[str, Any]:  # a busy computer loses replies and frames
         code, value = run(capsys, "--scene", "simulated")
         return value if code == 0 else {}
 
@@ -41,19 +41,19 @@ def test_nothing_is_wrong_with_the_simulated_scene(capsys: pytest.CaptureFixture
     assert set(by_level(value, "ok")) >= {"servo 1", "servo 2", "servo 3", "board", "tactile link", "power", "probe"}
 
 
-def test_people_read_levels_and_remedies_and_progress_goes_to_stderr(
+def test_text_has_levels_and_remedies_and_progress_is_on_stderr(
     capsys: pytest.CaptureFixture[str], servo_port: str
 ) -> None:
     assert main(["doctor", "--set-baud", "1000000", "--servo-port", servo_port]) == 0
     captured = capsys.readouterr()
     assert "ok     servo 2" in captured.out
-    assert captured.out.rstrip().endswith("0 wrong, 0 worth a look, 4 as they should be")
-    assert "looking at the servos" in captured.err
+    assert captured.out.rstrip().endswith("0 wrong, 0 hints, 4 ok")
+    assert "checking the servos" in captured.err
     assert main(["doctor", "--set-baud", "1000000", "--servo-port", "/dev/nothing"]) == 1
     assert "-> plug" in capsys.readouterr().out
 
 
-def test_a_scene_decides_speed_and_ids_and_the_command_line_the_ports(
+def test_speed_and_ids_are_from_the_scene_and_ports_from_the_command_line(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, servos: ServoBusEmulator, servo_port: str, board_port: str
 ) -> None:
     for servo in IDS:
@@ -63,7 +63,7 @@ def test_a_scene_decides_speed_and_ids_and_the_command_line_the_ports(
         f"ports: {{servo: /dev/nothing, board: {board_port}}}\nparameters: {{servo_node: {{baud_rate: 2000000}}}}\n"
     )
     _, value = run(capsys, "--scene", str(scene), "--servo-port", servo_port)
-    assert set(by_level(value, "wrong")) <= {"servo line", "tactile link"}  # which a busy computer spoils
+    assert set(by_level(value, "wrong")) <= {"servo line", "tactile link"}  # may be wrong on a busy computer
     assert value["servo_port"] == servo_port
     assert "2000000" in next(f["message"] for f in value["findings"] if f["part"] == "servo 1")
 
@@ -79,7 +79,7 @@ def test_set_baud_from_the_command_line(
     assert (code, list(by_level(value, "wrong"))) == (1, ["servo port"])
 
 
-def test_servos_that_hang_on_the_board(
+def test_servos_connected_to_the_board(
     capsys: pytest.CaptureFixture[str], servos: ServoBusEmulator, one_cable: str
 ) -> None:
     servos.set_speed(2, 1)
@@ -113,7 +113,7 @@ def test_a_board_without_servos_is_named(capsys: pytest.CaptureFixture[str], boa
         ("--port", "/dev/null"),
     ],
 )
-def test_wrong_usage_is_2_with_one_object(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+def test_wrong_usage_ends_with_2_and_one_object(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
     code, value = run(capsys, *words)
     assert (code, value["success"]) == (2, False)
     assert value["error"]

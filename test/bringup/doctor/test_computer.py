@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor says of this computer: its settings, its ROS, its camera."""
+"""Findings of the doctor for this computer: settings, ROS, camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...chargers import new_namespace
 from .found import one, only
 
 
-def test_a_check_that_breaks_off_is_a_finding_and_keeps_those_before_it() -> None:
+def test_a_failed_check_is_a_finding_and_keeps_earlier_findings() -> None:
     def broken() -> Iterator[Finding]:
         yield ok("first", "fine")
         raise ZeroDivisionError("nothing to divide")
@@ -45,13 +45,13 @@ def test_a_check_that_breaks_off_is_a_finding_and_keeps_those_before_it() -> Non
         ("AMENT_PREFIX_PATH", "", "ros prefix"),
     ],
 )
-def test_settings_that_keep_ros_from_working(monkeypatch: pytest.MonkeyPatch, name: str, value: str, part: str) -> None:
+def test_settings_that_disable_ros_are_wrong(monkeypatch: pytest.MonkeyPatch, name: str, value: str, part: str) -> None:
     assert only(examine_settings(), "wrong") == []
     monkeypatch.setenv(name, value)
     assert one(examine_settings(), "wrong", part).remedy
 
 
-def test_a_camera_is_never_wrong_and_what_is_absent_is_said(tmp_path: Path) -> None:
+def test_a_missing_camera_is_reported_but_never_wrong(tmp_path: Path) -> None:
     absent = list(examine_camera(None, tmp_path))
     assert not only(absent, "wrong")
     assert any("no OAK camera is on USB" in finding.message for finding in absent)
@@ -62,7 +62,7 @@ def test_a_camera_is_never_wrong_and_what_is_absent_is_said(tmp_path: Path) -> N
     assert any("2 publishers" in finding.message for finding in only(present, "ok"))
 
 
-def test_a_charger_that_runs_is_named(context: Any) -> None:
+def test_a_running_charger_is_named(context: Any) -> None:
     from deltacharger.msg import DockingState
     from rclpy.node import Node
 
@@ -85,7 +85,7 @@ WRONG_SETTINGS = {"RMW_IMPLEMENTATION": "rmw_that_nobody_has", "AMENT_PREFIX_PAT
 
 @pytest.fixture(scope="module")
 def found_with() -> Iterator[Callable[[str], list[Finding]]]:
-    """What is found with one of the wrong settings; ROS, which takes seconds, is asked under all of them at once."""
+    """Findings with one wrong setting; the checks of ROS, which take seconds, run in parallel."""
     settings: dict[str, list[Finding]] = {}
     probes: dict[str, RosProbe] = {}
     for name, value in WRONG_SETTINGS.items():
@@ -106,7 +106,7 @@ def found_with() -> Iterator[Callable[[str], list[Finding]]]:
         ("ROS_DOMAIN_ID", "ros domain", "0 to 232"),
     ],
 )
-def test_ros_set_up_wrongly_is_one_thing_wrong(
+def test_a_wrong_ros_setting_gives_one_wrong_finding(
     found_with: Callable[[str], list[Finding]], name: str, part: str, remedy: str
 ) -> None:
     wrong = only(found_with(name), "wrong")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor says of servos, healthy and broken in every way it names."""
+"""Findings of the doctor for healthy servos and for each fault that it can name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_healthy_servos_are_ok_and_nothing_is_written(servos: ServoBusEmulator, 
     assert written(servos) == before
 
 
-def test_a_servo_as_from_the_factory_is_named_with_the_command_that_mends_it(
+def test_a_servo_with_factory_speed_is_named_with_the_command_to_fix_it(
     servos: ServoBusEmulator, servo_port: str
 ) -> None:
     servos.set_speed(2, 1)
@@ -34,7 +34,7 @@ def test_a_servo_as_from_the_factory_is_named_with_the_command_that_mends_it(
     assert f"doctor --servo-port {servo_port} --set-baud 1000000 --ids 2" in finding.remedy
 
 
-def test_missing_old_and_strange_servos_are_told_apart(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_missing_old_and_unknown_servos_are_distinguished(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.use_protocol_1(1)
     servos.servo(3).table.set("id", 9)
     found = servo_findings(servo_port, SERVO_SPEEDS)
@@ -51,7 +51,7 @@ def test_two_servos_with_one_id_are_named() -> None:
     assert "two servos have this id" in one(found, "wrong", "servo 2").message
 
 
-def test_what_a_servo_suffers_from_is_told(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_faults_of_servos_are_reported(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.raise_hardware_error(1, 1 << 5)
     servos.servo(2).table.set("torque_enable", 1)
     servos.servo(1).table.set("bus_watchdog", WATCHDOG_TRIPPED)
@@ -65,7 +65,7 @@ def test_what_a_servo_suffers_from_is_told(servos: ServoBusEmulator, servo_port:
     assert "1941" in finding.remedy
 
 
-def test_a_bad_line_is_told_from_a_good_one(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_a_bad_line_is_wrong(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.faults.rate["drop"] = 0.15
     finding = one(servo_findings(servo_port), "wrong", "servo line")
     assert "silent" in finding.message
@@ -73,9 +73,9 @@ def test_a_bad_line_is_told_from_a_good_one(servos: ServoBusEmulator, servo_port
 
 
 @pytest.mark.parametrize(
-    ("fixture", "words"), [("board_port", "here is the board"), ("silent_port", "no servo answers")]
+    ("fixture", "words"), [("board_port", "the board is here"), ("silent_port", "no servo answers")]
 )
-def test_where_the_servos_are_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
+def test_a_port_without_servos_is_wrong(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
     found = servo_findings(request.getfixturevalue(fixture))
     assert [finding.level for finding in found] == ["wrong"]
     assert words in found[0].message

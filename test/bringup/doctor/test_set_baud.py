@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger doctor --set-baud`: what is written to servos, and to which."""
+"""`deltacharger doctor --set-baud`: registers and servos that it writes."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: Servo
     assert changed == {(1, "baud"), (3, "baud"), (1, "torque_enable")}
     assert {finding.part for finding in only(servo_findings(servo_port), "wrong")} <= {
         "servo line"
-    }  # a busy computer's
+    }  # on a busy computer
 
 
-def test_set_baud_leaves_those_that_were_not_named(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_set_baud_writes_only_the_given_ids(servos: ServoBusEmulator, servo_port: str) -> None:
     for servo in IDS:
         servos.set_speed(servo, 2)
     found = list(set_baud(servo_port, 57600, [2, 2, 7], (57600, 115200)))
@@ -40,7 +40,7 @@ def test_set_baud_leaves_those_that_were_not_named(servos: ServoBusEmulator, ser
     assert [servos.servo(servo).table.get("baud") for servo in IDS] == [2, 1, 2]
 
 
-def test_set_baud_refuses_what_it_cannot_tell_apart_or_does_not_know(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_set_baud_refuses_duplicate_ids_and_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.use_protocol_1(3)
     before = written(servos)
     assert "nothing was written" in next(iter(set_baud(servo_port, 57600, [3], LIKELY))).message
@@ -54,4 +54,4 @@ def test_set_baud_refuses_what_it_cannot_tell_apart_or_does_not_know(servos: Ser
 def test_set_baud_on_the_board_writes_nothing(board_port: str) -> None:
     found = list(set_baud(board_port, 57600, None))
     assert [finding.level for finding in found] == ["wrong"]
-    assert "here is the board" in found[0].message
+    assert "the board is here" in found[0].message
