@@ -76,7 +76,7 @@ def spoil(name: str, value: float) -> Callable[[Arrays], None]:
         (put("left", lambda left: left.reshape(-1, 100)), "has shape"),
         (put("right", lambda right: right[:-1]), "has shape"),
         (put("angle", lambda angle: np.zeros(0)), "no rows"),
-        (put("rig", lambda rig: rig.astype(float)), "whole numbers"),
+        (put("rig", lambda rig: rig.astype(float)), "integers"),
         (put("current", lambda current: current.astype(str)), "must hold numbers"),
         (spoil("left", np.nan), "row 3 of left"),
         (spoil("angle", np.inf), "row 3 of angle"),
