@@ -169,7 +169,7 @@ def test_nothing_is_converted_while_nobody_subscribes(start: Start, client: Clie
     socket = Socket()
     socket.plugged = "14442C10"
     start(socket.open)
-    client.hears(DiagnosticStatus.OK, "nobody subscribes")
+    client.hears(DiagnosticStatus.OK, "no subscribers")
     camera = socket.opened[0]
     wait_until(lambda: camera.refused > 5, "images that nobody wants")
     assert camera.taken == 0
@@ -276,7 +276,7 @@ def test_a_replay_waits_for_a_listener_and_says_when_it_has_ended(
     start: Start, client: Client, recording: Path
 ) -> None:
     start(replay=str(recording))
-    client.hears(DiagnosticStatus.OK, "nobody subscribes")
+    client.hears(DiagnosticStatus.OK, "no subscribers")
     client.listen("color")
     client.hears(DiagnosticStatus.ERROR, "the recording has ended")
     assert client.said[-1].hardware_id == str(recording)

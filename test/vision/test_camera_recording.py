@@ -107,7 +107,7 @@ def test_what_is_not_clear_is_refused_with_the_choices(tmp_path: Path) -> None:
     assert "several depth topics" in refusal(tmp_path, depths)
     assert "no topic /c" in refusal(tmp_path, OURS, CameraTopics("c"))
     assert "must be sensor_msgs/msg/Image" in refusal(tmp_path, OURS, CameraTopics(depth="/color/camera_info"))
-    assert "holds no images, but /chatter" in refusal(tmp_path, {"/chatter": "std_msgs/msg/String"})
+    assert "holds no images, only /chatter" in refusal(tmp_path, {"/chatter": "std_msgs/msg/String"})
 
 
 def test_compressed_images_are_told_what_to_record_instead(tmp_path: Path) -> None:
