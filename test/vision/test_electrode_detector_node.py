@@ -101,7 +101,7 @@ def test_a_request_ends_with_its_time_where_each_look_is_slower_than_images_come
     answer = driver.ask(1.0)
     assert time.monotonic() - began < 5.0
     assert not answer.success
-    assert "not where the camera is: tf does not know the frame" in answer.message
+    assert "camera's pose is unknown: tf does not know the frame" in answer.message
 
 
 def test_two_words_on_where_the_camera_is_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
