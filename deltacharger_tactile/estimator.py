@@ -108,8 +108,8 @@ class PoseEstimator:
         inputs, holds, touched = self._prepare(np.asarray(frames, dtype=float))
         seats = to_seat(np.asarray(pose, dtype=float))
         for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, touched & ~holds), strict=True)):
-            self._require(int(np.sum(rows)), _FEWEST, f"dockings felt by {name} pads")
-            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings felt by {name} pads")
+            self._require(int(np.sum(rows)), _FEWEST, f"dockings in contact with {name} pad(s)")
+            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings in contact with {name} pad(s)")
             self._experts[name] = Expert.learn(
                 inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
             )
@@ -211,7 +211,7 @@ class PoseEstimator:
     def _calibrate(self, frames: Array, seat: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
         for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
-            self._require(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings felt by {name} pads")
+            self._require(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings in contact with {name} pad(s)")
             self._experts[name] = self._experts[name].scaled(inputs[:, rows], seat[rows])
         usual = inputs[:, holds & _within(seat)]
         mean, spread = self._experts["both"].predict(usual)

@@ -176,7 +176,7 @@ def measure(
     tares = np.stack([_tare(parameters, rig, random) for _ in range(SESSIONS)])
     session = random.integers(0, SESSIONS, count)
     model = ContactModel(parameters.contact)
-    felt = np.empty((count, rows, *SHAPE))
+    readings = np.empty((count, rows, *SHAPE))
     for start in range(0, count, _CHUNK):
         part = slice(start, start + _CHUNK)
         chosen = Dockings(*(getattr(dockings, item.name)[part] for item in dataclasses.fields(Dockings)))
@@ -190,8 +190,8 @@ def measure(
             for frame in range(row * frames, (row + 1) * frames):
                 raw = sensor.read(taxels, chosen, dwell[part] + frame / FRAME_RATE, 1.0 / FRAME_RATE)
                 total += np.maximum(raw - tares[session[part]], 0.0)
-            felt[part, row] = total / frames
-    raw_rows = felt.reshape(-1, *SHAPE)
+            readings[part, row] = total / frames
+    raw_rows = readings.reshape(-1, *SHAPE)
     dead = np.isnan(raw_rows)
     cut = np.where(dead | (raw_rows < threshold), 0.0, raw_rows).astype(np.float32)
     by_docking: dict[str, NDArray[Any]] = {
