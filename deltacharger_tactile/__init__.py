@@ -12,18 +12,18 @@ from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 __all__ = ["MODELS", "MODEL_PATH", "MODEL_PATHS", "Estimate", "PoseEstimator", "default_model", "model_path"]
 
 MODELS = Path(__file__).parent / "models"
-"""Folder of everything packaged that was trained."""
+"""Folder of the packaged trained models."""
 MODEL_PATHS = {THRESHOLD: MODELS / "pose.npz", CONTACT_FORCE: MODELS / "pose_1N.npz"}
-"""The packaged models by the least reading that they see, N; the second is for a sensor as the paper's."""
+"""Packaged models by threshold, N; the second suits a sensor like the paper's."""
 MODEL_PATH = MODEL_PATHS[THRESHOLD]
-"""The packaged model that the robot uses."""
+"""Packaged model that the robot uses."""
 
 
 def default_model(threshold: float = THRESHOLD) -> PoseEstimator:
-    """Load the packaged model for readings from `threshold` (N) on; `deltacharger_tactile.training` makes it."""
+    """Load the packaged model for readings of at least `threshold` N, made by `deltacharger_tactile.training`."""
     return PoseEstimator.load(model_path(threshold))
 
 
 def model_path(threshold: float) -> Path:
-    """Return the file of the packaged model for readings from `threshold` (N) on."""
+    """Return the file of the packaged model for readings of at least `threshold` N."""
     return MODEL_PATHS[CONTACT_FORCE if threshold >= CONTACT_FORCE else THRESHOLD]

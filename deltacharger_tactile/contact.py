@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the target's ridges press on the pads, and how hard each taxel is pressed.
+"""Pressure of the target's ridges on the taxels of both pads.
 
-A rigid end effector meets one rigid horizontal ridge per pad. The common approach z is the one at which the
-pressures of both pads carry the total force; an elastic half-space then spreads them onto the taxels.
+A rigid end effector meets one rigid horizontal ridge per pad. The common approach z is where the pressures of both pads
+carry the total force. An elastic half-space spreads them onto the taxels.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.parameters import PadContactParameters
 
 WAVES = 3
-"""Sinusoids that make up the waviness of one ridge."""
+"""Sinusoids per ridge."""
 
 _MISSED = 1.0
 """Gap (m) of a point beyond the ridge: far more than any indentation."""
@@ -52,8 +52,8 @@ class Contact:
 
     Attributes:
         taxels: (N, 2, 10, 10) N; pad 0 is left (+x); row 0 at +y, column 0 at +x. Their sum is the total force.
-        approach: (N,) m, common approach of the end effector; NaN where both pads miss.
-        touching: (N,) whether a ridge touches a pad at all.
+        approach: (N,) m, common approach of the end effector; NaN if both pads miss.
+        touching: (N,) whether a ridge touches a pad.
     """
 
     taxels: Array
@@ -62,7 +62,7 @@ class Contact:
 
 
 class ContactModel:
-    """Ridge on pad for a family of rigs; immutable, so that threads may share it."""
+    """Contact of ridge and pad for a family of rigs; immutable, so threads may share it."""
 
     def __init__(self, parameters: PadContactParameters | None = None) -> None:
         self.parameters = parameters or PadContactParameters()
@@ -81,11 +81,11 @@ class ContactModel:
         tilt: ArrayLike = (0.0, 0.0),
         waviness: Waviness | None = None,
     ) -> Contact:
-        """Press the ridges on the pads.
+        """Compute the readings of the pressed pads.
 
         Args:
             pose: (N, 3) or (3,) misalignment (x, y, angle), m and rad: pose of the target in end_effector.
-            force: (N,) or scalar, total contact force, N; nothing is felt where it is not positive.
+            force: (N,) or scalar, total contact force, N; if it is not positive, readings are 0.
             tilt: (N, 2) or (2,) rad: (about x: indents +y more, about y: indents +x more).
             waviness: ridges of the rig; None = perfectly straight.
 
@@ -147,7 +147,7 @@ class ContactModel:
         return np.asarray(gap)
 
     def _carry(self, height: Array, highest: Array, force: Array) -> tuple[Array, Array]:
-        """Find the approach by Newton's method: the force is convex in it, so that steps from above never cross."""
+        """Find the approach by Newton's method: the force is convex in it, so steps from above never overshoot."""
         hardening = self.parameters.hardening
         target = force / self._unit
         approach = 3e-4 - highest
@@ -172,10 +172,10 @@ def _sample_points(parameters: PadContactParameters) -> tuple[Array, Array]:
 
 
 def _pooling_matrix(parameters: PadContactParameters) -> Array:
-    """(100, 900) share of each sub-sample's force that each taxel feels; columns sum to 1: no force is lost.
+    """(100, 900) share of each sub-sample's force on each taxel; columns sum to 1: no force is lost.
 
     Kernel of an elastic half-space at depth h under a point load (Boussinesq): 3 h³ / (2π (r² + h²)^2.5). What
-    would leave the pad is shared among its taxels.
+    would leave the pad is distributed over its taxels.
     """
     u, v = _sample_points(parameters)
     squared = (u[:, None] - u) ** 2 + (v[:, None] - v) ** 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A data set of dockings with known misalignment, generated or recorded: the npz file, and what must stand in it."""
+"""Data set of generated or recorded dockings with known misalignment: the npz file and its checks."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Dataset:
-    """N rows, of one docking (attempt) each or several of one; the arrays of the npz file, row-aligned.
+    """N rows, one or several per docking (attempt); the row-aligned arrays of the npz file.
 
     Attributes:
         left: (N, 10, 10) float32 N, the pad at +x, tared and thresholded; a dead taxel is 0.
-        right: the same for the pad at −x.
-        tare: (N, 2, 10, 10) float32 N, what was subtracted; NaN where the board does not tell.
+        right: (N, 10, 10) float32 N, the pad at −x.
+        tare: (N, 2, 10, 10) float32 N, subtracted baseline; NaN if the board does not report it.
         dead: (N, 2, 10, 10) taxels without a reading.
         angle: (N,) rad, commanded, signed.
         vertical: (N,) m, commanded.
@@ -46,7 +46,7 @@ class Dataset:
         subset: (N,) 0 angle set, 1 position set, −1 continuous.
         current: (N,) A, contact current.
         force: (N,) N, total contact force; NaN = unknown.
-        meta: how the data came about; of generated ones protocol, seed, frames, threshold, parameters, digest.
+        meta: origin of the data; if generated: protocol, seed, frames, threshold, parameters, digest.
     """
 
     left: NDArray[np.float32]
@@ -75,7 +75,7 @@ class Dataset:
 
     @property
     def threshold(self) -> float:
-        """Readings below it are 0, N; NaN = unknown."""
+        """N; lower readings are stored as 0; NaN = unknown."""
         return float(self.meta.get("threshold", float("nan")))
 
     def poses(self) -> Array:
@@ -84,7 +84,7 @@ class Dataset:
         return np.where(np.isfinite(self.contact_pose), self.contact_pose, commanded)
 
     def robot_frames(self) -> tuple[Array, Array]:
-        """Return left, right (N, 10, 10) as the robot's messages carry them: NaN where dead."""
+        """Return left, right (N, 10, 10) as in the robot's messages: NaN where dead."""
         left, right = self.left.astype(float), self.right.astype(float)
         left[self.dead[:, 0]] = np.nan
         right[self.dead[:, 1]] = np.nan
@@ -97,13 +97,13 @@ class Dataset:
 
     @staticmethod
     def load(path: str | Path) -> Dataset:
-        """Read what `save` wrote, or a file of another program with at least the fields of the format.
+        """Read a file written by `save`, or by another program with the same fields.
 
-        `dead`, `contact_pose` and `force` may be missing: none dead, unknown, unknown.
+        `dead`, `contact_pose` and `force` may be missing: none dead, both others unknown.
 
         Raises:
-            FileNotFoundError: there is no such file.
-            DatasetError: it is no npz file; an array is missing, of another shape, or holds what it must not.
+            FileNotFoundError: no such file.
+            DatasetError: not an npz file; an array is missing, has another shape, or holds invalid values.
         """
         source = str(path)
         try:
@@ -112,10 +112,10 @@ class Dataset:
             raise DatasetError(source, f"{error}; generate or record a data set") from error
         missing = [name for name in _NEEDED if name not in found]
         if missing:
-            raise DatasetError(source, f"no array {', '.join(missing)}; generate or record the data anew")
+            raise DatasetError(source, f"no array {', '.join(missing)}; generate or record the data again")
         arrays = {name: found[name] for name in (*_NEEDED, *_OPTIONAL) if name in found}
         if meta.get("version", VERSION) != VERSION:
-            raise DatasetError(source, f"its meta is not of version {VERSION}; generate or record the data anew")
+            raise DatasetError(source, f"its meta is not of version {VERSION}; generate or record the data again")
         return Dataset(meta=meta, **_checked(source, arrays))
 
 
@@ -138,43 +138,43 @@ _FRAME = (ROWS, COLUMNS)
 _SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
 _FINITE = ("left", "right", "angle", "vertical", "horizontal")
 _LARGEST = {"left": 1e3, "right": 1e3, "angle": 3.2, "vertical": 0.1, "horizontal": 0.1}
-"""N, rad, m; what is larger was written in other units."""
+"""N, rad, m; larger values are in other units."""
 
 
 def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return every array with its type and shape, those that may be missing added.
+    """Return every array, with defaults for missing ones.
 
     Raises:
-        DatasetError: a shape, a type or a value that the format does not allow.
+        DatasetError: a shape, type or value violates the format.
     """
     count = len(arrays["angle"]) if arrays["angle"].ndim else 0
     if not count:
-        raise DatasetError(source, "it holds no rows; generate or record some")
+        raise DatasetError(source, "it has no rows; generate or record some")
     arrays.setdefault("dead", np.zeros((count, PADS, *_FRAME), dtype=bool))
     arrays.setdefault("contact_pose", np.full((count, 3), np.nan))
     arrays.setdefault("force", np.full(count, np.nan))
     for name, array in arrays.items():
         wanted = (count, *_SHAPES.get(name, ()))
         if array.shape != wanted:
-            raise DatasetError(source, f"array {name} has shape {array.shape} and must have {wanted}")
+            raise DatasetError(source, f"array {name} has shape {array.shape}; it must have {wanted}")
         if name in _INTEGERS and not np.issubdtype(array.dtype, np.integer):
-            raise DatasetError(source, f"array {name} holds {array.dtype} and must hold whole numbers")
+            raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold integers")
         if not np.issubdtype(array.dtype, np.number) and array.dtype != bool:
-            raise DatasetError(source, f"array {name} holds {array.dtype} and must hold numbers")
+            raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold numbers")
         if name in _FINITE:
             wrong = np.flatnonzero(~(np.abs(array.reshape(count, -1)).max(axis=1) <= _LARGEST[name]))
             if len(wrong):
                 raise DatasetError(
                     source,
-                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]:g}; write N, rad and m, "
-                    "and 0 where a taxel is dead",
+                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]:g}; use N, rad and m, "
+                    "and 0 for a dead taxel",
                 )
     _check_attempts(source, arrays)
     return arrays
 
 
 def _check_attempts(source: str, arrays: dict[str, NDArray[Any]]) -> None:
-    """Refuse an attempt that is two dockings: a split by attempt would put what belongs together on both sides."""
+    """Refuse an attempt that is two dockings: a split by attempt would put related rows on both sides."""
     _, first, of = np.unique(arrays["attempt"], return_index=True, return_inverse=True)
     for name in ("rig", "session", "subset", "angle", "vertical", "horizontal"):
         wrong = np.flatnonzero(arrays[name] != arrays[name][first][of.reshape(-1)])
@@ -182,5 +182,5 @@ def _check_attempts(source: str, arrays: dict[str, NDArray[Any]]) -> None:
             number = arrays["attempt"][wrong[0]]
             raise DatasetError(
                 source,
-                f"attempt {number} has two values of {name}; number the dockings so that each is unique in the file",
+                f"attempt {number} has two values of {name}; give every docking a unique number",
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the tactile package can fail with; one root, each kind carries its values and says what to do."""
+"""Errors of the tactile package: one root; each kind carries its values and states what to do."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class TactileError(Picklable):
 
 
 class FrameError(TactileError, ValueError):
-    """Taxel arrays do not have the shape of two pads. Example: a flat vector of 100 instead of 10 × 10.
+    """Taxel arrays do not have the shape of two pads. Example: a vector of 100 instead of 10 × 10.
 
     Args:
-        left: shape found for the pad at +x.
-        right: shape found for the pad at −x.
+        left: shape of the pad at +x.
+        right: shape of the pad at −x.
     """
 
     def __init__(self, left: tuple[int, ...], right: tuple[int, ...]) -> None:
@@ -28,11 +28,11 @@ class FrameError(TactileError, ValueError):
 
 
 class ModelError(TactileError, ValueError):
-    """A file is not a usable estimator. Example: a data set was given where a model belongs.
+    """A file is not a usable estimator. Example: a data set instead of a model.
 
     Args:
         path: the file.
-        reason: what is wrong with it.
+        reason: what is wrong.
     """
 
     def __init__(self, path: str, reason: str) -> None:
@@ -42,11 +42,11 @@ class ModelError(TactileError, ValueError):
 
 
 class UnknownModelError(TactileError, LookupError):
-    """There is no packaged model of this name. Example: a path instead of a name.
+    """No packaged model has this name. Example: a path instead of a name.
 
     Args:
-        name: what was asked for.
-        known: the names that there are.
+        name: requested name.
+        known: available names.
     """
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
@@ -62,16 +62,16 @@ class _SourcedError(TactileError, ValueError):
 
 
 class DatasetError(_SourcedError):
-    """A data set is not usable as asked. Example: an array is missing in the npz file.
+    """A data set is unusable. Example: an array is missing in the npz file.
 
     Args:
         source: file or protocol.
-        reason: what is wrong with it.
+        reason: what is wrong and what to do.
     """
 
 
 class SensorCalibrationError(_SourcedError):
-    """A calibration, or the data that it is to be made from, cannot be used. Example: a gain of 0.
+    """A calibration, or the data to make one from, is unusable. Example: a gain of 0.
 
     Args:
         source: file or key.

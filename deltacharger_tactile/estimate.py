@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of a misalignment: pose, spreads, whether they may be used, and the paper's classes from them."""
+"""Estimate of a misalignment: pose, standard deviations, whether it may be used, and the paper's classes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Limits:
     """When an estimate may be used.
 
     Attributes:
-        pad_force: N, smallest load with which a pad holds its ridge.
+        pad_force: N, smallest load of a pad that holds its ridge.
         pad_active: smallest number of taxels above the threshold on each pad.
-        pad_dead: most dead taxels of a pad.
-        angle_stddev: rad, largest standard deviation that is sure.
-        across_stddev: m, likewise. (None of the horizontal place: nothing that is safe hangs on it.)
+        pad_dead: largest number of dead taxels of a pad.
+        angle_stddev: rad, largest standard deviation of a sure estimate.
+        across_stddev: m, same. (The horizontal position has no limit: safety does not depend on it.)
     """
 
     pad_force: float = 3.0
@@ -35,13 +35,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Pose of the target in end_effector as felt; floats for one frame pair, arrays (...) for a batch.
+    """Pose of the target in end_effector, measured by touch; floats for one frame pair, arrays (...) for a batch.
 
-    NaN = unknown (no contact). Standard deviations are errors against the pose in contact on rigs that training
-    did not see.
+    NaN = unknown (no contact). Standard deviations are errors against the pose in contact, on rigs unseen in training.
 
-    In one contact a residual lean along the bars looks like a horizontal offset: 0.01° like 1 mm. `horizontal` takes
-    all of it for an offset, and `vertical` follows from `across` and `horizontal`; `across` does not depend on a lean.
+    In one contact, a residual lean along the bars looks like a horizontal offset: 0.01° like 1 mm. `horizontal` counts
+    all of it as an offset, and `vertical` follows from `across` and `horizontal`. A lean does not affect `across`.
 
     Attributes:
         angle: rad about +z, from +x to +y.
@@ -50,8 +49,8 @@ class Estimate:
         vertical_stddev: m.
         horizontal: m along x.
         horizontal_stddev: m.
-        in_range: both pads hold the ridge, the frames look like those of training, and the pose lies within the limits.
-        contact: some live taxel feels 1 N or more.
+        in_range: both pads hold the ridge, frames look as in training, and the pose is within the limits.
+        contact: a live taxel reads 1 N or more.
         sure: in range and precise.
         angle_probability: (..., 6) classes of |angle| 0–5°, the last one open.
         vertical_probability: (..., 5) classes −10…10 mm, both ends open.
@@ -88,7 +87,7 @@ _POSITION_EDGES = np.concatenate([[-np.inf], 0.5 * (_MIDDLES[1:] + _MIDDLES[:-1]
 
 
 def angle_classes(angle: Array, stddev: Array) -> Array:
-    """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class takes everything above."""
+    """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class includes larger angles."""
     upper, lower = np.split(_normal((_ANGLE_EDGES - angle[:, None]) / stddev[:, None]), 2, axis=1)
     below = upper - lower
     return np.concatenate([below[:, :1], below[:, 1:] - below[:, :-1]], axis=1)
@@ -105,6 +104,6 @@ def _normal(value: Array) -> Array:
 
 
 def shaped(column: NDArray[Any], shape: tuple[int, ...]) -> Any:
-    """Return (N, …) values in the shape of what was asked about, a single one as a plain number."""
+    """Return (N, …) values in the input's shape; a single one as a plain number."""
     result = column.reshape((*shape, *column.shape[1:]))
     return result if result.ndim else result.item()

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From two tactile frames to the pose of the target in end_effector, with honest standard deviations.
+"""Estimates the pose of the target in end_effector from two tactile frames, with reliable standard deviations.
 
-The networks tell a seat (N, 3): the offset along the bars (m) that would load the pads so if nothing leaned, the offset
-across the bars (m), and the angle (rad). A lean falsifies the first; it does not touch the second. (Models for ridges
+The networks estimate a seat (N, 3): offset along the bars (m), offset across the bars (m), angle (rad). The first is
+the offset that would give the same loads without a lean. A lean falsifies it, but not the second. (Models for ridges
 with holes are trained on the true offset along the bars.)
 
-Features go through small networks, once for each mirror image of the frames, so that the estimate obeys the
-device's symmetry exactly. Two experts: one for contacts that both pads feel, one for contacts that only one pad
-feels (it may guide a correction but is never in range). Runs on numpy alone.
+Each network runs once per mirror image of the frames, so that the estimate obeys the device's symmetry exactly. One
+expert covers contacts on both pads, another contacts on one pad only. The latter may guide a correction but is never in
+range. Estimation needs only numpy.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from deltacharger_tactile.support import Support
 
 FORMAT = 3
 THRESHOLD = 0.25
-"""Readings below it are noise, N: five times the offset that a contact leaves after a tare."""
+"""Lower readings are noise, N: five times the offset that a contact leaves after a tare."""
 NOMINAL = 0.95
-"""Share of the errors that `PoseEstimator.interval` standard deviations hold on rigs that training did not see."""
+"""Share of errors within `PoseEstimator.interval` standard deviations, on rigs unseen in training."""
 _EXPERTS = ("both", "one")
 _FORCES = [features.names().index(f"{side}_force_N") for side in ("left", "right")]
-_FEWEST = 512  # dockings that an expert is fitted to; a batch of the networks
+_FEWEST = 512  # dockings to fit an expert: one batch of the networks
 _FEWEST_HELD_OUT = 50
 _SEAT_LIMIT = np.array([0.035, POSITION_LIMIT, ANGLE_LIMIT])
-"""Of a seat in range, m, m, rad. Lean and offset together reach 35 mm before a pad is empty."""
+"""Limits of a seat in range, m, m, rad. Lean and offset together reach 35 mm before a pad is unloaded."""
 
 
 class PoseEstimator:
     """Estimates (horizontal, vertical, angle) from tared, unthresholded frames.
 
     Args:
-        name: name and version that messages carry.
+        name: name and version in messages.
         threshold: readings below it count as 0, N.
         hidden: widths of the hidden layers of each network.
         members: networks per expert.
@@ -56,8 +56,8 @@ class PoseEstimator:
 
     Attributes:
         limits: when an estimate may be used.
-        interval: (3,) standard deviations of (horizontal, vertical, angle) that hold the nominal share of the errors,
-            split-conformal on rigs that training did not see; inf before `fit`.
+        interval: (3,) standard deviations of (horizontal, vertical, angle) that contain the nominal share of errors,
+            split-conformal on rigs unseen in training; inf before `fit`.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class PoseEstimator:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the model was made from (parameters' digest, seeds)."""
+        """Origin of the model (parameters' digest, seeds)."""
         return dict(self._about)
 
     def fit(
@@ -92,31 +92,31 @@ class PoseEstimator:
         seed: int = 0,
         progress: Callable[[float, str], None] = lambda share, text: None,
     ) -> PoseEstimator:
-        """Learn from dockings, then scale the standard deviations on rigs that are not among them.
+        """Learn from dockings, then scale the standard deviations on other rigs.
 
         Args:
             frames: (N, 2, 10, 10) N, tared, averaged, not thresholded; NaN where dead.
             pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact.
             held_out: frames and poses of other rigs.
             seed: initial weights.
-            progress: told the share that is done and what is being done.
+            progress: called with the share done and the current step.
 
         Raises:
-            ModelError: too few dockings that both pads feel, or that one of them feels, here or held out.
+            ModelError: too few dockings with contact on both pads or on one, in the training or held-out data.
         """
         random = np.random.default_rng([0xF17, seed])
         inputs, holds, touched = self._prepare(np.asarray(frames, dtype=float))
         seats = to_seat(np.asarray(pose, dtype=float))
         for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, touched & ~holds), strict=True)):
-            self._demand(int(np.sum(rows)), _FEWEST, f"dockings felt by {name} pads")
-            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings felt by {name} pads")
+            self._require(int(np.sum(rows)), _FEWEST, f"dockings in contact with {name} pad(s)")
+            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings in contact with {name} pad(s)")
             self._experts[name] = Expert.learn(
                 inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
             )
-        progress(2.0 / 3.0, f"{self.name}: what frames look like")
+        progress(2.0 / 3.0, f"{self.name}: typical frames")
         usual = inputs[:, holds & _within(seats)]
-        felt = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
-        self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), felt, self.epochs, random)
+        seen = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
+        self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), seen, self.epochs, random)
         self._calibrate(np.asarray(held_out[0], dtype=float), to_seat(np.asarray(held_out[1], dtype=float)))
         progress(1.0, f"{self.name}: done")
         return self
@@ -125,16 +125,15 @@ class PoseEstimator:
         """Estimate the pose.
 
         Args:
-            left: (..., 10, 10) N, the pad at +x, tared, not thresholded, averaged over frames by the caller;
-                NaN = dead.
-            right: the same for the pad at −x.
+            left: (..., 10, 10) N, the pad at +x, tared, not thresholded, averaged over frames; NaN = dead.
+            right: (..., 10, 10) N, the pad at −x.
 
         Raises:
-            FrameError: the arrays are not of that shape.
+            FrameError: wrong shape.
         """
         frames = features.stack(left, right)
         shape = np.asarray(left).shape[:-2]
-        inputs, holds, contact, mean, spread = self._feel(frames)
+        inputs, holds, contact, mean, spread = self._estimate(frames)
         limits = self.limits
         in_range = contact & holds & _within(mean)
         if in_range.any():
@@ -151,18 +150,18 @@ class PoseEstimator:
         return Estimate(*(shaped(column, shape) for column in columns))
 
     def pose(self, frames: Array) -> tuple[Array, Array]:
-        """Return features (N, F), as `features.extract` makes them at `threshold`, and the estimated pose alone.
+        """Return features (N, F) of `features.extract` at `threshold`, and the estimated pose.
 
         Args:
-            frames: (N, 2, 10, 10) N as in `predict`, both pads.
+            frames: (N, 2, 10, 10) N, both pads as in `predict`.
 
         Returns:
-            features, and (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
+            features, and (N, 3) m, m, rad, NaN without contact; half the work of `predict`.
         """
-        inputs, _, _, mean, _ = self._feel(frames)
+        inputs, _, _, mean, _ = self._estimate(frames)
         return inputs[0, :, :-PADS], to_pose(mean)  # without the counts of filled taxels
 
-    def _feel(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
+    def _estimate(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
         """Return inputs of the mirror images, whether both pads hold the ridge, contact, seat and its spread (N, 3)."""
         inputs, holds, touched = self._prepare(frames)
         contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
@@ -177,7 +176,7 @@ class PoseEstimator:
         return self._learnt.distance(self._prepare(features.stack(left, right))[0][0])
 
     def drifted(self, left: ArrayLike, right: ArrayLike) -> Mask:
-        """Return which frames (N,) look like none of training though both pads hold the ridge."""
+        """Return which frames (N,) look unlike training though both pads hold the ridge."""
         inputs, holds, _ = self._prepare(features.stack(left, right))
         strange = np.zeros(len(holds), dtype=bool)
         if holds.any():
@@ -188,14 +187,14 @@ class PoseEstimator:
     @property
     def _learnt(self) -> Support:
         if self._support is None:
-            raise ModelError(self.name, "it has not been fitted")
+            raise ModelError(self.name, "it is not trained")
         return self._support
 
     def _prepare(self, frames: Array) -> tuple[Array, Mask, Mask]:
-        """Return inputs (4, N, F) of the mirror images, whether both pads hold the ridge, whether any is touched."""
+        """Return inputs (4, N, F) of the mirror images, whether both pads hold the ridge, whether one is touched."""
         dead = ~np.isfinite(frames)
         live = features.fill_dead(frames)
-        # A filled taxel inside the contact carries less information: the network is told how many there are.
+        # A filled taxel inside the contact carries less information, so the network gets their number.
         filled = (dead & (live >= self.threshold)).sum(axis=(2, 3)).astype(float)
         found = features.extract(live, self.threshold)
         counts = np.stack([filled, filled, filled[:, ::-1], filled[:, ::-1]])
@@ -205,14 +204,14 @@ class PoseEstimator:
         holding = (force >= self.limits.pad_force) & (active >= self.limits.pad_active) & usable
         return inputs, holding.all(axis=1), force.sum(axis=1) > 0.0
 
-    def _demand(self, found: int, needed: int, what: str) -> None:
+    def _require(self, found: int, needed: int, what: str) -> None:
         if found < needed:
             raise ModelError(self.name, f"{found} {what}, at least {needed} are needed")
 
     def _calibrate(self, frames: Array, seat: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
         for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
-            self._demand(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings felt by {name} pads")
+            self._require(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings in contact with {name} pad(s)")
             self._experts[name] = self._experts[name].scaled(inputs[:, rows], seat[rows])
         usual = inputs[:, holds & _within(seat)]
         mean, spread = self._experts["both"].predict(usual)
@@ -222,7 +221,7 @@ class PoseEstimator:
         self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
 
     def describe(self, about: dict[str, Any]) -> None:
-        """Store what the model was made from; it is saved with the model."""
+        """Set the model's origin, saved with it."""
         self._about = dict(about)
 
     def save(self, path: str | Path) -> None:
@@ -252,10 +251,10 @@ class PoseEstimator:
 
     @staticmethod
     def load(path: str | Path) -> PoseEstimator:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            FileNotFoundError: there is no such file.
+            FileNotFoundError: no such file.
             ModelError: the file is not a model of this format.
         """
         try:
@@ -270,7 +269,7 @@ class PoseEstimator:
         try:
             model = _restore(header, arrays)
             _try(model)
-        except Exception as error:  # whatever a stranger's arrays lead to
+        except Exception as error:  # arrays of a foreign file may raise anything
             raise ModelError(str(path), "its arrays and description do not fit together") from error
         return model
 
@@ -293,7 +292,7 @@ def _restore(header: dict[str, Any], arrays: dict[str, Any]) -> PoseEstimator:
 
 
 def _try(model: PoseEstimator) -> None:
-    """Estimate what both pads feel, and what one feels: raises where arrays do not fit together."""
+    """Estimate a contact on both pads and one on a single pad; raises if the arrays do not fit together."""
     pads = np.ones((2, 2, ROWS, COLUMNS))
     pads[1, 1] = 0.0
     model.predict(*pads)
@@ -304,24 +303,24 @@ def _try(model: PoseEstimator) -> None:
 
 
 def to_seat(pose: Array) -> Array:
-    """Return poses (N, 3) m, m, rad (horizontal, vertical, angle) as seats (N, 3): along, across, angle."""
+    """Convert poses (N, 3) m, m, rad (horizontal, vertical, angle) to seats (N, 3): along, across, angle."""
     x, y, angle = pose.T
     return np.column_stack([x, y * np.cos(angle) - x * np.sin(angle), angle])
 
 
 def to_pose(seat: Array) -> Array:
-    """Return seats (N, 3) as poses (N, 3)."""
+    """Convert seats (N, 3) to poses (N, 3)."""
     x, across, angle = seat.T
     return np.column_stack([x, (across + x * np.sin(angle)) / np.cos(angle), angle])
 
 
 def _pose_stddev(seat: Array, spread: Array) -> Array:
-    """Return standard deviations (N, 3) of poses: what is not known along the bars leaks into the vertical by roll."""
+    """Return standard deviations (N, 3) of poses: with roll, the error along the bars enters the vertical."""
     angle = seat[:, 2]
     vertical = np.hypot(spread[:, 1], spread[:, 0] * np.sin(angle)) / np.cos(angle)
     return np.column_stack([spread[:, 0], vertical, spread[:, 2]])
 
 
 def _within(seat: Array) -> Mask:
-    """Whether seats (N, 3) lie within the range that estimates may be used in; NaN does not."""
+    """Whether seats (N, 3) are within the usable range; False for NaN."""
     return np.asarray(np.all(np.abs(seat) <= _SEAT_LIMIT, axis=1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks for one kind of contact: from the features of four mirror images to a pose and its standard deviations."""
+"""Networks for one kind of contact: features of four mirror images to pose and standard deviations."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from deltacharger_tactile.network import Network, Weights, fit
 
 _SCALE = np.array([0.005, 0.005, math.radians(6.0)])
 _FLOOR = np.array([1e-4, 5e-5, math.radians(0.03)])
-"""Smallest standard deviations ever reported."""
+"""Smallest reported standard deviations."""
 _SMALLEST_FACTOR = 0.85
-"""Held-out rigs may shrink the networks' own standard deviations no further than this."""
+"""Held-out rigs may not shrink the networks' standard deviations further."""
 _CLIP = 6.0
 
 
 @dataclass(frozen=True)
 class Expert:
-    """Some networks whose mean counts.
+    """Ensemble of networks; their mean is the estimate.
 
     Attributes:
         centre: (F,) mean of the features.
         spread: (F,) their standard deviation.
-        networks: each of them tells a pose and how sure it is.
-        factor: (3,) by which their standard deviations are too small, seen on held-out rigs.
+        networks: each estimates a pose and standard deviations.
+        factor: (3,) correction of the standard deviations, from held-out rigs.
     """
 
     centre: Weights
@@ -47,7 +47,7 @@ class Expert:
 
         Args:
             inputs: features of the mirror images.
-            pose: (horizontal, vertical, angle) of the image as it is.
+            pose: (horizontal, vertical, angle) of the unmirrored image.
             hidden: widths of the hidden layers.
             members: networks.
             epochs: passes over the data.
@@ -64,24 +64,24 @@ class Expert:
         """Return mean and standard deviation (N, 3) in m, m, rad of mirrored inputs (4, N, F)."""
         flat = inputs.reshape(-1, inputs.shape[-1]).astype(np.float32)
         scaled = ((flat - self.centre) / self.spread).clip(-_CLIP, _CLIP)
-        told = [network.predict(scaled) for network in self.networks]
-        shape = (len(told), *inputs.shape[:2], -1)
-        means, spreads = (np.concatenate(each).reshape(shape) for each in zip(*told, strict=True))
+        outputs = [network.predict(scaled) for network in self.networks]
+        shape = (len(outputs), *inputs.shape[:2], -1)
+        means, spreads = (np.concatenate(each).reshape(shape) for each in zip(*outputs, strict=True))
         every = (means * features.MIRROR_SIGNS[:, None]).reshape(-1, *means.shape[2:])
         mean = every.mean(axis=0)
         variance = (spreads**2).reshape(every.shape).mean(axis=0) + ((every - mean) ** 2).mean(axis=0)
         return mean * _SCALE, np.maximum(np.sqrt(variance) * _SCALE * self.factor, _FLOOR)
 
     def scaled(self, inputs: Array, pose: Array) -> Expert:
-        """Return the same with standard deviations that hold on these rows, which `learn` did not see."""
+        """Return an expert whose standard deviations hold on these rows, which `learn` did not see."""
         mean, spread = self.predict(inputs)
         ratio = np.abs(mean - pose) / spread
-        # Three standard deviations must cover 99.73 %, tails included, not only the bulk one.
+        # Three standard deviations must cover 99.73 %, including tails, and one the bulk.
         factor = np.maximum(np.sqrt(np.mean(ratio**2, axis=0)), np.quantile(ratio, 0.9973, axis=0) / 3.0)
         return replace(self, factor=np.maximum(factor, _SMALLEST_FACTOR))
 
     def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """Return everything under names that `restore` knows."""
+        """Return all arrays by the names that `restore` expects."""
         found: dict[str, NDArray[Any]] = {f"{prefix}_{part}": getattr(self, part) for part in _PARTS}
         for member, network in enumerate(self.networks):
             found |= network.arrays(f"{prefix}_{member}")
@@ -89,7 +89,7 @@ class Expert:
 
     @staticmethod
     def restore(prefix: str, arrays: Mapping[str, Any], members: int) -> Expert:
-        """Return what `arrays` of the same prefix was made from."""
+        """Restore from the output of `arrays` with this prefix."""
         centre, spread, factor = (arrays[f"{prefix}_{part}"] for part in _PARTS)
         networks = tuple(Network.restore(f"{prefix}_{member}", arrays) for member in range(members))
         return Expert(centre, spread, networks, factor)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical features of two tactile frames: loads, centres, moments, slopes and profiles, in N and mm.
 
-Frames are never divided by their own force: how much each pad carries is the horizontal signal.
+Frames are not normalised by force: the load of each pad is the signal of the horizontal offset.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _BASELINE = 2e3 * PadContactParameters().pad_distance
 # Taxel centres in mm: row 0 at +y, column 0 at +x.
 _V = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))
 _U = _PITCH * (0.5 * (COLUMNS - 1) - np.arange(COLUMNS))
-# Neighbours of a taxel in frames with a margin of one: down, right, and how much they count.
+# Neighbours of a taxel in frames with a margin of one: rows down, columns right, weight.
 _DOWN, _RIGHT, _WEIGHT = np.array([[1, 1, 0, 2], [0, 2, 1, 1], [3, 3, 1, 1]])[:, :, None]
 _SMALL = 1e-3
-"""Added to loads (N) before dividing, so that an untouched pad gives zeros instead of NaN."""
+"""Added to loads (N) before dividing, so that an untouched pad gives 0 instead of NaN."""
 
 MIRROR_SIGNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 """Signs of (horizontal, vertical, angle) in each image of `mirrored`."""
@@ -35,7 +35,7 @@ def stack(left: ArrayLike, right: ArrayLike) -> Array:
     """Return both pads as (N, 2, 10, 10) float.
 
     Raises:
-        FrameError: a pad is not (..., 10, 10) or the two differ in shape.
+        FrameError: a pad is not (..., 10, 10), or the shapes differ.
     """
     a, b = np.asarray(left, dtype=float), np.asarray(right, dtype=float)
     if a.shape != b.shape or a.shape[-2:] != (ROWS, COLUMNS):
@@ -44,7 +44,7 @@ def stack(left: ArrayLike, right: ArrayLike) -> Array:
 
 
 def fill_dead(frames: Array) -> Array:
-    """Replace NaN by the mean of the live neighbours; those along the row, as the ridge, count threefold.
+    """Replace NaN by the mean of the live neighbours; those along the row, like the ridge, have threefold weight.
 
     A taxel without a live neighbour becomes 0.
     """
@@ -52,7 +52,7 @@ def fill_dead(frames: Array) -> Array:
     if not dead.any():
         return frames
     frame, pad, row, column = np.nonzero(dead)
-    around = np.full((*frames.shape[:2], ROWS + 2, COLUMNS + 2), np.nan)  # a margin, so that each has four neighbours
+    around = np.full((*frames.shape[:2], ROWS + 2, COLUMNS + 2), np.nan)  # with a margin: each has four neighbours
     around[:, :, 1:-1, 1:-1] = np.where(dead, np.nan, frames)
     neighbours = around[frame, pad, row + _DOWN, column + _RIGHT]
     live = np.isfinite(neighbours)
@@ -67,7 +67,7 @@ class PadFeatures:
     """Features of N frame pairs.
 
     Attributes:
-        values: (N, F) what the estimator sees.
+        values: (N, F) inputs of the estimator.
         force: (N, 2) N, load of each pad (+x first).
         active: (N, 2) taxels above the threshold.
     """
@@ -78,7 +78,7 @@ class PadFeatures:
 
 
 def names() -> list[str]:
-    """Name every column of `PadFeatures.values`, unit last."""
+    """Return the name of every column of `PadFeatures.values`, ending in its unit."""
     per_pad = [
         "force_N",
         "u_mm",
@@ -98,10 +98,10 @@ def names() -> list[str]:
 
 
 def mirrored(values: Array) -> Array:
-    """Return the features (4, N, F) of the four mirror images of frames: as is, y mirrored, x mirrored, both.
+    """Return the features (4, N, F) of four mirror images: unchanged, y mirrored, x mirrored, both.
 
-    Mirroring x swaps the pads. The pose follows with MIRROR_SIGNS: a device and its mirror image are equally likely.
-    An image's features are those of the frame in another order and with other signs.
+    Mirroring x swaps the pads. MIRROR_SIGNS mirrors the pose: a device and its mirror image are equally likely.
+    An image has the features of the frame, reordered and with other signs.
     """
     return values[:, _COLUMNS].swapaxes(0, 1) * _SIGNS
 
@@ -111,24 +111,24 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
 
     Args:
         frames: (N, 2, 10, 10) N, without NaN (see `fill_dead`).
-        threshold: N; readings below it are noise and count as 0.
+        threshold: N; lower readings are noise and count as 0.
     """
-    felt = np.where(frames >= threshold, frames, 0.0)
-    count = len(felt)
-    rows, columns = felt.sum(axis=3), felt.sum(axis=2)
+    seen = np.where(frames >= threshold, frames, 0.0)
+    count = len(seen)
+    rows, columns = seen.sum(axis=3), seen.sum(axis=2)
     force = rows.sum(axis=2)
     safe = force + _SMALL
     u, v = columns @ _U / safe, rows @ _V / safe
     du, dv = _U - u[..., None], _V - v[..., None]
     uu = np.sum(columns * du * du, axis=2) / safe
     vv = np.sum(rows * dv * dv, axis=2) / safe
-    centre = np.einsum("npij,i->npj", felt, _V)
+    centre = np.einsum("npij,i->npj", seen, _V)
     uv = np.sum(centre * du, axis=2) / safe
     per_column = centre / (columns + _SMALL)
     slope = uv / (uu + 0.5)
-    active = np.count_nonzero(felt, axis=(2, 3)).astype(float)
+    active = np.count_nonzero(seen, axis=(2, 3)).astype(float)
     principal = 0.5 * np.arctan2(2.0 * uv, uu - vv + 1e-9)
-    peak = felt.max(axis=(2, 3))
+    peak = seen.max(axis=(2, 3))
     values = np.empty((count, len(_NAMES)))
     pads = values[:, : PADS * _PER_PAD].reshape(count, PADS, _PER_PAD)  # a view
     for index, feature in enumerate((force, u, v, uu, uv, vv, slope, principal, active, peak)):
@@ -144,7 +144,7 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
     return PadFeatures(values, force, active)
 
 
-_ODD = {  # features whose sign changes where y, and where x is mirrored
+_ODD = {  # features whose sign changes if y is mirrored, and if x is
     "u_mm": (False, True),
     "v_mm": (True, False),
     "uv_mm2": (True, True),
@@ -158,7 +158,7 @@ _ODD = {  # features whose sign changes where y, and where x is mirrored
 
 
 def _image_of(name: str, over_y: bool, over_x: bool) -> tuple[str, float]:
-    """Return which feature of the frame stands in an image's place of `name`, and its sign."""
+    """Return the frame's feature that corresponds to `name` in an image, and its sign."""
     side, _, what = name.partition("_")
     pads = {"left": "right", "right": "left"}
     if side not in pads:
@@ -172,7 +172,7 @@ def _image_of(name: str, over_y: bool, over_x: bool) -> tuple[str, float]:
 
 
 def _images() -> tuple[NDArray[np.int64], Array]:
-    """Return (4, F) whose feature each is of the frame, and (4, 1, F) its sign."""
+    """Return (4, F) the frame's feature for each of an image, and (4, 1, F) its sign."""
     order = {name: index for index, name in enumerate(names())}
     images = ((False, False), (True, False), (False, True), (True, True))
     sources = [[_image_of(name, *over) for name in order] for over in images]

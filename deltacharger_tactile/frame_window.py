@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest tactile frames of a node: kept, waited for and averaged. Knows no ROS."""
+"""The newest tactile frames of a node: stores them, waits for them, averages them. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Frame:
     """One reading of both pads.
 
     Attributes:
-        sampled: s, when, on the clock that `FrameWindow` is given.
-        stamp: the same as the message carries it.
+        sampled: s, time of sampling on the clock of `FrameWindow`.
+        stamp: the same time, as in the message.
         sequence: of the message.
         tared: whether the baseline was subtracted.
         left: (10, 10) N, the pad at +x; NaN = dead.
-        right: the same for the pad at −x.
+        right: (10, 10) N, the pad at −x.
     """
 
     sampled: float
@@ -39,14 +39,14 @@ class Frame:
 
 
 class Refused(Exception):
-    """Frames do not allow an estimate. Example: not tared; the message says what to do."""
+    """Frames do not allow an estimate. Example: untared frames; the message states what to do."""
 
 
 class FrameWindow:
-    """Frames of one device as they arrive; every method may be called from any thread.
+    """Received frames of one device; all methods are thread-safe.
 
     Args:
-        now: the clock that stamps the frames, s.
+        now: clock of the frames' stamps, s.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -58,13 +58,13 @@ class FrameWindow:
         self._closed = False
 
     def add(self, frame: Frame) -> None:
-        """Take a frame, and wake who waits for one."""
+        """Add a frame and wake waiting threads."""
         with self._arrived:
             self._frames.append((time.monotonic(), frame))
             self._arrived.notify_all()
 
     def close(self) -> None:
-        """Release all who wait."""
+        """Release waiting threads."""
         with self._arrived:
             self._closed = True
             self._arrived.notify_all()
@@ -75,16 +75,16 @@ class FrameWindow:
             return [frame for _, frame in self._frames][-count:]
 
     def fresh(self, wanted: int, timeout: float) -> list[Frame]:
-        """Wait for `wanted` frames that are sampled from now on and have not arrived yet.
+        """Wait for `wanted` frames that are sampled and received from now on.
 
-        The second matters where the clock is set back: then frames of before claim to come after now.
+        Both conditions are needed: if the clock is set back, old frames carry later stamps than now.
 
         Args:
-            wanted: frames, at most FRAMES_MAX.
-            timeout: s beyond the time that they take at 120 Hz.
+            wanted: number of frames, at most FRAMES_MAX.
+            timeout: s beyond their duration at 120 Hz.
 
         Raises:
-            Refused: they did not come in time, or the window was closed.
+            Refused: they did not arrive in time, or the window was closed.
         """
         since, asked = self._now(), time.monotonic()
         deadline = asked + timeout + wanted / FRAME_RATE
@@ -101,14 +101,14 @@ class FrameWindow:
                 self._arrived.wait(left)
 
     def average(self, frames: Sequence[Frame], max_age: float) -> tuple[Array, Array]:
-        """Return left and right (10, 10) N, the mean of frames; a taxel that was dead in one of them is dead.
+        """Return left and right (10, 10) N, the mean of frames; a taxel that is dead in one frame is dead.
 
         Args:
             frames: at least one, oldest first.
-            max_age: s that may have passed since the last of them.
+            max_age: s, largest age of the newest.
 
         Raises:
-            Refused: they are stale or not tared.
+            Refused: the frames are stale or not tared.
         """
         age = self._now() - frames[-1].sampled
         if age > max_age:
@@ -118,7 +118,7 @@ class FrameWindow:
                 f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; set both clocks"
             )
         if not all(frame.tared for frame in frames):
-            raise Refused("the tactile frames are not tared; call the service tare out of contact")
+            raise Refused("the tactile frames are not tared; call the service tare without contact")
         left, right = (np.mean([getattr(frame, side) for frame in frames], axis=0) for side in ("left", "right"))
         return left, right
 
@@ -127,6 +127,6 @@ class FrameWindow:
             return "no tactile_frame has arrived; check that tactile_node runs"
         age = self._now() - self._frames[-1][1].sampled
         return (
-            f"{fresh} of {wanted} fresh frames in time, the newest is {age:.2f} s old; "
-            "check tactile_node and that both hosts' clocks agree"
+            f"{fresh} of {wanted} fresh frames arrived in time, the newest is {age:.2f} s old; "
+            "check tactile_node and the clocks of both hosts"
         )

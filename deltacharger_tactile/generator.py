@@ -48,17 +48,17 @@ def generate_paper(
 ) -> Dataset:
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
 
-    Angle set: 0, 1, … 5° × 100 dockings; the start varies over ±20 mm in 4 mm steps, of which a tenth is taken to be
-    left (`tactile record --protocol paper` lets vision and the arm leave what they leave).
+    Angle set: 0, 1, … 5° × 100 dockings. Start positions vary over ±20 mm in 4 mm steps; a tenth of that is assumed to
+    remain. (`tactile record --protocol paper` records what vision and the arm really leave.)
     Position set: 5 × 5 offsets × 20 dockings at zero angle.
 
     Args:
-        parameters: family of rigs; None = defaults.
+        parameters: family of rigs; None = the defaults.
         rigs: seeds of the devices.
         seed: seed of the dockings.
-        frames: frames averaged in each row; the paper has 1.
-        threshold: readings below it are 0, N.
-        rows: rows of each docking, one after the other; the paper has 1.
+        frames: frames averaged per row; the paper has 1.
+        threshold: lower readings are stored as 0, N.
+        rows: consecutive rows per docking; the paper has 1.
     """
     random = np.random.default_rng([0x9A9E, seed])
     grid = np.array([(x, y) for x in POSITION_CLASSES for y in POSITION_CLASSES])
@@ -86,15 +86,15 @@ def generate_continuous(
     """Generate signed poses, uniform over ±position_limit and ±angle_limit.
 
     Args:
-        parameters: family of rigs; None = defaults.
+        parameters: family of rigs; None = the defaults.
         rigs: seeds of the devices.
         count: dockings per rig.
         seed: seed of the dockings.
-        frames: frames averaged per docking.
-        threshold: readings below it are 0, N.
+        frames: frames averaged per row.
+        threshold: lower readings are stored as 0, N.
         position_limit: largest |x| and |y|, m.
         angle_limit: largest |angle|, rad.
-        rows: rows of each docking.
+        rows: rows per docking.
     """
     random = np.random.default_rng([0xC047, seed])
     limit = np.array([position_limit, position_limit, angle_limit])
@@ -104,7 +104,7 @@ def generate_continuous(
 
 
 def contact_force(parameters: PadDockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
-    """Total contact force (N,), N: magnets, weaker with the lateral offset (N, 2) m, plus the servos' push."""
+    """Total contact force (N,), N: magnets, weaker with lateral offset (N, 2) m, plus the push of the servos."""
     squared = np.sum(offset * offset, axis=1) / parameters.magnet_width**2
     pull = parameters.magnet_force * magnets * np.maximum(parameters.magnet_floor, 1.0 / (1.0 + squared))
     return np.asarray(pull + parameters.push_per_ampere * current)
@@ -160,9 +160,9 @@ def measure(
     rows: int = 1,
     lean: Array | None = None,
 ) -> dict[str, Any]:
-    """Dock once at each commanded pose (N, 3) and record `rows` rows of it; a Dataset's columns but the protocol's.
+    """Dock once at each commanded pose (N, 3) and record `rows` rows each; returns a Dataset's columns without subset.
 
-    `lean` (N, 2), rad: tilt about x and y at which each contact rests, of the platform less the target; None = level.
+    `lean` (N, 2), rad: tilt about x and y of the resting platform, relative to the target; None = level.
     """
     count = len(pose)
     dockings = Dockings.draw(parameters, random, count)
@@ -176,7 +176,7 @@ def measure(
     tares = np.stack([_tare(parameters, rig, random) for _ in range(SESSIONS)])
     session = random.integers(0, SESSIONS, count)
     model = ContactModel(parameters.contact)
-    felt = np.empty((count, rows, *SHAPE))
+    readings = np.empty((count, rows, *SHAPE))
     for start in range(0, count, _CHUNK):
         part = slice(start, start + _CHUNK)
         chosen = Dockings(*(getattr(dockings, item.name)[part] for item in dataclasses.fields(Dockings)))
@@ -190,8 +190,8 @@ def measure(
             for frame in range(row * frames, (row + 1) * frames):
                 raw = sensor.read(taxels, chosen, dwell[part] + frame / FRAME_RATE, 1.0 / FRAME_RATE)
                 total += np.maximum(raw - tares[session[part]], 0.0)
-            felt[part, row] = total / frames
-    raw_rows = felt.reshape(-1, *SHAPE)
+            readings[part, row] = total / frames
+    raw_rows = readings.reshape(-1, *SHAPE)
     dead = np.isnan(raw_rows)
     cut = np.where(dead | (raw_rows < threshold), 0.0, raw_rows).astype(np.float32)
     by_docking: dict[str, NDArray[Any]] = {

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers how far the electrodes are off, from the tactile frames that arrive.
+"""Estimates the misalignment of the electrodes from tactile frames.
 
-Topics: subscribes `tactile_frame`, read while a request waits or with `rate` > 0; publishes `misalignment` (only with
-`rate` > 0).
+Topics: subscribes `tactile_frame` while a request waits or `rate` > 0; publishes `misalignment` if `rate` > 0.
 Services: `predict_misalignment` averages frames that are sampled after the request.
-Parameters: model, calibration, classifiers, frames, rate and timeout, which may be set while the node runs; max_age.
-It drives nothing; uncommanded it only listens.
+Parameters: model, calibration, classifiers, frames, rate and timeout may be set while the node runs; max_age may not.
+The node moves nothing.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ from deltacharger_tactile.perception import Perception, PerceptionError
 
 
 def to_frame(message: TactileFrame) -> Frame:
-    """Return a message as a frame.
+    """Convert a message to a frame.
 
     Raises:
-        FrameError: it is not of two pads of 10 × 10.
+        FrameError: the message does not hold two pads of 10 × 10.
     """
     sizes = {len(message.left), len(message.right)}
     if (message.rows, message.columns) != (ROWS, COLUMNS) or sizes != {ROWS * COLUMNS}:
@@ -54,7 +53,7 @@ def to_frame(message: TactileFrame) -> Frame:
 
 
 def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misalignment:
-    """Return an estimate of one frame pair as a message.
+    """Convert an estimate of one frame pair to a message.
 
     Args:
         estimate: pose of the target in end_effector.
@@ -62,7 +61,7 @@ def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misa
         stamp: of the newest frame used.
         frame_id: full name of end_effector.
     """
-    message = unknown_misalignment(frame_id)  # pads alone tell no yaw and no pitch: they stay NaN
+    message = unknown_misalignment(frame_id)  # yaw and pitch stay NaN: the pads do not measure them
     message.header.stamp = stamp
     message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
     for axis in ("angle", "vertical", "horizontal"):
@@ -76,7 +75,7 @@ def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misa
 
 
 class MisalignmentNode(Node):
-    """Serves the pose estimator on the newest tactile frames."""
+    """Estimates the pose from the newest tactile frames."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
@@ -89,7 +88,7 @@ class MisalignmentNode(Node):
             self._perception = Perception.load(given.model, given.calibration, given.classifiers)
         except PerceptionError as error:
             raise node_support.StartupError(f"{self.get_name()}: {error}") from error
-        self._tell_doubt()
+        self._log_doubt()
         self._window = FrameWindow(self._now)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
         self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
@@ -105,7 +104,7 @@ class MisalignmentNode(Node):
         Tuning(self, given, self._take)
 
     def close(self) -> None:
-        """Release waiting requests and join the publisher."""
+        """Release waiting requests and stop the publisher."""
         self._window.close()
         self._regularly.stop()
 
@@ -113,7 +112,7 @@ class MisalignmentNode(Node):
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
     def _take(self, given: MisalignmentNodeParameters) -> str:
-        """Work with other parameters; requests under way go on with what they began with, as all do after a refusal."""
+        """Use other parameters. Pending requests keep theirs; if a file is refused, the old parameters stay."""
         before, files = self._given, (given.model, given.calibration, given.classifiers)
         if files != (before.model, before.calibration, before.classifiers):
             try:
@@ -121,13 +120,13 @@ class MisalignmentNode(Node):
             except PerceptionError as error:
                 return f"{error}; {self._perception.name} stays in use"
             self._log.info(f"estimates with {self._perception.name} from now on")
-            self._tell_doubt()
+            self._log_doubt()
         self._given = given
         if given.rate != before.rate:
             self._regularly.start(given.rate)
         return ""
 
-    def _tell_doubt(self) -> None:
+    def _log_doubt(self) -> None:
         if self._perception.doubt:
             self._log.warning(self._perception.doubt)
 
@@ -149,7 +148,7 @@ class MisalignmentNode(Node):
         response.misalignment = unknown_misalignment(self._frame_id)
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
-            response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
+            response.message = f"{wanted} frames requested, at most {kept} are kept; request fewer"
             return response
         try:
             perception = self._perception.answering(request.model)
@@ -184,7 +183,7 @@ class MisalignmentNode(Node):
                 try:
                     message = self._estimate(frames, self._perception, given.max_age)
                 except Refused:
-                    continue  # a stale or untared estimate is not published: subscribers watch its age
+                    continue  # stale or untared estimates are not published: subscribers check the age
                 self._publisher.publish(message)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small regression network that says how sure it is: numpy only, fitted by Adam on the Gaussian likelihood."""
+"""A small regression network that estimates its own uncertainty: numpy only, Gaussian likelihood, Adam."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Weights = NDArray[np.float32]
 
 _LOG_SPREAD = (-6.0, 3.0)
-"""Bounds of the logarithm of a predicted standard deviation (targets are scaled to about 1)."""
+"""Bounds of the log of a predicted standard deviation (targets are scaled to about 1)."""
 _BATCH = 512
 _WARM_UP = 300
 _RATE = 3e-3
@@ -24,7 +24,7 @@ _DECAY = 1e-5
 
 @dataclass(frozen=True)
 class Network:
-    """Fully connected layers with ReLU; the last gives K means and K logarithms of standard deviations.
+    """Fully connected layers with ReLU; the last returns K means and K logarithms of standard deviations.
 
     Attributes:
         weights: (inputs, outputs) of each layer, float32.
@@ -51,13 +51,13 @@ class Network:
         return layers
 
     def arrays(self, prefix: str) -> dict[str, Weights]:
-        """Return weights and biases under names that `restore` knows."""
+        """Return weights and biases by the names that `restore` expects."""
         named = {f"{prefix}_weight{layer}": weight for layer, weight in enumerate(self.weights)}
         return named | {f"{prefix}_bias{layer}": bias for layer, bias in enumerate(self.biases)}
 
     @staticmethod
     def restore(prefix: str, arrays: Mapping[str, Any]) -> Network:
-        """Return what `arrays` of the same prefix was made from."""
+        """Restore from the output of `arrays` with this prefix."""
         count = sum(name.startswith(f"{prefix}_weight") for name in arrays)
         weights = tuple(arrays[f"{prefix}_weight{layer}"] for layer in range(count))
         return Network(weights, tuple(arrays[f"{prefix}_bias{layer}"] for layer in range(count)))
@@ -66,8 +66,8 @@ class Network:
 def fit(inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, random: np.random.Generator) -> Network:
     """Fit by Adam with a cosine schedule.
 
-    The likelihood's gradient is weighted by the predicted standard deviation (Seitzer et al. 2022, beta = 0.5),
-    without which the mean of hard cases is never learnt.
+    The predicted standard deviation weights the likelihood's gradient (Seitzer et al. 2022, beta = 0.5). Without it,
+    the mean of hard cases is never learnt.
 
     Args:
         inputs: (N, F) scaled features.

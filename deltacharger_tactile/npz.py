@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading npz files that somebody else may have written: no pickle, no surprise in size, one kind of error."""
+"""Reads npz files of unknown origin: no pickle, bounded size, one kind of error."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from deltacharger_core.array_file import read_array
 from deltacharger_core.bounded_file import FileRefused, open_file, parse_json, size_text
 
 LARGEST_MODEL = 256 * 2**20
-"""Bytes that the arrays of a model may take."""
+"""Largest size of a model's arrays, bytes."""
 LARGEST_DATASET = 8 * 2**30
-"""Bytes that the arrays of a data set may take."""
+"""Largest size of a data set's arrays, bytes."""
 _SMALL, _DENSEST = 64 * 2**20, 100
-"""Bytes that any file may unpack to, and how many more for each of its own; recorded frames pack to a 15th."""
-_LONGEST_READ = 2**18  # bytes; the list of a zip file's members is read at once
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what numpy writes; others unpack without bounds
+"""Bytes that any file may unpack to, plus this many per packed byte; recorded frames pack to a 15th."""
+_LONGEST_READ = 2**18  # bytes; zipfile reads the list of members at once
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # used by numpy; others unpack without bounds
 _ENDING = ".npy"
 
 
 class NpzError(ValueError):
-    """A file is no npz file of arrays and a description. Example: a zip bomb; the message is a reason, without path."""
+    """A file is not an npz file of arrays and a description. Example: a zip bomb; the message has no path."""
 
 
 def read(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the description that stands as JSON in the array `header`, and every other array.
+    """Return the JSON description in the array `header`, and all other arrays.
 
     Args:
         path: of the file.
         header: name of the 0-d string array.
-        largest: bytes that all arrays together may take.
+        largest: most bytes of all arrays together.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        NpzError: it is something else, damaged, too large, or holds Python objects.
+        FileNotFoundError: no such file.
+        NpzError: another format, damaged, too large, or contains Python objects.
     """
     try:
         with open_file(path, largest) as file, zipfile.ZipFile(_Bounded(file)) as archive:
@@ -52,19 +52,19 @@ def read(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any], d
         raise NpzError(str(error.strerror)) from error
     except NpzError:
         raise
-    except Exception as error:  # zipfile and numpy raise of damaged files whatever they stumble over
-        raise NpzError(f"it is no npz file, or damaged ({type(error).__name__})") from error
+    except Exception as error:  # zipfile and numpy may raise anything on damaged files
+        raise NpzError(f"it is not an npz file, or damaged ({type(error).__name__})") from error
     if not isinstance(described, dict):
         raise NpzError(f"its {header} is no JSON object")
     return described, arrays
 
 
 def holds(path: str | Path, name: str) -> bool:
-    """Whether a file is an npz file with an array of this name; False where it is anything else or missing."""
+    """Whether a file is an npz file with this array; False also if it is missing or unreadable."""
     try:
         with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(_Bounded(file)) as archive:
             return name + _ENDING in archive.namelist()
-    except Exception:  # as in `read`, which tells what is wrong
+    except Exception:  # as in `read`, which reports the error
         return False
 
 
@@ -77,14 +77,14 @@ def _arrays(archive: zipfile.ZipFile, largest: int) -> dict[str, NDArray[Any]]:
     for member in members:
         name = member.filename.removesuffix(_ENDING)
         if name in arrays or name == member.filename or member.compress_type not in _METHODS:
-            raise NpzError(f"its member {member.filename[:80]!r} is there twice or no array as numpy writes it")
+            raise NpzError(f"its member {member.filename[:80]!r} is a duplicate or not a numpy array")
         with archive.open(member) as stream:
-            arrays[name] = read_array(stream, member.file_size)  # to its end, where the checksum is compared
+            arrays[name] = read_array(stream, member.file_size)  # to the end, where the checksum is verified
     return arrays
 
 
 class _Bounded:
-    """A file of which no more is read at once than an honest list of members takes."""
+    """A file with bounded reads, which limits the size of the list of members."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file

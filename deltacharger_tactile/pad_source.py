@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tactile arrays of a simulated charger are to a world, whichever contact physics presses them."""
+"""Interface of simulated tactile arrays to a world, for any contact physics."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Turn = tuple[float, float]  # rad about x and about y
 
 
 class Lean(NamedTuple):
-    """How a platform leans against its target: right-handed turns about x and y of end_effector, platform less target.
+    """Lean of the platform relative to its target: right-handed turns about x and y of end_effector.
 
     Attributes:
-        residual: rad, with all moments in balance: what presses on the taxels.
-        free: rad, the same without any moment.
+        residual: rad, with all moments in balance; affects the taxels.
+        free: rad, without any moment.
     """
 
     residual: Turn = (0.0, 0.0)
@@ -27,16 +27,16 @@ class Lean(NamedTuple):
 
 
 def approach(turn: Turn) -> Array:
-    """Return a turn of a lean as contact models have it (2,), rad: about x brings +y closer, about y brings +x closer.
+    """Convert a turn of a lean to the signs of contact models (2,), rad: about x brings +y closer, about y +x.
 
-    A right-handed turn about y takes +x away.
+    A right-handed turn about y moves +x away.
     """
     about_x, about_y = turn
     return np.array([about_x, -about_y])
 
 
 class DrawnContact(Protocol):
-    """What is drawn anew for each contact."""
+    """Random values of one contact."""
 
     @property
     def jitter(self) -> Array:
@@ -47,24 +47,23 @@ T = TypeVar("T", bound=DrawnContact)
 
 
 class PadSource(ABC, Generic[T]):
-    """Both pads of one rig, as a world that knows pose and force sees them.
+    """Both pads of one rig, for a world that knows pose and force.
 
-    One docking is one contact: `begin_docking` at its first touch, then `sample` with the relative pose (to which
-    the world has added the returned jitter) until `sample` is called with None. Not safe for threads: the world's
-    lock guards it.
+    One docking is one contact: `begin_docking` at its first touch, then `sample` with the relative pose plus the
+    returned jitter, until `sample` with None ends it. Not thread-safe: the world's lock protects it.
 
     Args:
-        random: course of the run.
+        random: source of all random values.
     """
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random = random
         self._contact: T | None = None
         self._last: float | None = None  # s, time of the last frame
-        self._pressed: tuple[tuple[Pose, float, Lean | None], Array] | None = None  # by what, and what the taxels bear
+        self._pressed: tuple[tuple[Pose, float, Lean | None], Array] | None = None  # arguments and forces on taxels
 
     def begin_docking(self) -> Pose:
-        """Start a new contact and draw what differs from one to the next.
+        """Start a new contact with new random values.
 
         Returns:
             Displacement (x m, y m, angle rad) to add to the relative pose until contact ends.
@@ -75,7 +74,7 @@ class PadSource(ABC, Generic[T]):
         return float(x), float(y), float(angle)
 
     def sample(self, time: float, pose: Pose | None, force: float, lean: Lean | None = None) -> tuple[Array, Array]:
-        """Read both pads once; arguments as those of `frames`.
+        """Read both pads once; arguments as in `frames`.
 
         Returns:
             left, right: (10, 10) N raw (before tare; NaN = dead); row 0 at +y, column 0 at +x.
@@ -87,15 +86,15 @@ class PadSource(ABC, Generic[T]):
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
     ) -> Array:
-        """Return `count` frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose.
+        """Return `count` frames (count, 2, 10, 10) N raw at one pose, `period` (s) apart, the last at `time`.
 
         Args:
-            time: of the last frame, s, rising.
-            pose: (x m, y m, angle rad) of the target in end_effector, jitter included; None = no contact.
-            force: total contact force, N; where the physics has electrode bars, they bear a part of it.
-            count: frames.
-            period: between them, s.
-            lean: of the platform against the target; None = they lie flat.
+            time: of the last frame, s, increasing.
+            pose: (x m, y m, angle rad) of the target in end_effector, including jitter; None = no contact.
+            force: total contact force, N; electrode bars carry part of it, if the physics has them.
+            count: number of frames.
+            period: s between frames.
+            lean: of the platform against the target; None = flat.
         """
 
     @abstractmethod
@@ -110,7 +109,7 @@ class PadSource(ABC, Generic[T]):
         self._contact = self._pressed = None
 
     def _press(self, pose: Pose | None, force: float, lean: Lean | None) -> Array | None:
-        """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""
+        """Return the forces on the taxels (1, 2, 10, 10) N; None without contact."""
         if pose is None:
             self._end_contact()
             return None
@@ -118,6 +117,6 @@ class PadSource(ABC, Generic[T]):
             return None
         if self._contact is None:
             self._contact = self._draw()
-        if self._pressed is None or self._pressed[0] != (pose, force, lean):  # at rest all frames have one
+        if self._pressed is None or self._pressed[0] != (pose, force, lean):  # unchanged at rest
             self._pressed = (pose, force, lean), self._solve(self._contact, np.array([pose]), force, lean)
         return self._pressed[1]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every number of the tactile generator, and the parameters of misalignment_node.
+"""Parameters of the tactile generator and of misalignment_node.
 
-The generator's defaults describe a plausible device, not a measured one (the paper's data are not public). They are
-stored with every data set and every model that was made with them.
+The generator's defaults describe a plausible device, not a measured one: the paper's data are not public. They are
+stored with every data set and model made with them.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, number, tunable, words
 
 SHAPE = (PADS, ROWS, COLUMNS)
-"""Of both pads' readings."""
+"""Shape of both pads' readings."""
 FRAMES_MAX = 240
-"""Tactile frames that one estimate averages at most: two seconds."""
+"""Most tactile frames averaged in one estimate: two seconds."""
 _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
 class PadContactParameters(Bounded):
-    """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError where a value is out of bounds."""
+    """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError if a value is out of bounds."""
 
     pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
     pad_side: float = number(0.024, 0.01, 0.05, "m", "side of the square pad (10 × 10 taxels)")
@@ -52,7 +52,7 @@ class PadContactParameters(Bounded):
 
 @dataclass(frozen=True)
 class PadDockingParameters(Bounded):
-    """What differs between rigs and between two dockings at one commanded pose, and the total force."""
+    """Differences between rigs, between dockings at one commanded pose, and the total force."""
 
     tilt_per_x: float = number(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
     tilt_per_y: float = number(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
@@ -76,7 +76,7 @@ class PadDockingParameters(Bounded):
 
 @dataclass(frozen=True)
 class SensorParameters(Bounded):
-    """The chain from force on a taxel to the number that the board reads."""
+    """The sensor's chain from force on a taxel to reading."""
 
     hysteresis: float = number(0.04, 0.0, 0.3, "", "relative error of a whole pad, per docking")
     creep: float = number(0.03, 0.0, 0.2, "1/decade", "relative growth per decade of time in contact")
@@ -114,17 +114,17 @@ class TactileParameters:
 
 @dataclass(frozen=True)
 class MisalignmentNodeParameters(Bounded):
-    """What misalignment_node estimates with, and how old the frames may be, which alone is fixed while it runs."""
+    """Files, frames and limits of misalignment_node; only max_age is fixed while it runs."""
 
     model: str = words("", "Pose model (npz); empty = the packaged one.", live=True)
     calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.", live=True)
     classifiers: tuple[str, ...] = words(
         ("",),
-        "Whose class probabilities replace the pose model's: the name of a packaged model, or files (npz), one per "
-        "target at most; [''] = none.",
+        "Source of class probabilities instead of the pose model: the name of a packaged model, or files (npz), at "
+        "most one per target; [''] = none.",
         live=True,
     )
-    frames: int = tunable(12, 1, FRAMES_MAX, "", "Frames averaged where a request says 0.")
+    frames: int = tunable(12, 1, FRAMES_MAX, "", "Frames averaged if a request states 0.")
     rate: float = tunable(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
-    max_age: float = number(0.1, 0.01, 10.0, "s", "Oldest sampling of the newest frame that still counts")
-    timeout: float = tunable(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond the time that they take at 120 Hz")
+    max_age: float = number(0.1, 0.01, 10.0, "s", "Largest age of the newest frame")
+    timeout: float = tunable(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond their duration at 120 Hz")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turns averaged frames into an estimate on a robot: pose model, the rig's calibration, the paper's classifiers."""
+"""Estimates from averaged frames on a robot: pose model, the rig's calibration, the paper's classifiers."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.parameters import SensorParameters
 
 _LARGEST = 100.0
-"""A reading beyond it (N) is no force: eleven times what a taxel measures."""
+"""A larger reading (N) is invalid: eleven times the measuring range."""
 _SATURATED = 0.9 * SensorParameters().full_scale
-"""A taxel that reads this much (N) may be pressed harder; the tare takes a part of the scale."""
+"""A taxel that reads this much (N) may be saturated; the tare uses part of the range."""
 _SATURATED_MOST = 3
-"""Taxels of both pads that may; then their load and centres are no longer known."""
+"""Most saturated taxels of both pads; with more, load and centres are unknown."""
 
 
 class PerceptionError(TactileError, ValueError):
-    """A file cannot be used as asked. Example: a data set where a model belongs.
+    """A file cannot be used. Example: a data set instead of a model.
 
     Args:
-        parameter: what the file was given for: model, calibration or classifiers.
+        parameter: its parameter: model, calibration or classifiers.
         reason: what is wrong and what to do.
     """
 
@@ -47,13 +47,13 @@ class PerceptionError(TactileError, ValueError):
 
 @dataclass(frozen=True)
 class Perception:
-    """Immutable, so that a node swaps it between two estimates.
+    """Immutable, so a node can replace it between two estimates.
 
     Attributes:
-        model: estimates the pose.
+        model: pose model.
         calibration: of the rig; None = none.
-        classifiers: by target, replace the class probabilities that the pose model gives.
-        classes: name of the packaged model that they are; '' = none of them.
+        classifiers: by target; their class probabilities replace the pose model's.
+        classes: name of their packaged model; '' = none.
     """
 
     model: PoseEstimator
@@ -68,11 +68,11 @@ class Perception:
         Args:
             model: npz file of a pose model; empty = the packaged one.
             calibration: YAML file of `deltacharger calibrate tactile`; empty = none.
-            classifiers: the name of a packaged model, or npz files of `deltacharger tactile train`, one per target at
-                most; empty names are ignored.
+            classifiers: the name of a packaged model, or npz files of `deltacharger tactile train`, at most one per
+                target; empty names are ignored.
 
         Raises:
-            PerceptionError: a file is missing or not what belongs there; the message says what to do.
+            PerceptionError: a file is missing or of the wrong kind; the message states what to do.
         """
         pose_model = _read("model", PoseEstimator.load, model or MODEL_PATH)
         known = _read("calibration", TactileCalibration.load, calibration) if calibration else None
@@ -83,10 +83,10 @@ class Perception:
         return dataclasses.replace(found, classifiers=_by_target(named))
 
     def answering(self, name: str) -> Perception:
-        """Return the same with the class probabilities of a packaged model; with its own where the name is empty.
+        """Return a copy with the class probabilities of a packaged model; an empty name changes nothing.
 
         Raises:
-            PerceptionError: there is no such model, or its files are damaged or of another generator.
+            PerceptionError: no such model, or its files are damaged or from another generator.
         """
         if not name:
             return self
@@ -94,13 +94,13 @@ class Perception:
 
     @property
     def name(self) -> str:
-        """What messages call the model; a calibrated one names its rig, one with packaged classes their model."""
+        """Name in messages: pose model, rig of its calibration, model of its classes."""
         rig = f"+rig{self.calibration.rig}" if self.calibration else ""
         return self.model.name + rig + (f"+{self.classes}" if self.classes else "")
 
     @property
     def doubt(self) -> str:
-        """What a person should know of how the files go together; empty = nothing."""
+        """A warning that the files do not match; empty = none."""
         if self.calibration is None or self.calibration.model == self.model.name:
             return ""
         return (
@@ -109,10 +109,10 @@ class Perception:
         )
 
     def predict(self, left: ArrayLike, right: ArrayLike) -> Estimate:
-        """Estimate the pose from tared frames (10, 10) N, NaN where dead; never sure of readings that cannot be.
+        """Estimate the pose from tared frames (10, 10) N, NaN where dead; invalid readings are never sure.
 
         Raises:
-            FrameError: the arrays are not of that shape.
+            FrameError: wrong shape.
         """
         pads = [np.asarray(pad, dtype=float) for pad in (left, right)]
         pads = [np.where(np.abs(pad) <= _LARGEST, pad, np.nan) for pad in pads]
@@ -124,7 +124,7 @@ class Perception:
         if sum(np.count_nonzero(pad >= _SATURATED) for pad in pads) > _SATURATED_MOST:
             changed |= {"in_range": False, "sure": False}
         if estimate.contact:
-            frames = np.stack(pads)[None]  # as they were trained: without the rig's calibration
+            frames = np.stack(pads)[None]  # uncalibrated, as in training
             for target, classifier in self.classifiers.items():
                 shares = _shares(classifier, frames)
                 changed |= {"sure": False} if shares is None else {f"{target}_probability": shares}
@@ -136,7 +136,7 @@ def _by_target(paths: Sequence[str]) -> dict[str, Classifier]:
     for path in paths:
         found = _read("classifiers", Classifier.load, path)
         if found.target not in TARGETS:
-            raise PerceptionError("classifiers", f"{path} tells '{found.target}'; give one for {', '.join(TARGETS)}")
+            raise PerceptionError("classifiers", f"{path} is for '{found.target}'; give one for {', '.join(TARGETS)}")
         if found.target in by_target:
             raise PerceptionError("classifiers", f"{path} is the second one for {found.target}; give one per target")
         by_target[found.target] = found
@@ -144,10 +144,10 @@ def _by_target(paths: Sequence[str]) -> dict[str, Classifier]:
 
 
 def _shares(classifier: Classifier, frames: Array) -> Array | None:
-    """Return what a classifier says of one frame pair; None where a classifier of a file gives none."""
+    """Return a classifier's probabilities for one frame pair; None if the classifier fails."""
     try:
         shares = np.asarray(classifier.predict_proba(frames)[0])
-    except Exception:  # arrays that fit where loading tried them need not fit here
+    except Exception:  # a file that passed the test at loading may still fail here
         return None
     return shares if np.all(shares >= 0.0) and np.isclose(shares.sum(), 1.0) else None
 
@@ -156,6 +156,6 @@ def _read(parameter: str, load: Any, path: str | Path) -> Any:
     try:
         return load(path)
     except FileNotFoundError as error:
-        raise PerceptionError(parameter, f"there is no file {path}; give the path of one that this host has") from error
+        raise PerceptionError(parameter, f"there is no file {path}; give the path of a file on this host") from error
     except (TactileError, OSError) as error:
         raise PerceptionError(parameter, str(error)) from error

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good the pose estimator is on dockings that it has not seen."""
+"""Evaluates the pose estimator on dockings that it has not seen."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ AXES = ("horizontal", "vertical", "angle")
 
 
 def evaluate(model: PoseEstimator, data: Dataset) -> dict[str, Any]:
-    """Return under angle, vertical and horizontal what `classifiers.judgement.evaluate` returns of one target.
+    """Return results for angle, vertical and horizontal, each as in `classifiers.judgement.evaluate`.
 
-    Errors are against the pose in contact where the data know it, else as commanded (rad, m), over all rows with an
-    estimate. `accuracy` is over the rows that `labels.rows` gives, and one without an estimate is wrong; `coverage` is
-    the share of errors inside the nominal interval where the estimate is in range; `act_rate` the share of `sure` rows;
-    `drift_rate` that of rows that look like none of training.
+    Errors (rad, m) are against the pose in contact if known, else the commanded one, over all rows with an estimate.
+    `accuracy` is over the rows of `labels.rows`; a row without an estimate is wrong. `coverage` is the share of errors
+    within the nominal interval, for estimates in range. `act_rate` is the share of `sure` rows, `drift_rate` the share
+    of rows unlike training.
 
     Raises:
-        DatasetError: the data are cut at a higher force than the model sees.
+        DatasetError: the data have a higher threshold than the model.
     """
     if data.threshold > model.threshold:
         raise DatasetError(
             "pose",
-            f"the data are cut at {data.threshold:g} N and the model sees readings from {model.threshold:g} N on; "
+            f"the data are cut at {data.threshold:g} N and the model needs readings from {model.threshold:g} N on; "
             f"generate or record them with --threshold {model.threshold:g} or less",
         )
     left, right = data.robot_frames()

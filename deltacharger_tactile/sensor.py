@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the force on a taxel to what the board reads: one rig's sensor, stateful for the world, batched for data sets.
+"""From force on a taxel to the board's reading: one rig's sensor, stateful for the world, batched for data sets.
 
 Order: hysteresis, creep, gain spread, cross-talk, offsets, noise, clip, quantisation, dead taxels.
 """
@@ -20,7 +20,7 @@ from deltacharger_tactile.parameters import SHAPE, SensorParameters, TactilePara
 
 @dataclass(frozen=True)
 class Rig:
-    """What stays the same on one device and its target.
+    """Constant properties of one device and its target.
 
     Attributes:
         gain: (2, 10, 10) relative gain of each taxel.
@@ -57,12 +57,12 @@ class Rig:
 
 @dataclass(frozen=True)
 class Dockings:
-    """What is drawn anew for each of N dockings.
+    """Random values of N dockings.
 
     Attributes:
         jitter: (N, 3) displacement of the relative pose (x, y, angle), m and rad.
         tilt: (N, 2) rad, added to the rig's and to what the offset causes.
-        hysteresis: (N, 2) relative error of each pad.
+        tilt: (N, 2) rad, added to the tilts by the rig and by the offset.
         offset: (N, 2, 10, 10) N.
     """
 
@@ -84,13 +84,13 @@ class Dockings:
         )
 
     def tilts(self, parameters: TactileParameters, rig: Rig, pose: Array) -> Array:
-        """Tilt (N, 2) of each docking at its pose (N, 3): an offset contact tips the end effector."""
+        """Tilt (N, 2) of each docking at its pose (N, 3): off-centre contact tilts the end effector."""
         per = np.array([parameters.docking.tilt_per_y, parameters.docking.tilt_per_x])
         return np.asarray(rig.tilt + per * pose[:, 1::-1] + self.tilt)
 
 
 class Sensor:
-    """The electronics of one rig for N dockings at once: deterministic part, then noise with memory."""
+    """The electronics of one rig for N dockings at once: a deterministic part and noise with memory."""
 
     def __init__(self, parameters: SensorParameters, rig: Rig, random: np.random.Generator, count: int = 1) -> None:
         self._parameters = parameters
@@ -105,25 +105,25 @@ class Sensor:
         """Read both pads once.
 
         Args:
-            force: (N, 2, 10, 10) N on the taxels; None = nothing touches.
-            docking: hysteresis and offsets of the present contact; None = out of contact.
+            force: (N, 2, 10, 10) N on the taxels; None = no contact.
+            docking: hysteresis and offsets of this contact; None = no contact.
             contact_time: s since contact began, (N,) or scalar.
             step: s since the last reading.
 
         Returns:
-            (N, 2, 10, 10) N raw: pedestal, offsets and noise included; NaN where dead.
+            (N, 2, 10, 10) N raw: with pedestal, offsets and noise; NaN where dead.
         """
         signal = self._respond(force, docking, contact_time)
         return self._digitise(signal + self._noise(force, (step,))[0])
 
     def course(self, force: Array | None, docking: Dockings | None, times: Array, steps: Sequence[float]) -> Array:
-        """Read both pads of one docking T times: what T calls of `read` return, in a fraction of their time.
+        """Read both pads of one docking T times, like T calls of `read` but much faster.
 
         Args:
-            force: (1, 2, 10, 10) N on the taxels, the same all along; None = nothing touches.
-            docking: as of `read`.
+            force: (1, 2, 10, 10) N on the taxels, constant; None = no contact.
+            docking: as in `read`.
             times: (T,) s since contact began.
-            steps: T times between a reading and the one before, s.
+            steps: (T,) s since the previous reading.
 
         Returns:
             (T, 2, 10, 10) N raw.
@@ -142,11 +142,11 @@ class Sensor:
         factor = np.asarray(creep).reshape(-1, 1)
         if docking is not None:
             factor = factor * (1.0 + docking.hysteresis)
-        felt = force * factor[:, :, None, None] * self._rig.gain
-        # Sums, since the means of so few numbers take half as long again.
-        rows = np.add.reduce(felt, axis=-1, keepdims=True) / COLUMNS
-        columns = np.add.reduce(felt, axis=-2, keepdims=True) / ROWS
-        return np.asarray(felt + p.cross_talk * (rows + columns) + base)
+        signal = force * factor[:, :, None, None] * self._rig.gain
+        # Sums are faster: means of so few numbers take half as long again.
+        rows = np.add.reduce(signal, axis=-1, keepdims=True) / COLUMNS
+        columns = np.add.reduce(signal, axis=-2, keepdims=True) / ROWS
+        return np.asarray(signal + p.cross_talk * (rows + columns) + base)
 
     def _noise(self, force: Array | None, steps: Sequence[float]) -> Array:
         """Return the noise (T, N, 2, 10, 10) N of T readings."""
@@ -161,7 +161,7 @@ class Sensor:
         return np.asarray(unit * (p.noise if force is None else p.noise + p.noise_gain * np.abs(force)))
 
     def _digitise(self, signal: Array) -> Array:
-        """Return a signal (N), which is written over, in steps of the converter; NaN where a taxel is dead."""
+        """Quantise a signal (N) in place; NaN where a taxel is dead."""
         quantum = self._top / self._levels
         signal.clip(0.0, self._top, out=signal)
         signal /= quantum

@@ -17,20 +17,19 @@ from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 
 @functools.lru_cache(maxsize=8)
 def _model(parameters: PadContactParameters) -> ContactModel:
-    """Return the model of these dimensions; its matrices cost more than a docking, so that dockings share them."""
+    """Return the model of these dimensions, shared because its matrices cost more than a docking."""
     return ContactModel(parameters)
 
 
 class ContactSource(PadSource[Dockings]):
-    """Both pads of one rig by the first contact physics.
+    """Both pads of one rig in the first contact physics.
 
-    The noise of a frame remembers the last one by the time between them, so that frames which nobody reads may be left
-    out.
+    A frame's noise correlates with the last one by the time between them, so unneeded frames may be skipped.
 
     Args:
-        parameters: family of rigs; None = defaults.
-        rig_seed: which device (gains, offsets, dead taxels, ridges).
-        seed: course of the run (jitter, tilt, hysteresis, offsets, noise).
+        parameters: family of rigs; None = the defaults.
+        rig_seed: of the device (gains, offsets, dead taxels, ridges).
+        seed: of the run (jitter, tilt, hysteresis, offsets, noise).
     """
 
     def __init__(self, parameters: TactileParameters | None = None, rig_seed: int = 0, seed: int = 0) -> None:
@@ -43,15 +42,15 @@ class ContactSource(PadSource[Dockings]):
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
     ) -> Array:
-        """Return frames (count, 2, 10, 10) N raw; arguments as those of `PadSource.frames`."""
+        """Return frames (count, 2, 10, 10) N raw; arguments as in `PadSource.frames`."""
         pressed = self._press(pose, force, lean)
         times = time - period * np.arange(count - 1, -1, -1)
         if pressed is not None and self._began is None:
             self._began = float(times[0])
         first = 1.0 / FRAME_RATE if self._last is None else float(times[0]) - self._last
         self._last = time
-        felt = times - (times[0] if self._began is None else self._began)
-        return self._sensor.course(pressed, self._contact, felt, (first, *[period] * (count - 1)))
+        in_contact = times - (times[0] if self._began is None else self._began)
+        return self._sensor.course(pressed, self._contact, in_contact, (first, *[period] * (count - 1)))
 
     def _draw(self) -> Dockings:
         return Dockings.draw(self.parameters, self._random)

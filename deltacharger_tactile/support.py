@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do frames look like those of training, and like the pose that was estimated from them?
+"""Checks that frames look as in training, and match the pose estimated from them.
 
-Two checks. The Mahalanobis distance of the features finds frames far from any that training saw. The second
-predicts what both pads should show (centres, moments, active taxels) at the estimated pose and load, and compares:
-a drifted row shifts the estimate yet contradicts the rest of the picture.
+Two checks. The Mahalanobis distance of the features finds frames far from all training frames. The second predicts the
+appearance of both pads (centres, moments, active taxels) at the estimated pose and load, and compares. A drifted
+row, for example, shifts the estimate but contradicts the other features.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _POSE_SCALE = np.array([0.005, 0.005, math.radians(6.0)])
 _LOAD_SCALE = 20.0
 _HIDDEN = (48, 48)
 _RIDGE = 0.02
-"""Added to the eigenvalues of the scaled covariance, so that directions without spread do not count."""
+"""Added to the eigenvalues of the scaled covariance, to suppress directions without spread."""
 _QUANTILE, _MARGIN = 0.999, 1.1
 
 
 @dataclass(frozen=True)
 class Support:
-    """What training frames look like.
+    """Statistics of training frames.
 
     Attributes:
         centre: (F,) mean features.
@@ -40,7 +40,7 @@ class Support:
         shown_spread: (16,) their spread.
         picture: network from pose and loads to the predicted features.
         distance_limit: largest Mahalanobis distance (per root of a feature).
-        picture_limit: largest root mean square deviation from the predicted picture, in standard deviations.
+        picture_limit: largest root mean square deviation from the prediction, in standard deviations.
     """
 
     centre: Array
@@ -53,19 +53,19 @@ class Support:
 
     @staticmethod
     def learn(inputs: Array, pose: Array, epochs: int, random: np.random.Generator) -> Support:
-        """Learn from features (N, F) and the poses (N, 3) that were estimated from them."""
+        """Learn from features (N, F) and the poses (N, 3) estimated from them."""
         centre, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-2
         scaled = (inputs - centre) / spread
         values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled) + _RIDGE * np.eye(scaled.shape[1]))
         shown = inputs[:, _TARGETS]
         shown_centre, shown_spread = shown.mean(axis=0), shown.std(axis=0)
         targets = ((shown - shown_centre) / shown_spread).astype(np.float32)
-        picture = fit(_question(inputs, pose), targets, _HIDDEN, epochs, random)
+        picture = fit(_picture_inputs(inputs, pose), targets, _HIDDEN, epochs, random)
         whitening = (vectors / np.sqrt(values)) / spread[:, None]
         return Support(centre, whitening, shown_centre, shown_spread, picture)
 
     def limited(self, inputs: Array, pose: Array) -> Support:
-        """Return the same with limits that 99.9 % of these held-out rows (and a tenth beyond) keep."""
+        """Return a copy with limits of 1.1 times the 99.9 % quantile of these held-out rows."""
         return replace(
             self,
             distance_limit=_MARGIN * float(np.quantile(self.distance(inputs), _QUANTILE)),
@@ -78,8 +78,8 @@ class Support:
         return np.asarray(np.sqrt(np.mean(white * white, axis=1)))
 
     def deviation(self, inputs: Array, pose: Array) -> Array:
-        """Root mean square deviation (N,) of what the pads show from what they should show at `pose` (N, 3)."""
-        mean, spread = self.picture.predict(_question(inputs, pose))
+        """Root mean square deviation (N,) of the shown features from the prediction at `pose` (N, 3)."""
+        mean, spread = self.picture.predict(_picture_inputs(inputs, pose))
         shown = (inputs[:, _TARGETS] - self.shown_centre) / self.shown_spread
         return np.asarray(np.sqrt(np.mean(((shown - mean) / spread) ** 2, axis=1)))
 
@@ -89,6 +89,6 @@ class Support:
         return np.asarray(near & (self.deviation(inputs, pose) <= self.picture_limit))
 
 
-def _question(inputs: Array, pose: Array) -> Weights:
-    asked = np.concatenate([pose / _POSE_SCALE, inputs[:, _LOADS] / _LOAD_SCALE], axis=1)
-    return np.asarray(np.clip(np.nan_to_num(asked), -6.0, 6.0), dtype=np.float32)
+def _picture_inputs(inputs: Array, pose: Array) -> Weights:
+    scaled = np.concatenate([pose / _POSE_SCALE, inputs[:, _LOADS] / _LOAD_SCALE], axis=1)
+    return np.asarray(np.clip(np.nan_to_num(scaled), -6.0, 6.0), dtype=np.float32)

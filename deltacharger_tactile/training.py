@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the packaged pose models, for readings from 0.25 N on and from the paper's 1 N on (about three minutes each):
-`python -m deltacharger_tactile.training`, and the same with `--threshold 1`.
+"""Trains the packaged pose models, for thresholds of 0.25 N and the paper's 1 N (about three minutes each):
+`python -m deltacharger_tactile.training`, and again with `--threshold 1`.
 
-The rigs and seeds below belong to training alone; demos, scenes and tests must use others (any rig below 1 000 000).
+The rigs and seeds below are reserved for training; demos, scenes and tests must use rigs below 1 000 000.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ DOCKINGS_PER_RIG = 700
 _ANGLE_REACH = math.radians(28.0)
 _POSITION_REACH = 0.016
 _LEANING = 0.5  # share of the dockings
-_LEAN_REACH = np.radians([3.5, 0.35])  # about x and y, at rest: at 0.3° about y one pad is empty
-_SMALL_LEANS, _SMALL = 0.3, 0.2  # share of those that lean by no more than a share of the reach
+_LEAN_REACH = np.radians([3.5, 0.35])  # about x and y, at rest: at 0.3° about y one pad is unloaded
+_SMALL_LEANS, _SMALL = 0.3, 0.2  # share of these with a small lean; its share of the reach
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class RobotFrames:
         pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact.
         force: (N,) N, total contact force.
         rig: (N,) seed of the device.
-        lean: (N, 2) rad about x and y, of the platform less the target, at rest.
+        lean: (N, 2) rad about x and y, of the resting platform, relative to the target.
     """
 
     frames: NDArray[np.float32]
@@ -64,10 +64,10 @@ class RobotFrames:
     lean: Array
 
     def pose_by_load(self) -> Array:
-        """Return the poses (N, 3) with the horizontal offset that, without a lean, would load the pads as they are.
+        """Return the poses (N, 3) with the horizontal offset that would give the same loads without a lean.
 
-        A lean counts by its tilt along the ridges, which are rolled against x. The vertical offset changes with the
-        horizontal one, so that the offset across the bars stays the true one.
+        Only the lean's tilt along the ridges counts; roll turns them against x. The vertical offset changes with the
+        horizontal one, so the offset across the bars stays true.
         """
         seat = to_seat(self.pose)
         along = self.lean[:, 1] + self.lean[:, 0] * np.tan(self.pose[:, 2])
@@ -76,10 +76,10 @@ class RobotFrames:
 
 
 def varied(rig: int) -> TactileParameters:
-    """Parameters of one training rig: the defaults, with what differs between real chargers drawn anew.
+    """Parameters of one training rig: the defaults, with random differences between real chargers.
 
-    Forces, tilts, dead taxels and the elastomer's stiffness vary more than between two rigs of the defaults, so
-    that the model does not lean on them.
+    Forces, tilts, dead taxels and the elastomer's stiffness vary more than between rigs of the defaults, so that the
+    model does not rely on them.
     """
     random = np.random.default_rng([0x7EA, rig])
     base = TactileParameters()
@@ -104,7 +104,7 @@ def varied(rig: int) -> TactileParameters:
 
 
 def draw_poses(count: int, random: np.random.Generator) -> Array:
-    """(count, 3) commanded poses: half over the whole reach and beyond the range, half where dockings mostly happen."""
+    """(count, 3) commanded poses: half over the full reach beyond the range, half at usual poses of dockings."""
     reach = np.array([_POSITION_REACH, _POSITION_REACH, _ANGLE_REACH])
     wide = random.uniform(-reach, reach, (count, 3))
     near = np.column_stack(
@@ -117,7 +117,7 @@ def draw_poses(count: int, random: np.random.Generator) -> Array:
 
 
 def draw_leans(count: int, random: np.random.Generator) -> Array:
-    """(count, 2) leans about x and y at rest, rad: half of them 0, some small, others up to where a pad is empty."""
+    """(count, 2) leans about x and y at rest, rad: half are 0, some small, others up to an unloaded pad."""
     leans = random.uniform(-_LEAN_REACH, _LEAN_REACH, (count, 2))
     leans[random.random(count) < _SMALL_LEANS] *= _SMALL
     return np.asarray(leans * (random.random((count, 1)) < _LEANING))
@@ -132,7 +132,7 @@ def record(
         rigs: seeds of the devices.
         count: dockings per rig.
         seed: seed of the dockings.
-        vary: draw each rig's family by `varied` instead of the defaults.
+        vary: draw each rig's family by `varied` instead of using the defaults.
         hole: diameter of the hole in each of the target's ridges, m.
         leaning: whether half of the targets lean.
     """
@@ -146,11 +146,11 @@ def record(
         if leaning:
             lean = draw_leans(count, np.random.default_rng([0x1EA, seed, rig_seed]))
         rows = measure(parameters, rig, draw_poses(count, random), random, averaged, 0.0, lean=lean)
-        felt = np.stack([rows["left"], rows["right"]], axis=1)
+        seen = np.stack([rows["left"], rows["right"]], axis=1)
         if vary:
-            felt = _another_sheet(felt, np.random.default_rng([0x5EE, seed, rig_seed]))
-        felt[rows["dead"]] = np.nan
-        frames.append(felt)
+            seen = _another_sheet(seen, np.random.default_rng([0x5EE, seed, rig_seed]))
+        seen[rows["dead"]] = np.nan
+        frames.append(seen)
         poses.append(rows["contact_pose"])
         forces.append(rows["force"])
         leans.append(lean)
@@ -163,16 +163,16 @@ def record(
     )
 
 
-def _another_sheet(felt: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.float32]:
-    """Return frames (N, 2, 10, 10) N as a sheet of another make would read them, so that the model relies on none.
+def _another_sheet(frames: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.float32]:
+    """Return frames (N, 2, 10, 10) N as read by a sheet of another make, so that the model relies on none.
 
-    Half of the sheets read nothing below a threshold, of up to about the paper's 1 N, that differs from taxel to taxel.
-    Taxels at the rim may read less, characteristics bend, and bars beside the pads may bear a part of the force.
+    Half of the sheets have a threshold of up to about the paper's 1 N, which varies between taxels. Taxels at the rim
+    may read less, characteristics bend, and bars beside the pads may carry part of the force.
     """
-    shape = felt.shape[1:]
+    shape = frames.shape[1:]
     rim = np.ones(shape, dtype=bool)
     rim[:, 1:-1, 1:-1] = False
-    read = felt * random.uniform(0.75, 1.05) * (1.0 - random.uniform(0.0, 0.2) * rim)
+    read = frames * random.uniform(0.75, 1.05) * (1.0 - random.uniform(0.0, 0.2) * rim)
     read *= 1.0 + random.uniform(-0.2, 0.2, (PADS, 1, 1)) * (1.0 - np.minimum(read / 9.0, 1.0))
     least = random.uniform(0.0, 1.1) * (random.random() < 0.5)
     band = least * (1.0 + 0.15 * np.clip(random.standard_normal(shape), -2.0, 2.0))
@@ -188,7 +188,7 @@ def train(
     threshold: float = THRESHOLD,
     hole: float = 0.0,
 ) -> PoseEstimator:
-    """Train an estimator and scale its standard deviations on rigs that it has not seen.
+    """Train an estimator and scale its standard deviations on rigs unseen in training.
 
     Args:
         rigs: seeds of the devices to learn from.
@@ -196,11 +196,11 @@ def train(
         count: dockings per rig.
         seed: seed of the dockings and of the initial weights.
         epochs: passes over the data.
-        threshold: readings below it count as 0, N.
+        threshold: lower readings count as 0, N.
         hole: diameter of the hole in each of the target's ridges, m.
     """
     learn, check = record(rigs, count, seed, hole=hole), record(held_out, count, seed, hole=hole)
-    # A hole shows where the ridge lies, whatever the load: then the horizontal place itself can be told.
+    # A hole shows the ridge's position at any load: then the horizontal offset itself can be estimated.
     poses = [part.pose if hole else part.pose_by_load() for part in (learn, check)]
     name = "pose-2" if threshold == THRESHOLD else f"pose-2@{threshold:g}N"
     name += f"-hole-{1e3 * hole:g}mm" if hole else ""
@@ -224,19 +224,19 @@ def fit_dataset(
     """Train an estimator on a data set of several rigs; every third rig scales the standard deviations.
 
     Args:
-        data: signed poses that reach beyond the range in which estimates shall be used, cut at 0.25 N or less.
+        data: signed poses that exceed the intended range of estimates, cut at 0.25 N or less.
         seed: of the initial weights.
-        progress: told the share that is done and what is being done.
+        progress: called with the share done and the current step.
 
     Raises:
-        DatasetError: fewer than three rigs, or readings that the model needs were cut off.
+        DatasetError: fewer than three rigs, or the threshold cut readings that the model needs.
         ModelError: too few dockings.
     """
     rigs = np.unique(data.rig)
     if len(rigs) < 3:
         raise DatasetError(
             "pose",
-            f"{len(rigs)} rigs are too few: at least 3 are needed, a third of which tells how sure the model may be; "
+            f"{len(rigs)} rigs are too few: at least 3 are needed, a third of them to scale the standard deviations; "
             "for one charger keep the packaged model and call `deltacharger calibrate tactile`",
         )
     model = PoseEstimator("pose-own")
@@ -250,7 +250,7 @@ def fit_dataset(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Train a packaged model and write it."""
+    """Train and write a packaged model."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--threshold", type=float, choices=MODEL_PATHS, default=THRESHOLD, help="N (0.25)")
     parser.add_argument("--hole-mm", type=float, default=0.0, help="hole in each ridge; needs --output (none)")

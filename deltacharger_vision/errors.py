@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the vision package can fail with; one root, each kind carries its values and says what to do."""
+"""Errors of the vision package: one root; each kind carries its values and states what to do."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ class ImageError(_SourcedError):
     """Arrays are not an RGB-D image. Example: colour 640 × 400 and depth 1280 × 720.
 
     Args:
-        source: which of them: color, depth or intrinsics.
-        reason: what is wrong with it and what to give instead.
+        source: color, depth or intrinsics.
+        reason: what is wrong and what to give instead.
     """
 
 
 class CameraInfoError(_SourcedError):
-    """Intrinsics or a calibration file cannot be used. Example: a camera that was never calibrated has fx = 0.
+    """Intrinsics or a calibration file are unusable. Example: fx = 0 of an uncalibrated camera.
 
     Args:
-        source: file, or what the values belong to.
+        source: file, or name of the values.
         reason: what is wrong and what to do.
     """
 
 
 class TerminalError(_SourcedError):
-    """A terminal's geometry cannot be used. Example: a file in millimetres, bar_length: 70.
+    """A terminal's geometry is unusable. Example: a file in millimetres, bar_length: 70.
 
     Args:
         source: file or field.
@@ -45,7 +45,7 @@ class TerminalError(_SourcedError):
 
 
 class MountError(_SourcedError):
-    """The camera's pose on the charger cannot be used. Example: a quaternion of length 0.
+    """The camera's pose on the charger is unusable. Example: a quaternion of length 0.
 
     Args:
         source: file or field.
@@ -57,22 +57,22 @@ class RenderingError(_SourcedError):
     """A scene cannot be rendered. Example: a pose that is not a rigid transform.
 
     Args:
-        source: what it is about.
+        source: affected part.
         reason: what is wrong and what to do.
     """
 
 
 class BoardError(_SourcedError):
-    """A board cannot be used as described. Example: `apriltag:36h11:900`, where the family has 587 tags.
+    """A board description is unusable. Example: `apriltag:36h11:900`; the family has 587 tags.
 
     Args:
-        source: what of it.
+        source: affected part.
         reason: what is wrong and what to do.
     """
 
 
 class RendererError(VisionError, RuntimeError):
-    """A renderer cannot be used on this machine. Example: MuJoCo without EGL.
+    """A renderer does not work on this machine. Example: MuJoCo without EGL.
 
     Args:
         reason: what is missing and what to install.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RGB-D images from files, one or a folder of them, and pictures to files. Needs OpenCV, `deltacharger[vision]`."""
+"""Reads RGB-D images from files or a folder, and writes pictures. Needs OpenCV, `deltacharger[vision]`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from deltacharger_vision.errors import ImageError
 from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
-"""Name of the intrinsics' file beside the images of a folder."""
+"""Name of the intrinsics' file in a folder of images."""
 PICTURES = (".png", ".jpg", ".jpeg")
 _DEPTHS = (".png", ".npy")
-_LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second is 4096 × 4096 px of colour
+_LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second allows 4096 × 4096 px of colour
 _PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments that tell the size
-_MOST_CHUNKS = 20_000  # a PNG of 64 MB has 8192 as libpng writes them; as many segments and fill bytes of a JPEG
-_SCAN, _MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG is decoded anew with each scan
+_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments with the size
+_MOST_CHUNKS = 20_000  # libpng writes 8192 for a PNG of 64 MB; for a JPEG, segments and fill bytes count
+_SCAN, _MOST_SCANS = b"\xff\xda", 100  # every scan of a progressive JPEG decodes it again
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class ImageFiles:
     """Files of one RGB-D image.
 
     Attributes:
-        name: what they have in common.
-        color: PNG or JPEG; None = only the depth is there.
-        depth: PNG or NPY; None = only the colour is there.
+        name: their common name.
+        color: PNG or JPEG; None = missing.
+        depth: PNG or NPY; None = missing.
     """
 
     name: str
@@ -43,7 +43,7 @@ class ImageFiles:
     depth: Path | None
 
     def read(self, intrinsics: Intrinsics) -> RgbdImage:
-        """Return the image, without depth where it has none; errors as of `read_rgbd`."""
+        """Return the image, without depth if it has none; raises the errors of `read_rgbd`."""
         if self.color is None:
             raise ImageError(str(self.depth), "has no colour image of the same name")
         return read_rgbd(self.color, self.depth, intrinsics)
@@ -53,7 +53,7 @@ def require_opencv() -> Any:
     """Return the module cv2.
 
     Raises:
-        ModuleNotFoundError: says how to install it.
+        ModuleNotFoundError: OpenCV is missing; states how to install it.
     """
     try:
         import cv2
@@ -74,7 +74,7 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
 
     Raises:
         OSError: a file cannot be read.
-        ImageError: names the file, what is wrong with it and what to give instead.
+        ImageError: a file is unusable; names the file and states what to give instead.
         ModuleNotFoundError: OpenCV is not installed.
     """
     pixels = read_color(color)
@@ -89,11 +89,11 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
 def read_color(path: Path) -> NDArray[Any]:
     """Return (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16, of a PNG or JPEG file.
 
-    A turn that the file asks viewers for is not made: intrinsics belong to the pixels as they were taken.
+    A rotation flag of the file is ignored: intrinsics belong to the stored pixels.
 
     Raises:
         OSError: the file cannot be read.
-        ImageError: it is no image.
+        ImageError: the file is not an image.
         ModuleNotFoundError: OpenCV is not installed.
     """
     cv2 = require_opencv()
@@ -105,11 +105,11 @@ def read_color(path: Path) -> NDArray[Any]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """Return (H, W) uint16 mm (0 = unknown) of a 16-bit PNG, or what an NPY file holds.
+    """Return (H, W) uint16 mm (0 = unknown) of a 16-bit PNG, or the array of an NPY file.
 
     Raises:
         OSError: the file cannot be read.
-        ImageError: it is neither, or has 8 bits or several channels.
+        ImageError: the file is neither, or has 8 bits or several channels.
         ModuleNotFoundError: OpenCV is not installed.
     """
     if path.suffix.lower() == ".npy":
@@ -119,14 +119,14 @@ def read_depth(path: Path) -> NDArray[Any]:
         channels = 1 if pixels.ndim == 2 else pixels.shape[2]
         raise ImageError(
             str(path),
-            f"{channels} × {pixels.dtype.itemsize * 8} bits per pixel, a picture to look at; depth is one channel of "
+            f"{channels} × {pixels.dtype.itemsize * 8} bits per pixel, a picture for viewing; depth is one channel of "
             "16 bits in millimetres (PNG), or an array of uint16 mm or float m (.npy)",
         )
     return pixels
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write (H, W, 3) RGB as PNG or JPEG, by the name's ending.
+    """Write (H, W, 3) RGB as PNG or JPEG, depending on the name's ending.
 
     Raises:
         OSError: the file cannot be written.
@@ -139,19 +139,19 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
 
 
 def check_picture_name(path: Path) -> None:
-    """Raise ImageError where no picture can have this name."""
+    """Raise ImageError for a name with another ending."""
     if path.suffix.lower() not in PICTURES:
         raise ImageError(str(path), f"give a name that ends in {', '.join(PICTURES)}")
 
 
 def images_in(folder: Path) -> list[ImageFiles]:
-    """Return the images of a folder by name: NAME.color.png with NAME.depth.png, or color/NAME.png with depth/NAME.png.
+    """Return the images of a folder: NAME.color.png with NAME.depth.png, or color/NAME.png with depth/NAME.png.
 
-    Colour may also be .jpg or .jpeg, depth .npy. Where the folder has a folder `color`, that convention holds.
+    Colour may also be .jpg or .jpeg, depth .npy. The second convention applies if there is a folder `color`.
 
     Raises:
         OSError: the folder cannot be read.
-        ImageError: it holds no such files, or one name twice.
+        ImageError: the folder has no such files, or one name twice.
     """
     if (folder / COLOR).is_dir():
         colors = _named(folder / COLOR, "", PICTURES)
@@ -167,7 +167,7 @@ def images_in(folder: Path) -> list[ImageFiles]:
 
 
 def _named(folder: Path, ending: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Return the files of a folder whose names end in `ending` and a suffix, by what stands before."""
+    """Return the files of a folder whose names end in `ending` and a suffix, by the rest of the name."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in suffixes or not path.stem.endswith(ending) or path.name.startswith("."):
@@ -180,14 +180,14 @@ def _named(folder: Path, ending: str, suffixes: tuple[str, ...]) -> dict[str, Pa
 
 
 def _decoded(path: Path) -> NDArray[Any]:
-    """Return an image file as OpenCV decodes it: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA."""
+    """Decode an image file with OpenCV: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA."""
     cv2 = require_opencv()
     try:
         data = read_bytes(path, _LARGEST)
     except FileRefused as error:
         raise ImageError(str(path), f"{error.strerror}; give PNG or JPEG") from error
     if not data:
-        raise ImageError(str(path), "is empty; take the image anew")
+        raise ImageError(str(path), "is empty; take the image again")
     width, height, each = _claimed(data)
     if width * height * each > _LARGEST_DECODED:
         allowed = f"{_LARGEST_DECODED // 2**20} MB; give a smaller image"
@@ -197,12 +197,12 @@ def _decoded(path: Path) -> NDArray[Any]:
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise ImageError(str(path), "is no image, or damaged; give PNG or JPEG")
+        raise ImageError(str(path), "is not an image, or damaged; give PNG or JPEG")
     return np.asarray(pixels)
 
 
 def _claimed(data: bytes) -> tuple[int, int, int]:
-    """Return width, height and decoded bytes per pixel as the header of a PNG or JPEG says; 0, 0, 0 of other data."""
+    """Return width, height and decoded bytes per pixel from the header of a PNG or JPEG; 0, 0, 0 for other data."""
     if data.startswith(_PNG) and data[12:16] == b"IHDR" and _is_whole_png(data):
         width, height, bits, colors = struct.unpack_from(">IIBB", data, 16)
         return width, height, (1 if colors == 0 else 3 if colors == 2 else 4) * (2 if bits == 16 else 1)
@@ -219,7 +219,7 @@ def _claimed(data: bytes) -> tuple[int, int, int]:
 
 
 def _is_whole_png(data: bytes) -> bool:
-    """Whether each chunk ends within the file: OpenCV takes as much memory as one claims."""
+    """Whether each chunk ends within the file: OpenCV allocates the claimed size."""
     at = len(_PNG)
     for _ in range(_MOST_CHUNKS):
         if at + 12 > len(data):
@@ -238,4 +238,4 @@ def _array(path: Path) -> NDArray[Any]:
     except FileRefused as error:
         raise ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
     except ArrayError as error:
-        raise ImageError(str(path), f"is no NPY file ({error}); write it with numpy.save") from error
+        raise ImageError(str(path), f"is not an NPY file ({error}); write it with numpy.save") from error

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An RGB-D image and the camera that took it, checked once where they come in."""
+"""An RGB-D image and its camera, checked once on input."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from deltacharger_core.bounded_file import brief
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
 COLOR, DEPTH, INFO = "color", "depth", "info"
-"""What a topic of a camera carries."""
+"""Contents of a camera's topics."""
 _CODE = np.arange(256) / 255.0
 LIGHT = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
-"""Light, 0–1, of each level 0–255 by sRGB (IEC 61966-2-1), which cameras encode by."""
+"""Light, 0–1, of each level 0–255 in sRGB (IEC 61966-2-1), the cameras' encoding."""
 SMALLEST, LARGEST = 16, 16384
-"""Width and height of an image, px."""
+"""Limits of an image's width and height, px."""
 _FOCAL = (1.0, 1e5)
 _COEFFICIENT = 1e4
 _ASPECT_TOLERANCE = 0.01
 _MILLIMETRES_ABOVE = 20.0
-"""No median depth of a docking camera is so far away, m."""
+"""No docking camera has a larger median depth, m."""
 
 
 @dataclass(frozen=True)
@@ -75,22 +75,22 @@ class Intrinsics:
             )
         for coefficient in self.distortion:
             if not _is_number(coefficient) or not abs(coefficient) <= _COEFFICIENT:
-                raise CameraInfoError("intrinsics", f"distortion coefficient {brief(coefficient)}; calibrate anew")
+                raise CameraInfoError("intrinsics", f"distortion coefficient {brief(coefficient)}; calibrate again")
         object.__setattr__(self, "distortion", tuple(float(coefficient) for coefficient in self.distortion))
 
     def _check(self, name: str, low: float, high: float) -> None:
         found = getattr(self, name)
         if not _is_number(found) or not low <= found <= high:
             raise CameraInfoError(
-                "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera anew"
+                "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera again"
             )
 
     def matrix(self) -> Array:
-        """Return (3, 3) px: from a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
+        """Return (3, 3) px: maps a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def scaled(self, width: int, height: int) -> Intrinsics:
-        """Return the same camera with its image resampled to width × height px.
+        """Return the intrinsics of the image resampled to width × height px.
 
         Raises:
             CameraInfoError: a size is out of bounds.
@@ -113,7 +113,7 @@ def _is_number(found: Any) -> bool:
 
 @dataclass(frozen=True)
 class RgbdImage:
-    """Colour and depth of the same pixels. Arrays from elsewhere go through `make`, which checks them.
+    """Colour and depth of the same pixels. `make` checks arrays from elsewhere.
 
     Attributes:
         color: (H, W, 3) uint8 RGB.
@@ -127,16 +127,16 @@ class RgbdImage:
 
     @staticmethod
     def make(color: NDArray[Any], depth: NDArray[Any], intrinsics: Intrinsics) -> RgbdImage:
-        """Check and convert what a camera or a file gives.
+        """Check and convert the arrays of a camera or a file.
 
         Args:
             color: (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA; uint8 or uint16.
             depth: (H, W) or (H, W, 1); uint16 mm with 0 = unknown, or float32/float64 m with 0, ±inf or NaN = unknown.
-            intrinsics: of the camera; scaled where the image has another size of the same aspect.
+            intrinsics: of the camera; scaled if the image has another size of the same aspect.
 
         Raises:
-            ImageError: an array has another shape or type, both differ in size, their aspect is not the camera's, or
-                the depth is negative or float millimetres.
+            ImageError: an array has another shape or type, sizes differ, the aspect is not the camera's, or the depth
+                is negative or float millimetres.
         """
         rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth))
         if rgb.shape[:2] != metres.shape:
@@ -151,8 +151,8 @@ class RgbdImage:
         if abs(aspect - 1.0) > _ASPECT_TOLERANCE:
             raise ImageError(
                 "intrinsics",
-                f"for {intrinsics.width} × {intrinsics.height} px, but the image has {_size(rgb)}, which is another "
-                "aspect; give the intrinsics of this image",
+                f"for {intrinsics.width} × {intrinsics.height} px, but the image has {_size(rgb)}, another aspect; "
+                "give the intrinsics of this image",
             )
         if (width, height) != (intrinsics.width, intrinsics.height):
             intrinsics = intrinsics.scaled(width, height)
@@ -164,10 +164,10 @@ def _size(array: NDArray[Any]) -> str:
 
 
 def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return (H, W, 3) of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16.
+    """Return (H, W, 3) RGB of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16.
 
     Raises:
-        ImageError: it has another shape or type.
+        ImageError: another shape or type.
     """
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
@@ -202,5 +202,5 @@ def _depth(array: NDArray[Any]) -> NDArray[np.float32]:
         raise ImageError("depth", f"its median is {middle:g} m; float depth is in metres: divide millimetres by 1000")
     with np.errstate(over="ignore"):
         metres = array.astype(np.float32)
-    metres[~np.isfinite(metres) | (metres == 0.0)] = np.nan  # also what float64 tells and float32 cannot
+    metres[~np.isfinite(metres) | (metres == 0.0)] = np.nan  # also float64 values out of float32's range
     return metres

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera sits on the charger (hand-eye), how sure that is, and detections seen from `charger_base`."""
+"""The camera's mount on the charger (hand-eye) with its uncertainty, and detections in `charger_base`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from deltacharger_vision.poses import cross_matrix, transform
 
 FRAME, CAMERA_FRAME = CHARGER_BASE, CAMERA
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
-"""Error of a mount that says nothing of it, per axis: m and rad. What a calibration by hand reaches (assumed)."""
+"""Error per axis of a mount without covariance: m and rad; accuracy of a calibration by hand (assumed)."""
 _PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
 _FARTHEST = 5.0  # m
 _UNIT = 1e-3
@@ -42,7 +42,7 @@ class Mount:
             along the axes of charger_base.
 
     Raises:
-        MountError: the pose is not rigid or farther than 5 m away, or the covariance is none.
+        MountError: the pose is not rigid or farther than 5 m away, or the covariance is invalid.
     """
 
     pose: Array
@@ -76,12 +76,12 @@ class Mount:
         """Build a mount from x, y, z (m) and the quaternion x, y, z, w.
 
         Args:
-            seven: these numbers; the quaternion of length 1 within 0.001.
+            seven: these numbers; the quaternion's length is 1 within 0.001.
             position_stddev: m, per axis.
             rotation_stddev: rad, per axis.
 
         Raises:
-            MountError: they are no pose.
+            MountError: the numbers are not a pose.
         """
         if len(seven) != 7:
             raise MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
@@ -90,17 +90,17 @@ class Mount:
 
     @staticmethod
     def load(path: str | Path) -> Mount:
-        """Read the YAML that `save` writes; without `covariance` the usual error is assumed.
+        """Read a YAML file written by `save`; without `covariance` the usual error is assumed.
 
         Raises:
-            FileNotFoundError: there is no such file.
-            MountError: it is no such file.
+            FileNotFoundError: no such file.
+            MountError: the file is not a mount.
         """
         source = str(path)
         try:
             found = read_yaml(path)
         except YamlError as error:
-            raise MountError(source, f"{error.problem}; give what `deltacharger calibrate camera` wrote") from error
+            raise MountError(source, f"{error.problem}; give a file of `deltacharger calibrate camera`") from error
         if not isinstance(found, dict):
             raise MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
         unknown = [key for key in found if key not in _KEYS]
@@ -122,7 +122,7 @@ class Mount:
 
         Args:
             path: of the file.
-            about: how it was found, kept under `calibration`; plain YAML values.
+            about: origin of the mount, saved under `calibration`; plain YAML values.
         """
         content: dict[str, Any] = {
             "frame": FRAME,
@@ -136,7 +136,7 @@ class Mount:
         write_yaml(path, content)
 
     def place(self, found: Detection) -> Placed:
-        """Return a detection in charger_base; a normal of faces that look away, or askew to their bars, is dropped."""
+        """Return a detection in charger_base; drops normals of faces that look away or are not square to their bars."""
         turn = self.pose[:3, :3]
         arm = turn @ found.position
         both = np.zeros((6, 6))
@@ -161,7 +161,7 @@ def look_at(position: Sequence[float], point: Sequence[float]) -> Array:
     """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y.
 
     Raises:
-        MountError: the camera would look straight up or down, or nowhere.
+        MountError: the camera would look straight up or down, or `point` equals `position`.
     """
     forward = np.subtract(point, position)
     right = np.cross(forward, (0.0, 1.0, 0.0))
@@ -178,7 +178,7 @@ def line_angle(x: float, y: float) -> float:
 
 
 def pose_numbers(pose: Array) -> tuple[float, ...]:
-    """Return a pose (4, 4) as `Mount.from_numbers` takes it: x, y, z in m, then the quaternion x, y, z, w."""
+    """Return a pose (4, 4) as numbers for `Mount.from_numbers`: x, y, z in m, then the quaternion x, y, z, w."""
     return tuple(float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3])))
 
 

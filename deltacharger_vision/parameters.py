@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of camera_node and electrode_detector_node beside those of the camera and of the terminal."""
+"""Parameters of camera_node and electrode_detector_node, except those of the camera and the terminal."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from deltacharger_core.parameters import Bounded, flag, number, numbers, tunable
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
 
 COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
-"""Relative names of the topics of an RGB-D camera."""
+"""Relative topic names of an RGB-D camera."""
 
 
 @dataclass(frozen=True)
 class ReplayParameters(Bounded):
-    """What camera_node publishes in place of a camera."""
+    """Recording that camera_node publishes instead of a camera."""
 
-    replay: str = words("", "MCAP recording to publish in place of a camera")
-    replay_loop: bool = flag(False, "begin the recording again at its end")
+    replay: str = words("", "MCAP recording to publish instead of a camera")
+    replay_loop: bool = flag(False, "restart the recording at its end")
 
 
 @dataclass(frozen=True)
 class DetectorNodeParameters(Bounded):
-    """How electrode_detector_node looks, and from where."""
+    """Operation of electrode_detector_node, and the camera's mount."""
 
-    rate: float = tunable(0.0, 0, 60, "Hz", "images looked at while somebody subscribes ({unit}); 0 = none")
-    timeout: float = tunable(2.0, 0.1, 60.0, "s", "how long a request without its own timeout looks")
-    image_age_max: float = tunable(0.5, 0.02, 10.0, "s", "oldest image that still counts")
+    rate: float = tunable(0.0, 0, 60, "Hz", "images examined while there are subscribers ({unit}); 0 = none")
+    timeout: float = tunable(2.0, 0.1, 60.0, "s", "search time of a request without its own timeout")
+    image_age_max: float = tunable(0.5, 0.02, 10.0, "s", "largest age of a usable image")
     stamp_tolerance: float = number(0.015, 0.0, 1.0, "s", "largest difference between the stamps of colour and depth")
     color_topic: str = words(COLOR, "topic of the colour images")
     depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")
@@ -34,7 +34,7 @@ class DetectorNodeParameters(Bounded):
     mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces mount*")
     mount_from_tf: bool = flag(
         False,
-        "take the camera's place from tf, by the frame_id of its images, in place of mount; tf tells no errors of it",
+        "take the camera's pose from tf, by the frame_id of its images, instead of mount; tf has no covariance",
     )
     mount: tuple[float, ...] = numbers(
         pose_numbers(Mount.default().pose),
@@ -43,5 +43,5 @@ class DetectorNodeParameters(Bounded):
         "",
         "camera_color_optical_frame in charger_base: x, y, z in m, then the quaternion x, y, z, w",
     )
-    mount_position_stddev: float = number(POSITION_STDDEV, 0.0, 0.1, "m", "error of the mount's place, per axis")
-    mount_rotation_stddev: float = number(ROTATION_STDDEV, 0.0, 0.5, "rad", "error of the mount's direction, per axis")
+    mount_position_stddev: float = number(POSITION_STDDEV, 0.0, 0.1, "m", "error of the mount's position, per axis")
+    mount_rotation_stddev: float = number(ROTATION_STDDEV, 0.0, 0.5, "rad", "error of the mount's rotation, per axis")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of a terminal, and small motions of them.
 
-A pose is (rotation (3, 3), translation (3,) m): terminal coordinates to the optical frame. Inside the detector the
-terminal's frame has its origin at the midpoint of the touched faces, x along the bars and z away from the camera,
-so that the bars' roots on the plate lie at z = +bar_thickness.
+A pose is (rotation (3, 3), translation (3,) m): terminal coordinates to the optical frame. Inside the detector, the
+terminal's frame has its origin at the midpoint of the touched faces, x along the bars and z away from the camera.
+The bars' roots on the plate are at z = +bar_thickness.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class TerminalPose:
 
 
 def turn(vector: Array) -> Array:
-    """Return the rotation matrix of a rotation vector (3,) rad, by Rodrigues."""
+    """Return the rotation matrix of a rotation vector (3,) rad (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     skew = cross_matrix(vector)
     if angle < 1e-9:
@@ -55,5 +55,5 @@ def cross_matrix(vector: Array) -> Array:
 
 
 def facing(pose: TerminalPose) -> float:
-    """Return the cosine between the line of sight and the terminal's z axis: 1 seen from the front, 0 edge-on."""
+    """Return the cosine between the line of sight and the terminal's z axis: 1 from the front, 0 edge-on."""
     return float(pose.rotation[:, 2] @ pose.translation / np.linalg.norm(pose.translation))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between pixels and rays of the camera, with the lens's distortion: points are undistorted, images never.
+"""Conversion between pixels and rays with lens distortion; it undistorts points, never images.
 
-The distortion is that of OpenCV and ROS (plumb_bob and rational_polynomial), both ways, in numpy alone. Of a direction
-x/z, y/z in the optical frame, with r² = x² + y²:
+The distortion models are those of OpenCV and ROS (plumb_bob and rational_polynomial), both ways, in numpy alone. For a
+direction x/z, y/z in the optical frame, with r² = x² + y²:
 radial = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶);
 x' = x radial + 2 p1 x y + p2 (r² + 2 x²), y' = y radial + p1 (r² + 2 y²) + 2 p2 x y.
 """
@@ -23,17 +23,17 @@ def rays(pixels: Array, intrinsics: Intrinsics) -> Array:
     """Return x/z and y/z (..., 2) of the rays through pixels (..., 2).
 
     Raises:
-        CameraInfoError: the distortion is no one-to-one map there.
+        CameraInfoError: the distortion is not one-to-one there.
     """
     seen = (pixels - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
     return undistort(seen, intrinsics.distortion)
 
 
 def check_lens(intrinsics: Intrinsics) -> None:
-    """Refuse a lens that shows two directions at one pixel of the image's border.
+    """Refuse a lens that maps two directions to one pixel of the image's border.
 
     Raises:
-        CameraInfoError: it does.
+        CameraInfoError: it does so.
     """
     if intrinsics.distortion:
         x, y = np.meshgrid(np.linspace(0.0, intrinsics.width - 1.0, 3), np.linspace(0.0, intrinsics.height - 1.0, 3))
@@ -47,15 +47,15 @@ def project(points: Array, intrinsics: Intrinsics) -> Array:
 
 
 def distort(points: Array, distortion: tuple[float, ...]) -> Array:
-    """Return where the lens shows ideal directions (..., 2)."""
+    """Return the distorted directions of ideal ones (..., 2)."""
     return _distorted(points, distortion)[0] if distortion else np.array(points, dtype=float)
 
 
 def undistort(points: Array, distortion: tuple[float, ...]) -> Array:
-    """Return the ideal directions of seen ones (..., 2), by Newton's method.
+    """Return the ideal directions of distorted ones (..., 2), by Newton's method.
 
     Raises:
-        CameraInfoError: the distortion is no one-to-one map there, as of a wrong calibration.
+        CameraInfoError: the distortion is not one-to-one there, as with a wrong calibration.
     """
     ideal = np.array(points, dtype=float)
     if not distortion:
@@ -71,11 +71,11 @@ def undistort(points: Array, distortion: tuple[float, ...]) -> Array:
         step = np.stack([c * error[..., 0] - b * error[..., 1], a * error[..., 1] - b * error[..., 0]], axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             ideal -= np.nan_to_num(step / determinant[..., None], posinf=0.0, neginf=0.0)
-    raise CameraInfoError("distortion", "two directions fall on one pixel of the image; calibrate the camera anew")
+    raise CameraInfoError("distortion", "two directions fall on one pixel of the image; calibrate the camera again")
 
 
 def _distorted(points: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return seen directions (..., 2) and (..., 4): dx'/dx, dx'/dy = dy'/dx, dy'/dy and their determinant."""
+    """Return distorted directions (..., 2) and (..., 4): dx'/dx, dx'/dy = dy'/dx, dy'/dy and their determinant."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, 0.0, 0.0, 0.0)[:8]
     x, y = points[..., 0], points[..., 1]
     s = x * x + y * y

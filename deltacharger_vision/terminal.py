@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The geometry that is looked for: two metal bars, one above the other, proud of a dark plate."""
+"""Geometry of a terminal: two metal bars, one above the other, raised from a dark plate."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Terminal(Bounded):
     """Two equal bars; lengths in m.
 
     The terminal's frame: origin at the midpoint between the bars on their touched faces, x along the bars, y from the
-    lower to the upper bar, z **into the plate**, away from who looks at it. So its axes are those of `charger_base`
-    (+z toward the target, +y up, +x to the left when looking along +z) when the target stands straight before the
-    charger, and the plate's face lies at z = bar_thickness.
+    lower to the upper bar, z **into the plate**, away from the viewer. If the target stands straight in front of the
+    charger, the axes are those of `charger_base` (+z toward the target, +y up, +x to the left when looking along +z).
+    The plate's face is at z = bar_thickness.
 
     Raises:
         ParameterError: a length is out of bounds.
@@ -44,8 +44,8 @@ class Terminal(Bounded):
     def corners(self) -> Array:
         """Return (2, 4, 3) m: corners of the touched face of the lower, then the upper bar, in the terminal's frame.
 
-        Each in the order (−x, −y), (+x, −y), (+x, +y), (−x, +y): counter-clockwise about +z, clockwise in an image of
-        a camera that looks along +z with y down and x right.
+        Order: (−x, −y), (+x, −y), (+x, +y), (−x, +y): counter-clockwise about +z, clockwise in an image of a camera
+        that looks along +z with y down and x right.
         """
         x, y = self.bar_length / 2, self.bar_height / 2
         face = np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)])
@@ -54,11 +54,11 @@ class Terminal(Bounded):
 
     @staticmethod
     def load(path: str | Path) -> Terminal:
-        """Read a YAML mapping with any of the four lengths in m; what is not there keeps its default.
+        """Read a YAML mapping of any of the four lengths in m; missing ones keep their defaults.
 
         Raises:
-            FileNotFoundError: there is no such file.
-            TerminalError: it is no such mapping; a key is unknown; a length is out of bounds.
+            FileNotFoundError: no such file.
+            TerminalError: not such a mapping, an unknown key, or a length out of bounds.
         """
         source = str(path)
         try:

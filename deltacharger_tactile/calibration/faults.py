@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which taxels of a rig are not to be believed, from its dockings, and whether its tares agree with each other.
+"""Find faulty taxels of a rig from its dockings, and compare its tares.
 
-Nothing here leans on the contact model: what a taxel should feel is told by its neighbours along the row, as the ridge
-lies, and where the ridge cannot be by the commanded pose.
+Nothing here uses the contact model. A taxel is compared with its neighbours along the row, parallel to the ridge. The
+commanded pose shows where the ridge cannot be.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import SensorCalibrationError
 from deltacharger_tactile.parameters import SHAPE, PadContactParameters
 
-_DEAD_SHARE = 0.05  # of the dockings in which the board told a taxel dead; a glitch is left to the estimator
-_EVENTS = 3  # dockings that must have shown it
+_DEAD_SHARE = 0.05  # of the dockings in which the board reported a taxel dead; the estimator handles single glitches
+_EVENTS = 3  # dockings that must show it
 _SILENT_SHARE = 0.8  # of the dockings that pressed its neighbours
 _SILENT = 0.1  # of what the neighbours read
 _AWAY = 0.010  # m from the ridge's line: half its height, its spread in the skin, three jitters, half a taxel
-_LOUD = 0.5  # N where nothing presses: ten times what a contact leaves behind
-_NOISY = 0.25  # N, scatter of one docking's reading where nothing presses; the model believes readings from here on
-_DRIFT = 0.25  # N between sessions; likewise
+_LOUD = 0.5  # N without pressure: ten times what a contact leaves behind
+_NOISY = 0.25  # N, scatter of a docking's reading without pressure; the model uses readings from here on
+_DRIFT = 0.25  # N between sessions; chosen like _NOISY
 _BASELINE = 0.5  # N from the other taxels' baseline
 
 
@@ -36,9 +36,9 @@ class KnownDockings:
     Attributes:
         frames: (N, 2, 10, 10) N, tared; NaN where dead.
         pose: (N, 3) m, m, rad: (horizontal, vertical, angle) as commanded.
-        truth: (N, 3) the same in contact; NaN where the data do not know.
+        truth: (N, 3) m, m, rad in contact; NaN if the data lack it.
         tares: (S, 2, 10, 10) N, baseline of each session; NaN = unknown.
-        rig: its number.
+        rig: number of the rig.
         threshold: readings below it were recorded as 0, N.
     """
 
@@ -53,19 +53,19 @@ class KnownDockings:
         return len(self.frames)
 
     def part(self, rows: NDArray[np.int64]) -> KnownDockings:
-        """Return the dockings of the given rows."""
+        """Return the given rows."""
         return KnownDockings(self.frames[rows], self.pose[rows], self.truth[rows], self.tares, self.rig, self.threshold)
 
 
 @dataclass(frozen=True)
 class PadFaults:
-    """(2, 10, 10) masks of what is wrong with single taxels.
+    """(2, 10, 10) masks of faulty taxels.
 
     Attributes:
-        told: the board told them dead.
-        silent: nothing where the neighbours along the row feel much.
-        loud: a reading where nothing presses, or one that never changes.
-        noisy: readings that scatter where nothing presses.
+        told: reported dead by the board.
+        silent: reads almost nothing while its neighbours along the row read much.
+        loud: reads something without pressure, or never changes.
+        noisy: scatters without pressure.
     """
 
     told: Mask
@@ -75,19 +75,19 @@ class PadFaults:
 
     @property
     def dead(self) -> Mask:
-        """All of them."""
+        """All faulty taxels."""
         return self.told | self.silent | self.loud | self.noisy
 
 
 @dataclass(frozen=True)
 class Tares:
-    """How the baselines of the sessions compare; NaN where the data do not tell them.
+    """Comparison of the sessions' baselines; NaN if the data do not show it.
 
     Attributes:
         sessions: number of sessions.
         drift: (2, 10, 10) N, largest less smallest baseline of a taxel.
-        drifted: (2, 10, 10) taxels whose baseline moved by more than the pose model overlooks.
-        outlying: (2, 10, 10) taxels whose baseline lies far from the others'.
+        drifted: (2, 10, 10) taxels whose baseline moved by more than the pose model tolerates.
+        outlying: (2, 10, 10) taxels whose baseline is far from the other taxels'.
     """
 
     sessions: int
@@ -97,14 +97,14 @@ class Tares:
 
 
 def select(data: Dataset, rig: int | None = None) -> KnownDockings:
-    """Take the dockings of one rig; several rows of one docking are averaged.
+    """Select the dockings of one rig; rows of the same docking are averaged.
 
     Args:
         data: with commanded poses.
-        rig: which; None = the only one.
+        rig: its number; None = the only one.
 
     Raises:
-        SensorCalibrationError: several rigs and none named, or one that is not there.
+        SensorCalibrationError: no such rig, or several and none selected.
     """
     rigs = np.unique(data.rig).tolist()
     if rig is None and len(rigs) > 1:
@@ -114,10 +114,10 @@ def select(data: Dataset, rig: int | None = None) -> KnownDockings:
         raise SensorCalibrationError(f"rig {chosen}", f"not in the data, which hold {_listed(rigs)}")
     rows = np.flatnonzero(data.rig == chosen)
     _, first, docking = np.unique(data.attempt[rows], return_index=True, return_inverse=True)
-    felt = np.stack([data.left[rows], data.right[rows]], axis=1).astype(float)
-    felt[data.dead[rows]] = np.nan
+    readings = np.stack([data.left[rows], data.right[rows]], axis=1).astype(float)
+    readings[data.dead[rows]] = np.nan
     frames = np.zeros((len(first), *SHAPE))
-    np.add.at(frames, docking, felt)
+    np.add.at(frames, docking, readings)
     frames /= np.bincount(docking)[:, None, None, None]
     once = rows[first]
     _, opening = np.unique(data.session[once], return_index=True)
@@ -136,27 +136,27 @@ def _listed(rigs: list[int]) -> str:
 
 
 def find(dockings: KnownDockings) -> PadFaults:
-    """Judge every taxel."""
+    """Check every taxel."""
     frames = dockings.frames
     dead = ~np.isfinite(frames)
-    told = dead.mean(axis=0) >= _DEAD_SHARE
+    marked = dead.mean(axis=0) >= _DEAD_SHARE
     away = _away(dockings.pose) & ~dead
     enough = away.sum(axis=0) >= _EVENTS
     quiet = np.where(away, frames, np.nan)
     quiet[:, ~enough] = 0.0
     middle, upper = np.nanquantile(quiet, (0.5, 0.84), axis=0)
     loud = middle > _LOUD
-    scatter = upper - middle  # one standard deviation, of which a reading cut off at 0 shows the upper side alone
+    scatter = upper - middle  # one standard deviation: of readings cut off at 0, only the upper side shows
     live = np.where(dead, 0.0, frames)
-    # A taxel that hangs on one value after the tare; one that hangs on 0 is silent.
+    # A taxel stuck at one value after the tare; one stuck at 0 is silent.
     stuck = (np.ptp(live, axis=0) < 1e-6) & (live[0] > 0.0) & (len(frames) > 1)
     return PadFaults(
-        told, _silent(frames, dockings.threshold) & ~told, (loud | stuck) & ~told, (scatter > _NOISY) & ~told
+        marked, _silent(frames, dockings.threshold) & ~marked, (loud | stuck) & ~marked, (scatter > _NOISY) & ~marked
     )
 
 
 def _silent(frames: Array, threshold: float) -> Mask:
-    """Return taxels that read nothing while the two nearest in their row read much."""
+    """Return taxels that read nothing while their two nearest neighbours in the row read much."""
     live = np.where(np.isfinite(frames), frames, 0.0)
     beside = np.empty_like(live)
     beside[..., 1:-1] = np.minimum(live[..., :-2], live[..., 2:])
@@ -169,7 +169,7 @@ def _silent(frames: Array, threshold: float) -> Mask:
 
 
 def _away(pose: Array) -> Mask:
-    """Return (N, 2, 10, 10) the taxels that the ridges cannot reach at the commanded poses (N, 3)."""
+    """Return (N, 2, 10, 10): taxels that the ridges cannot reach at the commanded poses (N, 3)."""
     contact = PadContactParameters()
     line = contact.pad_side * (0.5 - (np.arange(ROWS) + 0.5) / ROWS)
     v, u = np.meshgrid(line, line[:COLUMNS], indexing="ij")
@@ -179,7 +179,7 @@ def _away(pose: Array) -> Mask:
 
 
 def compare_tares(dockings: KnownDockings, dead: Mask) -> Tares:
-    """Compare the sessions' baselines, taxels of `dead` left out."""
+    """Compare the sessions' baselines without the taxels in `dead`."""
     tares = np.where(dead, np.nan, dockings.tares)
     known = np.isfinite(tares).all(axis=0)
     drift = np.where(known, np.ptp(np.where(known, tares, 0.0), axis=0), np.nan)

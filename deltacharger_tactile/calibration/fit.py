@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the calibration of one rig from dockings at known poses, and says what it is worth on others.
+"""Calibrate one rig from dockings at known poses, and measure the benefit on other dockings.
 
-Gains: least squares against the contact model at the poses that the pose model estimates, the load of each pad and
-docking free, with the spread that gains have as prior. (At the commanded poses the jitter of a docking, nearly half a
-taxel, would be taken for gains.) Load shift: the one with which the commanded horizontal offsets fit best. What is
-found counts less the less it exceeds its own standard error (positive-part shrinkage, James and Stein 1961).
+Gains: least squares against the contact model at the estimated poses. The load of each pad in each docking is free; the
+usual spread of gains is the prior. Commanded poses would not do: the jitter of a docking is nearly half a taxel and
+would pass for gains. Load shift: the value that fits the commanded horizontal offsets best. Every result shrinks more,
+the less it exceeds its standard error (positive-part shrinkage, James and Stein 1961).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.parameters import SHAPE, PadDockingParameters, SensorParameters
 
 FEWEST = 5
-"""Dockings in range, fewer of which tell nothing."""
+"""Fewest dockings in range for a calibration."""
 JITTER = np.array(
     [
         PadDockingParameters().position_jitter,
@@ -32,26 +32,26 @@ JITTER = np.array(
         PadDockingParameters().angle_jitter,
     ]
 )
-"""Standard deviation of (horizontal, vertical, angle) of one docking about its commanded pose: m, m, rad."""
+"""Standard deviation of (horizontal, vertical, angle) of a docking about its commanded pose: m, m, rad."""
 MISFIT_LIMIT = 0.19
-"""Share of the readings (rms) that contact model and gains may leave unexplained. On simulated rigs at most 0.16, even
-where gains spread by 25 % (ten dockings: 0.19); with a ridge of 8 instead of 6 mm at least 0.20."""
+"""Share of the readings (rms) that contact model and gains may leave unexplained. Simulated rigs leave at most 0.16,
+0.19 if gains spread by 25 % (ten dockings), and at least 0.20 if the ridge is 8 instead of 6 mm."""
 _PRIOR = SensorParameters().gain_spread
-_FLOOR = 0.12  # N, error of a reading that does not grow with it: offsets of a contact, noise
-_MODEL_ERROR = 0.2  # of a reading: what pose, ridge and elastomer leave open
+_FLOOR = 0.12  # N, constant part of a reading's error: offsets of a contact, noise
+_MODEL_ERROR = 0.2  # of a reading: errors of pose, ridge and elastomer
 _ROUNDS = 4
 _GAINS = (0.3, 3.0)
-_LEAST_LOAD = 3.0  # N of a pad whose docking tells gains
+_LEAST_LOAD = 3.0  # N; a lighter pad does not show gains
 _STEP = 3.0  # N, of the search for the load shift
-_OUTLIER = 9.0  # squared deviation in variances that counts at most
+_OUTLIER = 9.0  # cap of a squared deviation, in variances
 _SHIFT_DOUBT = 2.0  # squared standard errors below which a load shift counts as none
-_BIAS_DOUBT = 4.0  # likewise of a constant error, which moves every estimate
+_BIAS_DOUBT = 4.0  # same for a constant error, which moves every estimate
 _FOLDS = 5
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Which parts are learnt; what is not stays neutral."""
+    """Parts to learn; the others stay neutral."""
 
     gain: bool = True
     load_shift: bool = True
@@ -60,16 +60,16 @@ class Parts:
 
 @dataclass(frozen=True)
 class PadFit:
-    """A calibration and what it rests on.
+    """A calibration and its evidence.
 
     Attributes:
         calibration: to be used.
-        in_range: dockings that the pose model had in range.
+        in_range: dockings in range of the pose model.
         misfit: share of the readings (rms) that contact model and gains leave unexplained.
-        load_shift: N as found, before shrinking.
+        load_shift: N, before shrinking.
         load_shift_error: its standard error.
-        bias: (3,) m, m, rad, as found.
-        bias_error: (3,) its standard error, the jitter of dockings included.
+        bias: (3,) m, m, rad, before shrinking.
+        bias_error: (3,) its standard error, including the jitter of dockings.
     """
 
     calibration: TactileCalibration
@@ -83,15 +83,15 @@ class PadFit:
 
 @dataclass(frozen=True)
 class Worth:
-    """Errors on dockings that the calibration was not made from, rms over those in range with and without it.
+    """Rms errors with and without the calibration, on dockings that it was not made from and that are in range.
 
     Attributes:
         before: (3,) m, m, rad without.
         after: (3,) with.
         count: dockings compared.
         in_range: shares of all dockings in range, without and with.
-        known: whether errors are against the pose in contact; else the jitter of dockings is in both.
-        worse: (3,) whether it is worse by a fifth and by three standard errors.
+        known: whether errors are against the pose in contact; otherwise both include the jitter of dockings.
+        worse: (3,) whether the calibration is worse by a fifth and by three standard errors.
     """
 
     before: Array
@@ -103,7 +103,7 @@ class Worth:
 
 
 def predict(model: PoseEstimator, calibration: TactileCalibration, frames: Array) -> tuple[Array, Array, Mask]:
-    """Return poses (N, 3), standard deviations (N, 3) and in_range (N,) with a calibration, frames (N, 2, 10, 10) N."""
+    """Return calibrated poses (N, 3), standard deviations (N, 3) and in_range (N,) of frames (N, 2, 10, 10) N."""
     pads = calibration.apply(frames[:, 0], frames[:, 1])
     estimate = calibration.correct(model.predict(*pads), model.limits)
     pose = np.column_stack([getattr(estimate, axis) for axis in AXES])
@@ -116,17 +116,17 @@ def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = Non
 
     Args:
         dockings: at least FEWEST in range.
-        model: that the calibration is for.
+        model: pose model to calibrate for.
         parts: what to learn; None = everything.
 
     Raises:
-        SensorCalibrationError: too few dockings are in range, or the data leave out what the robot sees.
+        SensorCalibrationError: too few dockings are in range, or the data lack readings that the robot uses.
     """
     wanted = parts or Parts()
     if dockings.threshold > model.threshold:
         raise SensorCalibrationError(
             f"rig {dockings.rig}",
-            f"the data leave out what is below {dockings.threshold:g} N, the robot sees from {model.threshold:g} N on; "
+            f"the data lack readings below {dockings.threshold:g} N, the robot needs {model.threshold:g} N and up; "
             f"record or generate with --threshold {model.threshold:g}",
         )
     made = TactileCalibration(dead=find(dockings).dead, rig=dockings.rig, model=model.name, dockings=len(dockings))
@@ -136,7 +136,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = Non
         raise SensorCalibrationError(
             f"rig {dockings.rig}",
             f"{count} of {len(dockings)} dockings are in range of the pose model, at least {FEWEST} must be; "
-            "dock within ±8 mm and ±10°, or look at the pads",
+            "dock within ±8 mm and ±10°, or check the pads",
         )
     frames = np.where(made.dead, np.nan, dockings.frames)[usable]
     gain, misfit = _gains(frames, pose[usable], dockings.threshold)
@@ -155,7 +155,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = Non
 
 
 def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = None) -> Worth:
-    """Calibrate with four fifths of the dockings and look at the others, five times."""
+    """Calibrate with four fifths of the dockings and test on the rest, five times."""
     order = np.random.default_rng(0).permutation(len(dockings))
     neutral = TactileCalibration(dead=find(dockings).dead)
     known = bool(np.isfinite(dockings.truth).all())
@@ -166,7 +166,7 @@ def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = N
         others, held_out = np.delete(order, np.s_[fold::_FOLDS]), order[fold::_FOLDS]
         try:
             made = fit(dockings.part(others), model, parts).calibration
-        except SensorCalibrationError:  # too few of the others are in range: no calibration is what they would give
+        except SensorCalibrationError:  # too few of the others are in range for a calibration
             made = neutral
         with_it[held_out], _, has[held_out] = predict(model, made, dockings.frames[held_out])
     both = had & has
@@ -185,40 +185,40 @@ def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = N
 
 
 def _kept(value: float, error: float, doubt: float) -> float:
-    """Return the share of a value that is kept: none below √doubt standard errors, nearly all far above."""
+    """Return the share of a value to keep: 0 below √doubt standard errors, nearly 1 far above."""
     return max(0.0, 1.0 - doubt * (error / value) ** 2) if value else 0.0
 
 
 def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
-    """Return gains (2, 10, 10), mean 1 on each pad, and the misfit, from frames (N, 2, 10, 10) at poses (N, 3)."""
+    """Return gains (2, 10, 10), mean 1 on each pad, and the misfit, of frames (N, 2, 10, 10) N at poses (N, 3)."""
     docking = PadDockingParameters()
     tilt = pose[:, 1::-1] * [docking.tilt_per_y, docking.tilt_per_x]
     live = np.isfinite(frames)
-    felt = np.where(live, frames, 0.0)
-    model = ContactModel().solve(pose, felt.sum(axis=(1, 2, 3)), tilt).taxels * live
+    readings = np.where(live, frames, 0.0)
+    model = ContactModel().solve(pose, readings.sum(axis=(1, 2, 3)), tilt).taxels * live
     gain = np.ones(SHAPE)
     for _ in range(_ROUNDS):
-        expected = _loaded(model, felt, gain)
-        # What the recording cut off as too small would pass for a low gain.
+        expected = _loaded(model, readings, gain)
+        # Readings that the recording's threshold cut to 0 would pass for a low gain.
         weight = (live & (expected >= 1.5 * threshold)) / (_FLOOR**2 + (_MODEL_ERROR * expected) ** 2)
         information = np.sum(weight * expected**2, axis=0) + _PRIOR**-2
-        gain = (np.sum(weight * expected * felt, axis=0) + _PRIOR**-2) / information
+        gain = (np.sum(weight * expected * readings, axis=0) + _PRIOR**-2) / information
         gain /= (np.sum(gain * information, axis=(1, 2)) / np.sum(information, axis=(1, 2)))[:, None, None]
         gain = np.clip(gain, *_GAINS)
-    left_over = felt - gain * _loaded(model, felt, gain)
-    counted = live & (felt >= threshold)
-    return gain, float(np.sqrt(np.sum((left_over * counted) ** 2) / np.sum((felt * counted) ** 2)))
+    left_over = readings - gain * _loaded(model, readings, gain)
+    counted = live & (readings >= threshold)
+    return gain, float(np.sqrt(np.sum((left_over * counted) ** 2) / np.sum((readings * counted) ** 2)))
 
 
-def _loaded(model: Array, felt: Array, gain: Array) -> Array:
-    """Return the model's readings scaled to what each pad of each docking felt; 0 where that was too little."""
+def _loaded(model: Array, readings: Array, gain: Array) -> Array:
+    """Return the model's readings scaled to the load of each pad in each docking; 0 if the load is too small."""
     seen = model * gain
-    scale = np.sum(felt * seen, axis=(2, 3)) / np.maximum(np.sum(seen * seen, axis=(2, 3)), 1e-9)
+    scale = np.sum(readings * seen, axis=(2, 3)) / np.maximum(np.sum(seen * seen, axis=(2, 3)), 1e-9)
     return np.asarray(model * np.where(seen.sum(axis=(2, 3)) >= _LEAST_LOAD, scale, 0.0)[:, :, None, None])
 
 
 def _load_shift(dockings: KnownDockings, model: PoseEstimator, made: TactileCalibration) -> tuple[float, float, float]:
-    """Return the load shift with which the commanded horizontal offsets fit best, its error (N), and m per N."""
+    """Return the load shift that fits the commanded horizontal offsets best, its error (both N), and m per N."""
     tried = np.arange(-SHIFT_LIMIT, SHIFT_LIMIT + 0.5 * _STEP, _STEP)
     found, variance = np.empty((2, len(tried), len(dockings)))
     for index, shift in enumerate(tried):
@@ -231,7 +231,7 @@ def _load_shift(dockings: KnownDockings, model: PoseEstimator, made: TactileCali
     curvature = before - 2.0 * here + after
     move = np.clip(0.5 * (before - after) / curvature, -1.0, 1.0) if curvature > 0.0 else 0.0
     shift = float(np.clip(tried[best] + move * _STEP, -SHIFT_LIMIT, SHIFT_LIMIT))
-    # How much worse none at all fits tells what it is worth, and so its error; near none the curvature does.
+    # The gain in cost over no shift gives the error; for a small shift, the curvature does.
     gained = costs[len(tried) // 2] - here + 0.25 * move * (before - after)
     excess = max(1.0, here / len(dockings))
     if gained > 1.0:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What reference dockings tell about one rig: gains and dead taxels of its pads, what a tilt does, constant errors.
+"""Calibration of one rig: gains and dead taxels of its pads, load shift by tilt, constant errors.
 
-`apply` goes before the pose model, `correct` after it. `fit` makes one; running it needs numpy
-alone, reading and writing the file PyYAML.
+`apply` corrects frames before the pose model, `correct` its estimates. `fit` makes a calibration. Using one needs only
+numpy; its file needs PyYAML.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ SHIFT_LIMIT = 30.0
 """Largest load shift, N: about 0.15° of tilt on the simulated pads."""
 _BIAS_LIMIT = {"horizontal": 0.02, "vertical": 0.02, "angle": 0.2}
 _FELT = 0.25
-"""Readings below it are noise and belong to no pad's load, N; as in the pose model."""
+"""Readings below it are noise and do not count as load, N; as in the pose model."""
 _SHARE = 0.3
-"""A pad's readings are never scaled by more: beyond it a light pad's noise would be taken for its ridge."""
+"""Largest scaling of a pad's readings: beyond it, a light pad's noise would pass for its ridge."""
 
 
 @dataclass(frozen=True)
@@ -46,20 +46,20 @@ class TactileCalibration:
 
     Attributes:
         gain: (2, 10, 10) relative gain of each taxel, mean 1 on each pad.
-        dead: (2, 10, 10) taxels that are not to be believed.
-        load_shift: N that a constant tilt takes from the right pad and gives to the left.
+        dead: (2, 10, 10) taxels to ignore.
+        load_shift: N that a constant tilt moves from the right pad to the left.
         bias: (3,) m, m, rad: constant error of (horizontal, vertical, angle) in end_effector.
-        bias_stddev: (3,) what correcting adds to the estimate's standard deviations.
+        bias_stddev: (3,) uncertainty of `bias`, added to the estimate's standard deviations.
         rig: number of the rig, as in the data.
-        sensor: its pads, as the data name them; empty = not said.
-        model: name of the pose model whose errors these are.
+        sensor: name of its pads in the data; empty = unknown.
+        model: name of the pose model that it was made for.
         date: when it was made, ISO 8601.
-        dockings: how many it was made from.
+        dockings: number of dockings that it was made from.
         data: SHA-256 of the data set.
-        simulated: whether the data were.
+        simulated: whether the data are simulated.
 
     Raises:
-        SensorCalibrationError: a value is out of its bounds or has another shape.
+        SensorCalibrationError: a value is out of bounds or has the wrong shape.
     """
 
     gain: Array = field(default_factory=lambda: np.ones(SHAPE))
@@ -92,10 +92,10 @@ class TactileCalibration:
 
         Args:
             left: (..., 10, 10) N, the pad at +x, tared, not thresholded; NaN = dead.
-            right: the same for the pad at −x.
+            right: (..., 10, 10) N, the pad at −x.
 
         Raises:
-            FrameError: the arrays are not of that shape.
+            FrameError: wrong shape.
         """
         pads = [np.asarray(pad, dtype=float) for pad in (left, right)]
         if pads[0].shape != pads[1].shape or pads[0].shape[-2:] != SHAPE[1:]:
@@ -112,14 +112,14 @@ class TactileCalibration:
         return pads[0] * factors[0][..., None, None], pads[1] * factors[1][..., None, None]
 
     def correct(self, estimate: Estimate, limits: Limits | None = None) -> Estimate:
-        """Take the constant error off an estimate that was made from what `apply` returned.
+        """Subtract the constant error from an estimate made from the output of `apply`.
 
-        Standard deviations grow by how well the error is known; classes and `in_range` follow the corrected pose. What
-        was not in range or not sure does not become so.
+        Standard deviations grow by the error's uncertainty. Classes and `in_range` follow the corrected pose. An
+        estimate that was not in range or not sure does not become so.
 
         Args:
             estimate: floats of one frame pair, or arrays (...).
-            limits: those of the pose model; None = the defaults.
+            limits: of the pose model; None = the defaults.
         """
         if not self.bias.any() and not self.bias_stddev.any():
             return estimate
@@ -132,7 +132,7 @@ class TactileCalibration:
             for axis, stddev in zip(AXES, self.bias_stddev, strict=True)
         }
         turn = given["angle"].ravel()
-        by_x, by_y = -np.sin(turn), np.cos(turn)  # of what is taken off along x and y, across the bars
+        by_x, by_y = -np.sin(turn), np.cos(turn)  # share of a correction along x and y that is across the bars
         across = given["across"].ravel() - by_x * self.bias[0] - by_y * self.bias[1]
         doubt = np.hypot(by_x * self.bias_stddev[0], by_y * self.bias_stddev[1])
         across_spread = np.hypot(given["across_stddev"].ravel(), doubt)
@@ -148,7 +148,7 @@ class TactileCalibration:
         return dataclasses.replace(estimate, **{name: shaped(value, shape) for name, value in changed.items()})
 
     def save(self, path: str | Path, comment: str = "") -> None:
-        """Write it as YAML, `comment` above it.
+        """Write the calibration as YAML, with `comment` above it.
 
         Raises:
             OSError: the file cannot be written.
@@ -157,17 +157,17 @@ class TactileCalibration:
 
     @staticmethod
     def load(path: str | Path) -> TactileCalibration:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            FileNotFoundError: there is no such file.
-            SensorCalibrationError: names the file and the key that is unknown, missing or impossible.
+            FileNotFoundError: no such file.
+            SensorCalibrationError: a key is unknown, missing or invalid; names file and key.
         """
         source = str(path)
         try:
             content = read_yaml(path)
         except YamlError as error:
-            raise SensorCalibrationError(source, f"{error.problem}; make it anew with `calibrate tactile`") from error
+            raise SensorCalibrationError(source, f"{error.problem}; make it again with `calibrate tactile`") from error
         try:
             return _from_mapping(content)
         except SensorCalibrationError as error:
@@ -177,7 +177,7 @@ class TactileCalibration:
 def _bound(name: str, value: ArrayLike, low: float, high: float) -> None:
     values = np.asarray(value, dtype=float)
     if not np.all((values >= low) & (values <= high)):  # NaN is neither
-        raise SensorCalibrationError(name, f"outside {low:g} to {high:g}; calibrate anew")
+        raise SensorCalibrationError(name, f"outside {low:g} to {high:g}; calibrate again")
 
 
 def _as_mapping(calibration: TactileCalibration) -> dict[str, Any]:
@@ -207,7 +207,7 @@ def _from_mapping(content: Any) -> TactileCalibration:
     keys = ("version", *_PLAIN, "load_shift", "bias", "bias_stddev", "dead", "gain")
     _keys("the file", content, keys)
     if content["version"] != VERSION:
-        raise SensorCalibrationError("version", f"{brief(content['version'])} is not {VERSION}; calibrate anew")
+        raise SensorCalibrationError("version", f"{brief(content['version'])} is not {VERSION}; calibrate again")
     for name, kind in _PLAIN.items():
         if type(content[name]) is not kind:
             raise SensorCalibrationError(name, f"{brief(content[name])} is not of type {kind.__name__}")
@@ -229,11 +229,11 @@ def _keys(where: str, mapping: Any, known: tuple[str, ...]) -> None:
         raise SensorCalibrationError(where, f"must be a mapping with the keys {', '.join(known)}")
     for key in mapping:
         if key not in known:
-            hint = did_you_mean(key, known) or f"; known are {', '.join(known)}"
+            hint = did_you_mean(key, known) or f"; known keys are {', '.join(known)}"
             raise SensorCalibrationError(str(key), f"unknown key in {where}{hint}")
     missing = [key for key in known if key not in mapping]
     if missing:
-        raise SensorCalibrationError(where, f"no key {', '.join(missing)}; calibrate anew")
+        raise SensorCalibrationError(where, f"missing key {', '.join(missing)}; calibrate again")
 
 
 def _numbers(where: str, value: Any, shape: tuple[int, ...]) -> Array:

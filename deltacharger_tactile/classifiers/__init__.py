@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's nine classifiers of misalignment, and one on physical features, behind one interface.
+"""The paper's nine classifiers of misalignment and two on physical features, with one interface.
 
-They are trained with scikit-learn, XGBoost or PyTorch, and run on numpy alone.
+Training uses scikit-learn, XGBoost or PyTorch; classification needs only numpy.
 """

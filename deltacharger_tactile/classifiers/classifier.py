@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one interface of all classifiers: fit, predict, predict_proba, save, load."""
+"""The interface of all classifiers: fit, predict, predict_proba, save, load."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from deltacharger_tactile.classifiers.runtime import KINDS
 from deltacharger_tactile.errors import ModelError
 
 Progress = Callable[[float, str], None]
-"""Told the share that is done and what is being done."""
+"""Called with the share done and the current step."""
 
 
 @dataclass(frozen=True)
 class Learnt:
-    """What a trainer hands over.
+    """Result of a trainer.
 
     Attributes:
-        kind: of `runtime.KINDS`.
-        arrays: what that kind runs on.
-        trainer_proba: probabilities (N, C) of inputs as the trainer's own library computes them; for tests.
+        kind: one of `runtime.KINDS`.
+        arrays: input of that kind.
+        trainer_proba: probabilities (N, C) computed by the trainer's library; for tests.
     """
 
     kind: str
@@ -53,14 +53,14 @@ NAMES: dict[str, tuple[str, str]] = {
     "lda": ("shallow", "features"),
     "pose": ("shallow", "pose"),
 }
-"""The module that trains each, and what it sees: all taxels, features, or features and what `pretrained` tells."""
+"""Training module and inputs of each: all taxels, features, or features and the outputs of `pretrained`."""
 DEFAULT = "pose"
-"""The best of them on the frozen data."""
-_PRETRAINED = "pretrained"  # of a file's description: digest of the packaged models that were asked in training
+"""The best on the frozen data."""
+_PRETRAINED = "pretrained"  # key in a file: digest of the packaged models used in training
 
 
 class Classifier:
-    """Tells the class of a misalignment from two tactile frames.
+    """Classifies a misalignment from two tactile frames.
 
     Args:
         name: one of `NAMES`.
@@ -68,12 +68,12 @@ class Classifier:
         threshold: readings below it count as 0, N.
 
     Attributes:
-        fit_time: s that training took; NaN where it was loaded.
-        about: what else the file says: data, seeds, digest of the generator's parameters.
-        reliability: when its answer may be acted on; None before `calibrate`.
+        fit_time: s of training; NaN if loaded.
+        about: further contents of the file: data, seeds, digest of the generator's parameters.
+        reliability: when an answer may be used; None before `calibrate`.
 
     Raises:
-        ModelError: there is no such classifier or target.
+        ModelError: no such classifier or target.
     """
 
     def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
@@ -88,20 +88,20 @@ class Classifier:
         self._learnt: Learnt | None = None
         self._kind = ""
         self._arrays: dict[str, NDArray[Any]] = {}
-        self._stored: dict[str, NDArray[Any]] = {}  # as a file holds them, where `shrink` found smaller types
+        self._stored: dict[str, NDArray[Any]] = {}  # as in a file, if `shrink` found smaller types
 
     def fit(self, frames: ArrayLike, classes: ArrayLike, seed: int = 0, progress: Progress | None = None) -> Classifier:
-        """Learn from frames (N, 2, 10, 10) N and their classes (N,).
+        """Train on frames (N, 2, 10, 10) N and their classes (N,).
 
         Args:
             frames: tared; NaN where dead.
             classes: whole numbers from 0.
-            seed: of whatever is random.
-            progress: told how far training is.
+            seed: of all random choices.
+            progress: called with the share done.
 
         Raises:
-            ModelError: a class without examples, or one that the target does not have.
-            ModuleNotFoundError: the trainer's library is not installed; `deltacharger[train]` has all.
+            ModelError: a class has no examples or does not belong to the target.
+            ModuleNotFoundError: the trainer's library is missing; `deltacharger[train]` has it.
         """
         known = np.asarray(classes, dtype=np.int64)
         count = labels.classes(self.target)
@@ -117,13 +117,13 @@ class Classifier:
         return self
 
     def refer(self, frames: ArrayLike, classes: ArrayLike) -> Classifier:
-        """Take off what is constantly different on a device: learn from reference dockings whose classes are known.
+        """Remove a device's constant error, learnt from reference dockings of known classes.
 
-        What the mean deviation of their inputs, from those of training with the same class, does to the scores is
-        subtracted ever after; less of it where it may be chance (shrinkage of James and Stein 1961).
+        The mean deviation of their inputs from training, class by class, changes the scores. From now on, this change
+        is subtracted, shrunk if it may be chance (James and Stein 1961).
 
         Raises:
-            ModelError: it does not see features, or there are fewer than two dockings.
+            ModelError: the classifier does not use features, or there are fewer than two dockings.
         """
         if "means" not in self._arrays:
             raise ModelError(self.name, "it cannot learn from reference dockings; train lda or pose")
@@ -138,27 +138,27 @@ class Classifier:
         return self
 
     def calibrate(self, frames: ArrayLike, classes: ArrayLike, familiar: ArrayLike | None = None) -> Classifier:
-        """Learn from frames that `fit` has not seen when an answer may be acted on.
+        """Learn when an answer may be used, from frames that `fit` has not seen.
 
         Args:
             frames: (N, 2, 10, 10) N.
             classes: (N,) of these frames.
-            familiar: (M, 2, 10, 10) N, further frames that look as they should, such as those that `fit` has seen; with
-                some hundred the drift check is sharp.
+            familiar: (M, 2, 10, 10) N, further normal frames, such as those of `fit`; some hundred sharpen the drift
+                check.
 
         Raises:
             ModelError: too few frames.
         """
-        felt = np.nan_to_num(np.asarray(frames, dtype=float))
+        readings = np.nan_to_num(np.asarray(frames, dtype=float))
         known = np.asarray(classes, dtype=np.int64)
         more = None if familiar is None else np.nan_to_num(np.asarray(familiar, dtype=float))
-        self.reliability = reliability.learn(self.predict_proba(frames), known, felt, self.threshold, more)
+        self.reliability = reliability.learn(self.predict_proba(frames), known, readings, self.threshold, more)
         return self
 
     def predict_proba(self, frames: ArrayLike) -> Array:
         """Return class probabilities (N, C) of frames (N, 2, 10, 10) N, NaN where dead."""
         if not self._kind:
-            raise ModelError(self.name, "it has not learnt anything; call fit or load")
+            raise ModelError(self.name, "it is not trained; call fit or load")
         return KINDS[self._kind](self._arrays, self._inputs(frames))
 
     def predict(self, frames: ArrayLike) -> NDArray[np.int64]:
@@ -166,13 +166,13 @@ class Classifier:
         return np.asarray(np.argmax(self.predict_proba(frames), axis=1))
 
     def trainer_proba(self, frames: ArrayLike) -> Array:
-        """Return the probabilities as the library computes them with which it was trained, before it was exported."""
+        """Return the probabilities computed by the training library, before export."""
         if self._learnt is None:
-            raise ModelError(self.name, "its trainer is gone: it was loaded")
+            raise ModelError(self.name, "it was loaded and has no trainer; call fit")
         return self._learnt.trainer_proba(self._inputs(frames))
 
     def shrink(self, frames: ArrayLike) -> Classifier:
-        """Keep its arrays in the smallest types with which the class of none of these frames changes.
+        """Store the arrays in the smallest types that change the class of none of these frames.
 
         Args:
             frames: (N, 2, 10, 10) N.
@@ -187,7 +187,7 @@ class Classifier:
         return self
 
     def save(self, path: str | Path) -> None:
-        """Write it as npz, without pickle."""
+        """Write the classifier as npz, without pickle."""
         about = {
             **self.about,
             "name": self.name,
@@ -203,11 +203,11 @@ class Classifier:
 
     @staticmethod
     def load(path: str | Path) -> Classifier:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            FileNotFoundError: there is no such file.
-            ModelError: it is no classifier, does not work, or was trained on packaged models of another version.
+            FileNotFoundError: no such file.
+            ModelError: no working classifier, or one trained on packaged models of another version.
         """
         about, arrays = files.read(path)
         try:
@@ -220,7 +220,7 @@ class Classifier:
             shares = model.predict_proba(np.ones((1, PADS, ROWS, COLUMNS)))
         except ModelError as error:
             raise ModelError(str(path), error.reason) from error
-        except Exception as error:  # whatever a stranger's arrays lead to
+        except Exception as error:  # arrays of a foreign file may raise anything
             raise ModelError(str(path), "its arrays and description do not fit together") from error
         if shares.shape != (1, labels.classes(model.target)) or not np.isclose(shares.sum(), 1.0):
             raise ModelError(str(path), "it does not give probabilities")
@@ -232,11 +232,11 @@ class Classifier:
             raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
 
     def _inputs(self, frames: ArrayLike) -> Array:
-        """Return what the model sees: (N, 200) N, (N, F) features, or features and pretrained inputs, NaN unknown."""
-        felt = np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
+        """Return the model's inputs: (N, 200) N, (N, F) features, or features and pretrained inputs; NaN unknown."""
+        readings = np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
         sees = NAMES[self.name][1]
         if sees == "taxels":
-            return np.where(felt >= self.threshold, felt, 0.0).reshape(len(felt), -1)  # NaN is not at or above it
+            return np.where(readings >= self.threshold, readings, 0.0).reshape(len(readings), -1)  # NaN gives 0
         if sees == "features":
-            return features.extract(features.fill_dead(felt), self.threshold).values
-        return pretrained.inputs(felt, self.target, self.threshold)
+            return features.extract(features.fill_dead(readings), self.threshold).values
+        return pretrained.inputs(readings, self.target, self.threshold)

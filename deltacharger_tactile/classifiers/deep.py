@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the paper's two networks with PyTorch, on CUDA where there is one."""
+"""Training of the paper's two networks with PyTorch, on CUDA if available."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Labels = NDArray[np.int64]
 Arrays = dict[str, NDArray[Any]]
 
 EPOCHS = 50
-"""Passes over the data, from the paper; so are cross entropy, ReduceLROnPlateau and the kinds of layers. Widths, batch
-and rate of learning are not in its text."""
-_DENSE = (512, 256, 128)  # widths of nn; narrower ones do worse on horizontal by one to three points
-_PLANES, _CNN_DENSE = (8, 16), (64, 32)  # widths of cnn; of 16 and 32 planes and 128 it is no better
+"""Passes over the data. From the paper, like cross entropy, ReduceLROnPlateau and the kinds of layers; widths, batch
+size and learning rate are not."""
+_DENSE = (512, 256, 128)  # widths of nn; narrower ones are worse on horizontal by one to three points
+_PLANES, _CNN_DENSE = (8, 16), (64, 32)  # widths of cnn; 16 and 32 planes with 128 are no better
 _BATCH = 16
 _RATE = 3e-3
 _PATIENCE = 5  # epochs without a smaller loss until the rate is divided by ten
@@ -48,7 +48,7 @@ def build(name: str, classes: int) -> Any:
 
 
 def train(name: str, inputs: Array, labels: Labels, seed: int, progress: Progress) -> Learnt:
-    """Train the network `name` on inputs (N, 200) N with labels (N,), every class from 0 on among them."""
+    """Train the network `name` on inputs (N, 200) N with labels (N,), which include every class from 0 on."""
     import torch
 
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -57,7 +57,7 @@ def train(name: str, inputs: Array, labels: Labels, seed: int, progress: Progres
         torch.manual_seed(seed)
         model = build(name, int(labels.max()) + 1).to(device)
         _learn(model, inputs, labels, generator, lambda epoch: progress(epoch / EPOCHS, f"{name}: epoch {epoch}"))
-    model.eval().double()  # what float32 rounds differs from library to library by more than the export may
+    model.eval().double()  # float32 rounding differs between libraries by more than the export may
 
     def trainer_proba(values: Array) -> Array:
         with torch.no_grad():
@@ -80,7 +80,7 @@ def _learn(model: Any, inputs: Array, labels: Labels, generator: Any, done: Call
     for epoch in range(EPOCHS):
         total = 0.0
         for rows in torch.randperm(len(x), generator=generator).split(_BATCH):
-            if len(rows) < 2:  # batch normalisation knows no spread of one
+            if len(rows) < 2:  # batch normalisation needs two rows
                 continue
             optimizer.zero_grad()
             loss = loss_of(model(x[rows]), y[rows])
@@ -92,7 +92,7 @@ def _learn(model: Any, inputs: Array, labels: Labels, generator: Any, done: Call
 
 
 def _export(model: Any) -> Arrays:
-    """Return the layers as arrays, batch normalisation folded into the layer before it."""
+    """Return the layers as arrays, with batch normalisation folded into the layer before it."""
     from torch import nn
 
     arrays: dict[str, NDArray[Any]] = {}

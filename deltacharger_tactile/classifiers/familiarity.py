@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether frames look as in training, one by one and as a window of dockings.
+"""Whether frames look as in training, singly and as a window of dockings.
 
-Looked at is what a frame says beyond its pose: its features (load, active taxels, peak, moments, shares of rows and
-columns) minus their smooth regression on those that follow the pose (share of each pad's load, height and slope of the
-line through both centres). So it does not matter much where in their range dockings happen. The size of the remainder
-is Hotelling's T². A single frame tells only of gross changes; the mean over a window of dockings tells of
-slow ones too.
+The check uses what a frame shows beyond its pose: its features (load, active taxels, peak, moments, shares of rows and
+columns) minus their smooth regression on features that follow the pose (share of each pad's load, height and slope of
+the line through both centres). It therefore depends little on the poses of the dockings. Hotelling's T² measures the
+remainder. A single frame shows only gross changes; the mean over a window of dockings also shows slow ones.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from deltacharger_core.machine import ROWS
 from deltacharger_tactile.parameters import PadContactParameters
 
 WINDOW = 50
-"""Dockings that are judged together at least."""
+"""Fewest dockings judged together."""
 _FOLDS = 5
 _DRAWS = 2000  # windows drawn from the remainders of training
-_TAIL = 0.002  # share of these that may look strange
+_TAIL = 0.002  # share of them that may look strange
 _MARGIN, _WINDOW_MARGIN = 5.0, 4.0  # over the root of the number of frames: training shows only so many
-_BETWEEN = 0.005  # of a frame's variance at 1 N: what differs between sessions, such as the tare, for all frames alike
-_FALSE = 0.01  # share of frames that may look strange alone
-_COUNTED = 3.6  # roots of their number by which more of them are too many in a window
-_NODES = 30  # of the regression, at most; a fifth of the frames where these are few
+_BETWEEN = 0.005  # of a frame's variance at 1 N: differences between sessions, such as the tare, common to all frames
+_FALSE = 0.01  # share of single frames that may look strange
+_COUNTED = 3.6  # largest excess of strange frames in a window, in standard deviations of their count
+_NODES = 30  # of the regression, at most; a fifth of the frames if these are few
 _BUMP = 0.7  # width of a node's bump, in standard deviations
 _PENALTY = 0.3  # on a bump's weight
 _LEAST = 0.01  # of any feature's spread, so that one that never varied does not decide
@@ -39,7 +38,7 @@ _AWAY = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))  # of taxel centres from t
 
 @dataclass(frozen=True)
 class Familiarity:
-    """What familiar frames taught; P features that follow the pose, B terms of the regression, F other features.
+    """Statistics of familiar frames; P features that follow the pose, B terms of the regression, F other features.
 
     Attributes:
         centre: (P,) mean of the features that follow the pose.
@@ -51,7 +50,7 @@ class Familiarity:
         precision: (F, F) inverse covariance of the scaled remainders, shrunk.
         frame_limit: largest familiar T² of one frame.
         load_limit: largest familiar remainder of one frame's total load, in standard deviations.
-        reach_limit: largest familiar leverage of one frame: how far its pose may lie from those of training.
+        reach_limit: largest familiar leverage of one frame: how far its pose may be from those of training.
         window_limit: largest familiar T² of a window's mean.
         feature_limit: largest familiar single feature of a window's mean, in standard deviations.
     """
@@ -70,7 +69,7 @@ class Familiarity:
     feature_limit: float = float("inf")
 
     def strange(self, frames: Array, threshold: float) -> Mask:
-        """Return which frames (N, 2, 10, 10) N look like none of training."""
+        """Return which frames (N, 2, 10, 10) N look unlike training."""
         return self._strange(*self.remainders(frames, threshold))
 
     def _strange(self, remainder: Array, terms: Array) -> Mask:
@@ -81,14 +80,14 @@ class Familiarity:
     def strange_together(self, frames: Array, threshold: float) -> bool:
         """Return whether frames (N, 2, 10, 10) N of N ≥ WINDOW dockings look, on average, unlike training."""
         remainder, terms = self.remainders(frames, threshold)
-        usual = _FALSE * len(frames)  # ± its root, for they are counted
+        usual = _FALSE * len(frames)  # a count, so its standard deviation is its root
         if np.count_nonzero(self._strange(remainder, terms)) > usual + _COUNTED * np.sqrt(usual):
             return True
         distance, reach = self._sizes(remainder, terms)
-        near = reach <= self.reach_limit  # beyond it the regression is a guess
+        near = reach <= self.reach_limit  # beyond it the regression extrapolates
         capped = _capped(remainder[near], distance[near], self.frame_limit)
         mean, at = capped.mean(axis=0), terms[near].mean(axis=0)
-        between = _BETWEEN / np.sqrt(threshold)  # readings near the threshold hold the tare's own error
+        between = _BETWEEN / np.sqrt(threshold)  # readings near the threshold contain the tare's own error
         variance = 1.0 / max(int(np.sum(near)), 1) + float(at @ self.gram @ at) + between
         together = float(mean @ self.precision @ mean) / variance
         return bool(together > self.window_limit or np.abs(mean).max() > self.feature_limit * np.sqrt(variance))
@@ -108,24 +107,24 @@ class Familiarity:
         return (other - terms @ self.weights) / self.scale, terms
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers, rounded to seven digits."""
+        """Return plain numbers, rounded to seven digits."""
         return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> Familiarity:
-        """Return what `to_dict` gave."""
+        """Restore from the output of `to_dict`."""
         read: dict[str, Any] = {key: np.array(each) if isinstance(each, list) else each for key, each in values.items()}
         return Familiarity(**read)
 
 
 def learn(frames: Array, threshold: float) -> Familiarity:
-    """Learn from familiar frames (N, 2, 10, 10) N; the limits from frames that their own fold did not see.
+    """Learn from familiar frames (N, 2, 10, 10) N; limits come from cross-validation.
 
     Args:
-        frames: of as many dockings as there are; one rig or several.
+        frames: of one rig or several; the more dockings, the better.
         threshold: readings below it count as 0, N.
     """
-    random = np.random.default_rng(0)  # of folds and windows alone
+    random = np.random.default_rng(0)  # only for folds and windows
     fold = random.permutation(len(frames)) % _FOLDS
     remainders, whitened, distances, reaches = [], [], [], []
     for index in range(_FOLDS):
@@ -153,7 +152,7 @@ def learn(frames: Array, threshold: float) -> Familiarity:
 
 
 def _capped(remainder: Array, distance: Array, limit: float) -> Array:
-    """Return remainders (N, F) no larger than the limit on their distance (N,): one must not decide for many."""
+    """Return remainders (N, F), each scaled down to the limit on its distance (N,), so that one cannot decide alone."""
     return np.asarray(remainder * np.sqrt(np.minimum(1.0, limit / np.maximum(distance, 1e-9)))[:, None])
 
 
@@ -189,21 +188,21 @@ def _shrunk(values: Array) -> Array:
 
 
 def _features(frames: Array, threshold: float) -> tuple[Array, Array]:
-    """Return what follows the pose (N, 3) and what else a frame shows (N, F): N, mm, their logarithms and ratios."""
-    felt = np.where(frames >= threshold, frames, 0.0)
-    rows, columns = felt.sum(axis=3), felt.sum(axis=2)
+    """Return features that follow the pose (N, 3) and the others (N, F): N, mm, their logarithms and ratios."""
+    seen = np.where(frames >= threshold, frames, 0.0)
+    rows, columns = seen.sum(axis=3), seen.sum(axis=2)
     load = rows.sum(axis=2)
     weight = load + _LIGHT
     u, v = columns @ _AWAY / weight, rows @ _AWAY / weight
     width, height = (columns @ _AWAY**2 / weight - u * u, rows @ _AWAY**2 / weight - v * v)
-    tilt = np.einsum("npij,i,j->np", felt, _AWAY, _AWAY) / weight - u * v
+    tilt = np.einsum("npij,i,j->np", seen, _AWAY, _AWAY) / weight - u * v
     sides = (load[:, 0] - load[:, 1]) / weight.sum(axis=1)
     posed = np.stack([sides, v.mean(axis=1), v[:, 0] - v[:, 1]], axis=1)
     total = np.log(load.sum(axis=1, keepdims=True) + _LIGHT)
-    active = np.count_nonzero(felt, axis=(2, 3))
-    shape = (u, np.sqrt(np.maximum(width, 0.0)), np.sqrt(np.maximum(height, 0.0)), tilt, felt.max(axis=(2, 3)) / weight)
-    heights = (rows / weight[:, :, None]).reshape(len(felt), -1)
-    shares = (columns / weight[:, :, None]).reshape(len(felt), -1)
+    active = np.count_nonzero(seen, axis=(2, 3))
+    shape = (u, np.sqrt(np.maximum(width, 0.0)), np.sqrt(np.maximum(height, 0.0)), tilt, seen.max(axis=(2, 3)) / weight)
+    heights = (rows / weight[:, :, None]).reshape(len(seen), -1)
+    shares = (columns / weight[:, :, None]).reshape(len(seen), -1)
     return posed, np.concatenate([total, active, *shape, heights, shares], axis=1)
 
 
@@ -216,7 +215,7 @@ def _terms(values: Array, nodes: Array) -> Array:
 
 
 def _spread_out(values: Array, count: int) -> Array:
-    """Return `count` of the values (N, P), each the farthest from those before it."""
+    """Return `count` of the values (N, P), each the farthest from the earlier ones."""
     chosen = [int(np.argmin(np.sum(values * values, axis=1)))]
     nearest = np.full(len(values), np.inf)
     while len(chosen) < count:

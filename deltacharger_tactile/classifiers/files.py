@@ -24,9 +24,9 @@ def write(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray[Any
 
 
 def shrunk(arrays: dict[str, NDArray[Any]], half: bool) -> dict[str, NDArray[Any]]:
-    """Return arrays in smaller types: whole numbers in the smallest, floating ones in float32, or rounded to `half`.
+    """Return arrays in the smallest integer types, and in float32 or rounded to `half`.
 
-    Thresholds of trees are rounded down, so that every float32 reading falls to the same side of "at most".
+    Thresholds of trees are rounded down, so that every float32 reading stays on its side of "at most".
     """
     return {name: _shrunk(name, array, half) for name, array in arrays.items()}
 
@@ -43,11 +43,11 @@ def _shrunk(name: str, array: NDArray[Any], half: bool) -> NDArray[Any]:
 
 
 def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read what `write` wrote.
+    """Read a file written by `write`.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ModelError: it is no such file, of another version, or its arrays do not fit together.
+        FileNotFoundError: no such file.
+        ModelError: another kind of file or version, or the arrays do not fit together.
     """
     try:
         about, arrays = npz.read(path, "about", npz.LARGEST_MODEL)
@@ -55,7 +55,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         raise ModelError(str(path), str(error)) from error
     if about.get("format") != FORMAT or about.get("kind") not in KINDS:
         found = f"format {about.get('format')}, kind '{about.get('kind')}'"
-        raise ModelError(str(path), f"{found} is not known to this version; train it anew")
+        raise ModelError(str(path), f"{found} is unknown to this version; train it again")
     if not all(np.issubdtype(array.dtype, np.number) or array.dtype == bool for array in arrays.values()):
         raise ModelError(str(path), "an array holds no numbers")
     if not all(np.all(np.isfinite(array)) for array in arrays.values()):
@@ -66,12 +66,12 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def full(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return arrays of float16, which only a file holds, as float32."""
+    """Return arrays with float16, which only files use, converted to float32."""
     return {name: array.astype(np.float32) if array.dtype == np.float16 else array for name, array in arrays.items()}
 
 
 def _check_trees(path: str, arrays: dict[str, NDArray[Any]]) -> None:
-    """Refuse trees in which a walk from the root might not end: children stand behind their parent in the table."""
+    """Refuse trees whose traversal might not end: children must follow their parent in the table."""
     try:
         inner = np.flatnonzero(arrays["feature"] >= 0)
         count = len(arrays["feature"])

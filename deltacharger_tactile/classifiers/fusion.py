@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several dockings at one place tell together.
+"""Combines several dockings at one place.
 
-Jitter, tilt and hysteresis are drawn anew by every docking, which is why more frames of one docking hardly help and
-another docking does. What a device does wrong in the same way each time stays.
+Every docking draws new jitter, tilt and hysteresis. Another docking therefore helps, while more frames of one docking
+hardly do. Errors that a device repeats remain.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.errors import DatasetError
 
 _LEAST = 1e-6
-"""Smallest probability that one docking may give a class: a single strange one must not rule out the truth."""
+"""Smallest class probability of one docking: a single outlier must not rule out the true class."""
 
 
 def together(probabilities: ArrayLike) -> Array:
-    """Return class probabilities (N, C) from those of D independent dockings (D, N, C): their product, as shares."""
+    """Return class probabilities (N, C) from D independent dockings (D, N, C): their normalised product."""
     odds = np.log(np.maximum(np.asarray(probabilities, dtype=float), _LEAST)).sum(axis=0)
     shares = np.exp(odds - odds.max(axis=1, keepdims=True))
     return np.asarray(shares / shares.sum(axis=1, keepdims=True))
 
 
 def groups(examples: Examples, dockings: int, seed: int) -> NDArray[np.int64]:
-    """Return rows (D, N) of dockings at the same commanded value, device and session or not, each row at most once.
+    """Return rows (D, N) of dockings at the same commanded value and device, in any session; each row at most once.
 
     Args:
-        examples: of which each row is a docking.
-        dockings: D, how many tell together.
-        seed: which go together.
+        examples: one row per docking.
+        dockings: D, dockings per group.
+        seed: of the grouping.
 
     Raises:
         DatasetError: no value was commanded that often on one device.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a classifier is on frames that it has not seen."""
+"""Evaluates a classifier on frames that it has not seen."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from deltacharger_tactile.classifiers.reliability import NOMINAL
 
 
 def evaluate(model: Classifier, examples: Examples) -> dict[str, Any]:
-    """Return accuracy, mean absolute error (rad or m), and how its conformal sets and its drift check do.
+    """Return accuracy, mean absolute error (rad or m), and the performance of conformal sets and drift check.
 
-    `coverage` is the share of frames whose set holds the true class, `act_rate` that of frames with one class alone in
-    the set and no drift, `drift_rate` that of frames that look like none of training; NaN where the model was not
-    calibrated. `drifted_together` is 1 where all frames together look so, 0 where not, NaN where they are too few.
+    `coverage` is the share of frames whose set holds the true class. `act_rate` is the share with exactly one class in
+    the set and no drift. `drift_rate` is the share that look unlike training. All three are NaN without calibration.
+    `drifted_together` is 1 if all frames together look unlike training, else 0; NaN if they are too few.
     """
     probabilities = model.predict_proba(examples.frames)
     found = np.argmax(probabilities, axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From poses to the paper's classes, and which rows of a data set belong to which of its three problems."""
+"""The paper's classes of poses, and the rows of a data set for each of its three problems."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _ANGLE_STEP = np.radians(1.0)
 
 @dataclass(frozen=True)
 class Examples:
-    """What one classifier learns from or is judged by.
+    """Examples for training or testing one classifier.
 
     Attributes:
         frames: (N, 2, 10, 10) N, tared and thresholded; NaN where dead.
-        labels: (N,) class: whole degrees of |angle|, or the step of −10 … 10 mm.
-        values: (N,) what was commanded, rad or m; of the angle its size.
-        groups: (N,) number of the docking; frames of one docking never lie on both sides of a split.
+        labels: (N,) class: rounded degrees of |angle|, or the step of −10 … 10 mm.
+        values: (N,) commanded value, rad or m; for the angle its magnitude.
+        groups: (N,) number of the docking; a split never separates its frames.
         rigs: (N,) seed of the device.
         sessions: (N,) number of the session.
     """
@@ -51,12 +51,12 @@ def classes(target: str) -> int:
 
 
 def centres(target: str) -> Array:
-    """Return the middle of each class: rad or m."""
+    """Return the centre of each class: rad or m."""
     return np.arange(ANGLE_CLASSES) * _ANGLE_STEP if target == "angle" else np.array(POSITION_CLASSES)
 
 
 def label(values: Array, target: str) -> NDArray[np.int64]:
-    """Return the class of values (N,), |angle| in rad or an offset in m; −1 where none of the paper's classes holds it.
+    """Return the class of values (N,), |angle| in rad or an offset in m; −1 outside the paper's classes.
 
     Class k of the angle is |angle| within k ± 0.5°.
     """
@@ -67,9 +67,9 @@ def label(values: Array, target: str) -> NDArray[np.int64]:
 
 
 def rows(data: Dataset, target: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which rows belong to a target, and their classes: of the angle set, or of the position set.
+    """Return the rows of a target's set (angle or position) and their classes.
 
-    Of a continuous data set all rows within a class belong to it.
+    From a continuous data set, use all rows within a class.
     """
     subset = SUBSET_ANGLE if target == "angle" else SUBSET_POSITION
     classes_of = label(_values(data, target), target)
@@ -83,14 +83,14 @@ def _values(data: Dataset, target: str) -> Array:
 
 
 def examples(data: Dataset, target: str) -> Examples:
-    """Return the rows of a target.
+    """Return the examples of a target.
 
     Raises:
-        DatasetError: no row belongs to it.
+        DatasetError: there are none.
     """
     chosen, known = rows(data, target)
     if not len(chosen):
-        raise DatasetError(target, "no row belongs to it; generate the data with --protocol paper, or use 'pose'")
+        raise DatasetError(target, "it has no rows; generate the data with --protocol paper, or use 'pose'")
     frames = np.stack(data.robot_frames(), axis=1)[chosen]
     columns = (data.attempt, data.rig, data.session)
     return Examples(frames, known, _values(data, target)[chosen], *(column[chosen] for column in columns))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's nine models as the package ships them: by name, one file for each target."""
+"""The packaged nine models of the paper: by name, one file for each target."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from deltacharger_tactile.errors import ModelError, UnknownModelError
 from deltacharger_tactile.parameters import TactileParameters
 
 MODELS = tuple(name for name, (_, sees) in NAMES.items() if sees == "taxels")
-"""Names of the nine, in the paper's order."""
+"""Their names, in the paper's order."""
 FOLDER = deltacharger_tactile.MODELS
 GENERATOR, ACCURACY, FIT_TIME = "generator", "accuracy", "fit_s"
-"""What each file says of itself: digest of the generator's parameters; share right, on rigs that taught nothing; s."""
+"""Metadata of each file: digest of the generator's parameters; accuracy on rigs that it was not trained on; s."""
 
 
 def path(name: str, target: str, folder: Path | None = None) -> Path:
-    """Return where a model of a target lies; None = in the package."""
+    """Return the file of a model for a target; folder None = in the package."""
     return (folder or FOLDER) / f"{name}-{target}.npz"
 
 
 def load(name: str) -> Mapping[str, Classifier]:
-    """Return a model's classifiers by target, each file read once per process.
+    """Return a model's classifiers by target; each file is read once per process.
 
     Raises:
-        UnknownModelError: there is no such model.
-        ModelError: a file of it is missing, damaged or of another generator.
+        UnknownModelError: no such model.
+        ModelError: one of its files is missing, damaged or from another generator.
     """
     if name not in MODELS:
         raise UnknownModelError(name, MODELS)
@@ -43,7 +43,7 @@ def _load(name: str, target: str, file: Path) -> Classifier:
     try:
         model = Classifier.load(file)
     except FileNotFoundError as error:
-        raise ModelError(str(file), "it is missing from the package; install it anew") from error
+        raise ModelError(str(file), "it is missing from the package; install it again") from error
     wanted = TactileParameters().digest()
     if model.about.get(GENERATOR) != wanted:
         found = cut(str(model.about.get(GENERATOR)), 16)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a classifier may stand on: packaged models that learnt from many rigs before it learns from the data of one."""
+"""Outputs of packaged models as inputs of a classifier: they learnt from many rigs, the classifier from one."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
 
 
 def inputs(frames: Array, target: str, threshold: float) -> Array:
-    """Return physical features, the packaged estimate of the pose, and from 1 N on the packaged NN's last hidden layer.
+    """Return physical features, the estimated pose, and from 1 N on the last hidden layer of the packaged NN.
 
-    Below 1 N that network, which learnt the paper's readings, adds nothing to the estimate.
+    Below 1 N that network adds nothing to the estimate: it was trained on the paper's readings.
 
     Args:
         frames: (N, 2, 10, 10) N, NaN where dead.
-        target: what is to be told.
+        target: what to classify.
         threshold: readings below it count as 0, N.
 
     Returns:

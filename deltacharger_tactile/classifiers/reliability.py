@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a classifier's answer may be acted on: split-conformal sets, and a check that frames look as in training.
+"""When a classifier's answer may be used: split-conformal sets, and a check that frames look as in training.
 
-A conformal set holds the true class with the nominal probability as long as new frames come from where the held-out
-ones came from. It does not notice when they no longer do; that is what the drift check is for.
+A conformal set holds the true class with the nominal probability if new frames are distributed like the held-out ones.
+The drift check detects when they no longer are.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
 from deltacharger_tactile.errors import ModelError
 
 NOMINAL = 0.95
-_FEWEST = 20  # held-out frames, fewer of which say nothing about one in twenty
+_FEWEST = 20  # held-out frames; fewer do not show one in twenty
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """What held-out frames taught.
+    """Results from held-out frames.
 
     Attributes:
-        quantile: largest 1 − probability with which a class still belongs to the set.
-        familiar: how frames of training look.
+        quantile: largest 1 − probability of a class in the set.
+        familiar: statistics of training frames.
     """
 
     quantile: float
@@ -43,23 +43,23 @@ class Reliability:
         """Return whether the last dockings together look unlike training, though each alone may not.
 
         Args:
-            frames: (N, 2, 10, 10) N, one of each docking.
+            frames: (N, 2, 10, 10) N, one per docking.
             threshold: readings below it count as 0, N.
 
         Raises:
-            ModelError: they are too few.
+            ModelError: too few frames.
         """
         if len(frames) < WINDOW:
             raise ModelError("reliability", f"{len(frames)} dockings are too few to judge; give at least {WINDOW}")
         return self.familiar.strange_together(frames, threshold)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers."""
+        """Return plain numbers."""
         return {"quantile": self.quantile, "familiar": self.familiar.to_dict()}
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> Reliability:
-        """Return what `to_dict` gave."""
+        """Restore from the output of `to_dict`."""
         return Reliability(values["quantile"], Familiarity.from_dict(values["familiar"]))
 
 
@@ -73,12 +73,12 @@ def learn(
     """Learn from frames that training did not see (Vovk et al. 2005; score 1 − probability of the true class).
 
     Args:
-        probabilities: (N, C) that the classifier gives them.
+        probabilities: (N, C) by the classifier.
         labels: (N,) their classes.
         frames: (N, 2, 10, 10) N.
         threshold: readings below it count as 0, N.
-        familiar: (M, 2, 10, 10) N, further frames that look as they should, such as those of training: what is
-            familiar does not depend on what the classifier makes of it, so that more of them only sharpen the check.
+        familiar: (M, 2, 10, 10) N, further normal frames. Training frames may be used: the drift check does not use the
+            classifier's output.
 
     Raises:
         ModelError: too few frames.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Class probabilities from arrays, on numpy alone: what a trained classifier is once its trainer has gone.
+"""Class probabilities of trained classifiers from their arrays, on numpy alone.
 
-Each kind is a function of arrays (named as in the file) and inputs. Trees compare as their trainer did, in float32
-where it did, so that a reading on a threshold falls to the same side.
+Each kind is a function of arrays (named as in the file) and inputs. Trees compare in their trainer's precision (float32
+if it used that), so that a reading on a threshold takes the same branch.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ def boosted(arrays: Arrays, inputs: Array) -> Array:
 
 
 def _leaves(arrays: Arrays, inputs: Array, value: NDArray[Any]) -> Array:
-    """Return what stands in the leaf that each input (N, F) reaches in each tree: (N, T, K).
+    """Return the value of the leaf that each input (N, F) reaches in each tree: (N, T, K).
 
-    The nodes of all trees stand in one table: `feature` (negative in a leaf), `threshold`, `left`, `right`; `root` (T,)
-    is where each begins. All inputs walk down all trees at once. `strict` tells whether left means below the threshold
-    or at most at it.
+    One table holds the nodes of all trees: `feature` (negative in a leaf), `threshold`, `left`, `right`. `root` (T,) is
+    the first node of each. All inputs descend all trees at once. `strict`: left means below the threshold instead of at
+    most at it.
     """
     feature, threshold = arrays["feature"], arrays["threshold"]
     left, right = arrays["left"], arrays["right"]
@@ -92,10 +92,10 @@ def network(arrays: Arrays, inputs: Array) -> Array:
 
 
 def hidden(arrays: Arrays, inputs: Array) -> NDArray[Any]:
-    """Last hidden layer (N, H): 3 × 3 convolutions over two channels where there are any, dense layers, each with ReLU.
+    """Last hidden layer (N, H): optional 3 × 3 convolutions over two channels, then dense layers, each with ReLU.
 
-    Batch normalisation is folded into the weights. `convolution<i>` (3, 3, in, out), `dense<i>` (in, out), each with
-    its `…_bias`; dense layers see the planes flattened channel by channel, as PyTorch does.
+    Batch normalisation is folded into the weights. `convolution<i>` (3, 3, in, out) and `dense<i>` (in, out) each have
+    a `…_bias`. Dense layers see the planes flattened channel by channel, as in PyTorch.
     """
     values: NDArray[Any] = np.asarray(inputs, dtype=arrays["dense0"].dtype)
     if "convolution0" in arrays:
@@ -128,4 +128,4 @@ KINDS: dict[str, Callable[[Arrays, Array], Array]] = {
     "boosted": boosted,
     "network": network,
 }
-"""What the `kind` of a file means."""
+"""Function of each `kind` of file."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training with scikit-learn and XGBoost, and what is learnt as arrays."""
+"""Training with scikit-learn and XGBoost, and export to arrays."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def train(name: str, inputs: Array, labels: Labels, seed: int, progress: Progress) -> Learnt:
-    """Train the classifier `name` on inputs (N, F) with labels (N,), every class from 0 on among them."""
+    """Train the classifier `name` on inputs (N, F) with labels (N,), which include every class from 0 on."""
     progress(0.0, f"{name}: {len(inputs)} frames")
     build, export = _KNOWN[name]
     model = build(seed)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # of defaults that a later scikit-learn may change
+        warnings.simplefilter("ignore", FutureWarning)  # about defaults that scikit-learn may change later
         model.fit(inputs, labels)
     kind, arrays = export(model, inputs, labels)
     progress(1.0, f"{name}: done")
@@ -35,7 +35,7 @@ def train(name: str, inputs: Array, labels: Labels, seed: int, progress: Progres
 
 
 def _shares(model: Any, inputs: Array) -> Array:
-    """Probabilities of a model that has none of its own: the logistic of each class's margin, as shares."""
+    """Probabilities for a model without them: normalised logistic of each class's margin."""
     each = 1.0 / (1.0 + np.exp(-np.clip(model.decision_function(inputs), -500.0, 500.0)))
     return np.asarray(each / each.sum(axis=1, keepdims=True))
 
@@ -93,9 +93,9 @@ def _lda(seed: int) -> Any:
 
 
 class _Witnesses:
-    """Discriminant analyses of the features, the estimated pose and a network's hidden layer, their odds multiplied.
+    """Discriminant analyses of features, estimated pose and hidden layer of a network, with their odds multiplied.
 
-    One analysis of all inputs together does not pay: shrinkage, which the features need, spoils the estimate.
+    One joint analysis is worse: the features need shrinkage, which spoils the estimate.
     """
 
     def fit(self, inputs: Array, labels: Labels) -> None:
@@ -149,7 +149,7 @@ def _export_knn(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arrays]
 
 
 def _table(trees: Sequence[tuple[NDArray[Any], ...]]) -> Arrays:
-    """Lay trees, each (feature, threshold, left, right, value), behind each other in one table."""
+    """Concatenate trees, each (feature, threshold, left, right, value), into one table."""
     sizes = [len(tree[0]) for tree in trees]
     root = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int32)
     feature, threshold, left, right, value = (np.concatenate(parts) for parts in zip(*trees, strict=True))
@@ -192,7 +192,7 @@ def _export_xgboost(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arr
     trees = []
     for tree in booster["trees"]:
         left, right = (np.array(tree[name]) for name in ("left_children", "right_children"))
-        condition = np.array(tree["split_conditions"], dtype=np.float32)  # a leaf's value where there is no split
+        condition = np.array(tree["split_conditions"], dtype=np.float32)  # in a leaf: its value
         feature = np.where(left < 0, -1, np.array(tree["split_indices"]))
         trees.append((feature, condition, np.maximum(left, 0), np.maximum(right, 0), condition[:, None]))
     base = np.array(json.loads(learner["learner_model_param"]["base_score"]), dtype=float).reshape(-1)
@@ -211,4 +211,4 @@ _KNOWN: dict[str, tuple[Callable[[int], Any], Callable[[Any, Array, Labels], tup
     "lda": (_lda, _export_lda),
     "pose": (lambda seed: _Witnesses(), _export_witnesses),
 }
-"""How each is built, and what it becomes."""
+"""Constructor and export of each."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frames are learnt from and which judge: by docking, by device, by session, or, as in the paper, at random."""
+"""Splits into training and test frames: by docking, device or session, or at random as in the paper."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from deltacharger_tactile.errors import DatasetError
 Rows = NDArray[np.int64]
 
 PAPER_SHARE = 0.67
-"""Of the dockings that the paper trains with."""
+"""Share of the dockings that the paper trains with."""
 
 
 def by_docking(examples: Examples, seed: int, share: float = PAPER_SHARE) -> tuple[Rows, Rows]:
-    """Split at random with all frames of a docking on one side; where each docking has one frame, the paper's split.
+    """Split at random by docking; with one frame per docking, this is the paper's split.
 
     Args:
-        examples: what is split.
+        examples: to split.
         seed: of the split.
-        share: of the dockings that are learnt from.
+        share: of the dockings, for training.
 
     Returns:
-        rows to learn from, rows to judge by.
+        rows for training, rows for testing.
     """
     random = np.random.default_rng([0x59117, seed])
     groups = np.unique(examples.groups)
@@ -34,7 +34,7 @@ def by_docking(examples: Examples, seed: int, share: float = PAPER_SHARE) -> tup
 
 
 def thirds(examples: Examples, seed: int) -> list[tuple[Rows, Rows]]:
-    """Return three splits 67/33 by docking, in which each docking judges once; arguments as of `by_docking`."""
+    """Return three splits 67/33 by docking, in which each docking is tested once; arguments of `by_docking`."""
     random = np.random.default_rng([0x3D5, seed])
     parts = np.array_split(random.permutation(np.unique(examples.groups)), 3)
     judged = [np.isin(examples.groups, part) for part in parts]
@@ -42,17 +42,17 @@ def thirds(examples: Examples, seed: int) -> list[tuple[Rows, Rows]]:
 
 
 def by_frame(examples: Examples, seed: int, share: float = PAPER_SHARE) -> tuple[Rows, Rows]:
-    """Split frames at random whatever their docking; flatters where a docking has several."""
+    """Split frames at random, ignoring dockings; optimistic if a docking has several frames."""
     order = np.random.default_rng([0xF4A3E, seed]).permutation(len(examples))
     count = round(share * len(order))
     return np.sort(order[:count]), np.sort(order[count:])
 
 
 def leave_one_out(examples: Examples, what: str) -> list[tuple[Rows, Rows]]:
-    """Return one split for each rig or session, which alone judges.
+    """Return one split for each rig or session, which alone is the test set.
 
     Args:
-        examples: what is split.
+        examples: to split.
         what: `rigs` or `sessions`.
 
     Raises:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the packaged nine models: `python -m deltacharger_tactile.classifiers.training` writes models/*.npz.
+"""Trains the nine packaged models: `python -m deltacharger_tactile.classifiers.training` writes models/*.npz.
 
-They learn the paper's protocol on several rigs, so that they serve on one that they have not seen, and are judged on
-others. It takes minutes on two cores; the rigs belong to it alone.
+Training uses the paper's protocol on several rigs, so that models fit an unknown rig; testing uses other rigs. It takes
+minutes on two cores. No other data use these rigs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SLOWEST_FIRST = ("cnn", "nn", "gbdt", "xgboost", "logistic", "forest", "knn", "
 
 
 def make(name: str, target: str, folder: Path) -> tuple[float, float]:
-    """Train and write one model; return its share right on rigs that it has not seen, and the s that it learnt."""
+    """Train and write one model; return its accuracy on unseen rigs and the training time in s."""
     _use_one_core()
     rows, judged = _examples(target)
     model = Classifier(name, target).fit(rows.frames, rows.labels, SEED)
@@ -71,9 +71,9 @@ def make_all(folder: Path, workers: int, progress: Callable[[int, str], None]) -
     """Train all nine for all targets.
 
     Args:
-        folder: where they are written.
+        folder: output.
         workers: processes, one core each.
-        progress: told how many are done and what was.
+        progress: called with the number done and a line on the latest.
     """
     tasks = [(name, target) for name in _SLOWEST_FIRST for target in TARGETS]
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
@@ -84,7 +84,7 @@ def make_all(folder: Path, workers: int, progress: Callable[[int, str], None]) -
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Train the packaged nine and write them."""
+    """Train the nine packaged models and write them."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--output", type=Path, default=packaged.FOLDER, help="folder")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes, one core each")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second contact physics, by which estimators are judged; nothing is ever trained, fitted or chosen on it.
+"""A second contact physics for testing estimators; nothing may be trained, fitted or chosen with it.
 
-Its solver and sheets are imported only where a campaign or report asks for them.
+Its solver and sheets are imported only when a campaign or report needs them.
 """

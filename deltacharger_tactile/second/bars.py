@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The electrode bars beside the pads: strips on springs that carry their own share of the force where bars overlap."""
+"""The electrode bars beside the pads: strips on springs that carry part of the force if they overlap the target's."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_tactile.second.parameters import BarParameters
 
 _SEGMENTS = 28  # of a bar along its length: 2.5 mm each
-_RAMP = 1e-3  # m of overlap in height from which a segment bears in full: bars have rounded edges
+_RAMP = 1e-3  # m of overlap in height for the full force of a segment: bars have rounded edges
 
 
 class SpringBars:
     """Both bars as segments with one spring law; immutable.
 
     Attributes:
-        x: (2 S,) m, middle of each segment in end_effector, upper bar first.
+        x: (2 S,) m, centre of each segment in end_effector, upper bar first.
         y: (2 S,) m.
     """
 
@@ -31,7 +31,7 @@ class SpringBars:
         self._middle, self._width = middle, width
 
     def overlap(self, pose: Array) -> Array:
-        """Return (N, 2 S) the share of each segment, 0 to 1, that a bar of the target at poses (N, 3) meets."""
+        """Return (N, 2 S) the share of each segment, 0 to 1, that overlaps a bar of the target at poses (N, 3)."""
         x, y, angle = (pose[:, axis, None] for axis in range(3))
         cosine, sine = np.cos(angle), np.sin(angle)
         dx, dy = self.x - x, self.y - y
@@ -41,9 +41,9 @@ class SpringBars:
         return np.asarray(end * np.clip((BAR_HEIGHT - off) / _RAMP, 0.0, 1.0))
 
     def press(self, approach: Array) -> tuple[Array, Array, Array]:
-        """Return force (N), its slope (N/m) and the energy (J) of whole segments at approaches (N, 2 S) m.
+        """Return force (N), its slope (N/m) and the energy (J) of full segments at approaches (N, 2 S) m.
 
-        First the bar is pressed off its stop (preload), then its springs yield, then it is solid.
+        The bar first leaves its stop (preload), then its springs yield, then it is solid.
         """
         p = self._parameters
         share = 1.0 / _SEGMENTS

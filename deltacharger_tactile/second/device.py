@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One device and its target, what each of its contacts draws anew, and both through foundation and sheets."""
+"""One device with its target, the random values of its contacts, and the path from contact to taxel forces."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from deltacharger_tactile.second.sheet import Sheets
 
 @dataclass(frozen=True)
 class Device:
-    """What stays the same.
+    """Constant properties.
 
     Attributes:
         sheets: the sensors.
         ridges: of the target.
         line: share of the offset at which the force acts.
-        lean: (2,) rad of the platform against the target without any moment, about x and about y.
+        lean: (2,) rad of the platform against the target without moment, about x and about y.
         magnets: relative strength of the magnets.
     """
 
@@ -49,7 +49,7 @@ class Device:
 
 @dataclass(frozen=True)
 class Touches:
-    """What is drawn anew for each of N contacts.
+    """Random values of N contacts.
 
     Attributes:
         jitter: (N, 3) displacement of the relative pose (x, y, angle), m and rad.
@@ -75,10 +75,10 @@ class Touches:
     def press(
         self, model: Equilibrium, device: Device, pose: Array, force: Array | float, lean: Array | float = 0.0
     ) -> Array:
-        """Return what the taxels bear (N, 2, 10, 10) N at poses (N, 3) in contact.
+        """Return the forces on the taxels (N, 2, 10, 10) N at poses (N, 3) in contact.
 
-        `lean` (2,) rad about x and y is that of the world's platform against its target before any moment acts, with
-        the signs of the device's own lean, to which it is added; this model's own balance finds what load leaves of it.
+        `lean` (2,) rad about x and y is the lean of the world's platform before any moment acts. It has the signs of
+        the device's own lean and is added to it; the balance of this model finds the lean under load.
         """
         lean = device.lean + self.lean + lean
         return model.solve(pose, force, device.line * pose[:, :2], lean, device.ridges).taxels

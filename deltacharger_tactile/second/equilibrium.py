@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The platform at rest against the target: approach and two tilts from the balance of force and of both moments.
+"""The platform at rest against the target: approach and two tilts from the balance of force and both moments.
 
-Unknown are z, α (about x: +y comes closer), β (about y: +x comes closer) and the deflection w of both pads' lower
-layers. A point at (x, y) comes closer by h = z + α y + β x − gap. The sum of the energies of skin (at h − w), lower
-layer, bars and platform, less the work of the force at its line of action, is convex; its least value is found by
-Newton's steps in z, α, β beside damped steps of w, halved where the energy rises.
+Unknowns: z, α (about x: +y comes closer), β (about y: +x comes closer) and the deflection w of both pads' lower
+layers. A point at (x, y) comes closer by h = z + α y + β x − gap. The energy is convex: skin (at h − w), lower layer,
+bars and platform, minus the work of the force at its line of action. Newton steps in z, α, β with damped steps of w
+find its minimum; a step that raises the energy is halved.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from deltacharger_tactile.second.parameters import SecondParameters
 _CHUNK = 48
 _ITERATIONS = 300
 _BALANCED, _SETTLED = 1e-8, 1e-4  # of the force; of the largest pressure
-_LEVER = 0.05  # m, by which moments are compared with forces
-_FARTHEST = np.array([1e-3, 0.02, 0.02])  # m and rad of one step
-_SQUARE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # where the monomials stand in the second moments of (1, y, x)
+_LEVER = 0.05  # m, to compare moments with forces
+_FARTHEST = np.array([1e-3, 0.02, 0.02])  # m and rad, largest step
+_SQUARE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # index of the monomials in the second moments of (1, y, x)
 _SHARE = 0.5  # of a load's deflection that a step predicts under the load itself: 1 suits smooth loads, 0 rough ones
-_SOFT = 1.0  # N/m, which keeps the step of a platform in free air finite
+_SOFT = 1.0  # N/m, keeps the step of a platform in free air finite
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class RestingContact:
     """N contacts at rest.
 
     Attributes:
-        taxels: (N, 2, 10, 10) N, what each taxel bears; pad 0 is left (+x), row 0 at +y, column 0 at +x.
-        bars: (N, 2) N on the upper and the lower bar; with the taxels they make up the force.
-        state: (N, 3) m, rad, rad: approach and tilts about x and y; NaN where nothing touches.
-        moments: (N, 2) N·m about x and y of what presses on pads and bars.
+        taxels: (N, 2, 10, 10) N on each taxel; pad 0 is left (+x), row 0 at +y, column 0 at +x.
+        bars: (N, 2) N on the upper and the lower bar; the force is the sum of bars and taxels.
+        state: (N, 3) m, rad, rad: approach and tilts about x and y; NaN without contact.
+        moments: (N, 2) N·m about x and y of the forces on pads and bars.
     """
 
     taxels: Array
@@ -79,9 +79,9 @@ class Equilibrium:
 
         Args:
             pose: (N, 3) or (3,) m, m, rad: pose of the target in end_effector.
-            force: (N,) or scalar N; where it is not positive nothing touches.
-            line: (N, 2) or (2,) m, where the force acts: x, y.
-            lean: (N, 2) or (2,) rad, tilt (about x, about y) of the platform against the target without any moment.
+            force: (N,) or scalar N; no contact if it is not positive.
+            line: (N, 2) or (2,) m, point of action of the force: x, y.
+            lean: (N, 2) or (2,) rad, tilt (about x, about y) of the platform against the target without moment.
             ridges: of the target; None = straight.
         """
         poses = np.atleast_2d(np.asarray(pose, dtype=float))
@@ -108,7 +108,7 @@ class Equilibrium:
 
 
 class _Work:
-    """One chunk of contacts while it is solved."""
+    """One chunk of contacts being solved."""
 
     def __init__(
         self, parameters: SecondParameters, pads: PadFoundation, bars: SpringBars,
@@ -131,7 +131,7 @@ class _Work:
         self._stiff = np.diag([_SOFT, self._hold, self._hold])
 
     def settle(self, rest: RestingContact, rows: NDArray[np.int64]) -> None:
-        """Find the rest of every contact and write it into `rest` at `rows`."""
+        """Solve every contact and write the result into `rest` at `rows`."""
         state = np.column_stack([2e-4 - self._highest, self._lean])
         load, sunk = np.zeros(self._gap.shape), np.zeros(self._gap.shape)  # on the lower layer, Pa; its deflection, m
         done = ~self.touching
@@ -177,7 +177,7 @@ class _Work:
         return np.asarray((off.max(axis=1) <= _BALANCED * self._force) & still)
 
     def _step(self, trial: _Trial, load: Array) -> tuple[Array, Array, Array]:
-        """Return steps of state, load and deflection: Newton's of the first for what the others will be."""
+        """Return steps of state, load and deflection; the Newton step of the state anticipates the other two."""
         more = (trial.pressure - load) / (1.0 + _SHARE * trial.slope / self._pads.base)
         deeper = self._pads.deflect(self._grid(more)).ravel()[self._flat]
         wanted = _sums(trial.slope * deeper, self._at[:, :, :3]) - trial.gradient
@@ -200,7 +200,7 @@ class _Work:
 
 
 def _standing(gap: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return (N, K) indices of the points where ridges stand, filled up with others, and their gaps."""
+    """Return (N, K) indices of the points under ridges, padded with others, and their gaps."""
     on = gap < 0.5 * BEYOND
     most = max(int(on.sum(axis=1).max()), 1)
     index = np.argsort(~on, axis=1, kind="stable")[:, :most]

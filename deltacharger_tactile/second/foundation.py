@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two pads as elastic foundations, and where rigid ridges stand against them.
+"""The two pads as elastic foundations, and their gaps to rigid ridges.
 
-Two layers in series. A skin of thickness t is indented by δ and answers with the nominal pressure of a neo-Hookean
-block that is pressed to the stretch λ = 1 − δ/t: p = (c E / 3) (λ⁻² − λ), c the confinement. It never pulls. Below it
-lies Pasternak's layer, springs joined by a layer that shears: p = k (w − ℓ² ∇²w), no shear crossing the pad's rim. What
-the taxels under it bear is r = k w = (1 − ℓ² ∇²)⁻¹ p: the load spread over about 2 ℓ, folded back at the rim, and as
-much in all as was pressed. Both follow from a convex energy.
+Two layers in series. A skin of thickness t, indented by δ, responds with the nominal pressure of a neo-Hookean block
+compressed to the stretch λ = 1 − δ/t: p = (c E / 3) (λ⁻² − λ), c the confinement. It never pulls. Below it is
+Pasternak's layer, springs joined by a shear layer: p = k (w − ℓ² ∇²w), without shear across the pad's rim. The taxels
+under it carry r = k w = (1 − ℓ² ∇²)⁻¹ p: the load spread over about 2 ℓ, reflected at the rim, with the total
+unchanged. Both layers follow from a convex energy.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from deltacharger_tactile.parameters import PadContactParameters
 from deltacharger_tactile.second.parameters import FoundationParameters
 
 BEYOND = 1.0
-"""Gap (m) of a point where no ridge stands."""
-_LEAST_STRETCH = 0.3  # below it pressure continues along its tangent: a stop, and finite at any force
+"""Gap (m) of a point without a ridge."""
+_LEAST_STRETCH = 0.3  # below it pressure continues along its tangent: a stop, finite at any force
 
 
 @dataclass(frozen=True)
 class Ridges:
-    """Errors of form of one target's ridges.
+    """Form errors of one target's ridges.
 
     Attributes:
-        bow: (2,) m, by which a ridge's middle stands back from its ends.
-        skew: (2,) m, by which its end at +x stands back from the one at −x.
+        bow: (2,) m, distance of a ridge's middle behind its ends.
+        skew: (2,) m, distance of its end at +x behind its end at −x.
     """
 
     bow: Array
@@ -48,13 +48,13 @@ class Ridges:
 
 
 class PadFoundation:
-    """Both pads on a grid of m × n points each, in all P; immutable.
+    """Both pads as grids of m × n points each, P in total; immutable.
 
-    The grid is finer along y, across which ridges are narrow, than along x.
+    The grid is finer along y than along x, because ridges are narrow along y.
 
     Attributes:
-        x: (P,) m, of the points along x in end_effector, left pad first.
-        y: (P,) m, along y.
+        x: (P,) m, points along x in end_effector, left pad first.
+        y: (P,) m, points along y.
         area: of a point, m².
         base: stiffness of the lower layer, Pa/m.
     """
@@ -78,7 +78,7 @@ class PadFoundation:
         self._spread = 1.0 / (1.0 + lengths[0] ** 2 * rows[:, None] + lengths[1] ** 2 * columns)
 
     def gap(self, pose: Array, ridges: Ridges) -> Array:
-        """Return (N, P) m, how far the ridges stand back from each point at poses (N, 3); BEYOND where none is."""
+        """Return (N, P) m, gaps between the ridges and each point at poses (N, 3); BEYOND without a ridge."""
         d = self._dimensions
         x, y, angle = (pose[:, axis, None] for axis in range(3))
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -111,11 +111,11 @@ class PadFoundation:
         return first + slope * beyond, slope * pressed, energy
 
     def deflect(self, pressure: Array) -> Array:
-        """Return the deflection (N, P) m of the layer below under a pressure (N, P) Pa on it."""
+        """Return the deflection (N, P) m of the lower layer under a pressure (N, P) Pa."""
         return np.asarray(self._filter(pressure).reshape(pressure.shape) / self.base)
 
     def taxels(self, pressure: Array) -> Array:
-        """Return what the taxels bear (N, 2, 10, 10) N under a pressure (N, P) Pa; row 0 at +y, column 0 at +x."""
+        """Return the forces on the taxels (N, 2, 10, 10) N by pressure (N, P) Pa; row 0 at +y, column 0 at +x."""
         down, right = self._shape[0] // ROWS, self._shape[1] // COLUMNS
         borne = self._filter(pressure).reshape(-1, PADS, ROWS, down, COLUMNS, right)
         return np.asarray(np.maximum(borne.sum(axis=(3, 5)) * self.area, 0.0))
@@ -126,7 +126,7 @@ class PadFoundation:
 
 
 def _waves(count: int) -> tuple[Array, Array]:
-    """Return the cosine waves (n, n) of a line of points without flux through its ends, and their squared numbers."""
+    """Return the cosine waves (n, n) of a line of points without flux at its ends, and their squared wave numbers."""
     order = np.arange(count)
     waves = np.sqrt(2.0 / count) * np.cos(np.pi * order[:, None] * (order + 0.5) / count)
     waves[0] /= np.sqrt(2.0)

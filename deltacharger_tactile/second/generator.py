@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets of the second contact physics, to judge by; nothing may be trained on what is made here.
+"""Data sets of the second contact physics, only for testing: nothing may be trained on them.
 
-A row is one docking with its own course: a tare within the first minute, a pause, another contact of the same device
-(which leaves creep and hysteresis), 5 to 60 s in free air, then this contact: pressed in steps to its force, a little
-beyond and back, and read after 0.3 to 3 s.
+Each row is one docking with its own history: a tare within the first minute, a pause, another contact of the device
+(which leaves creep and hysteresis), 5 to 60 s in free air, then this contact. It is pressed in steps to its force, a
+little beyond and back, and read after 0.3 to 3 s.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from deltacharger_tactile.second.parameters import SecondParameters
 from deltacharger_tactile.second.sheet import SheetSensor
 
 LONG_AGO, JUST_NOW = 1800.0, 20.0
-"""s that pass at most from the tare to the contacts: in a session of many dockings, and in one docking."""
+"""Longest time from tare to contacts, s: in a session of many dockings, and in one docking."""
 _TARE_FRAMES = 60
 _CHUNK = 96
-_RAMP = ((0.4, 0.3), (1.05, 0.1))  # share of the force that is reached on the way, and s for which it is held
+_RAMP = ((0.4, 0.3), (1.05, 0.1))  # steps before the contact: share of the force, duration in s
 
 
 def dock_anew(
@@ -39,18 +39,18 @@ def dock_anew(
     since_tare: float = LONG_AGO,
     parameters: SecondParameters | None = None,
 ) -> Dataset:
-    """Dock devices of the second physics at the commanded poses of a data set of the first.
+    """Dock devices of the second physics at the commanded poses of a data set of the first physics.
 
     Args:
-        known: one row of each docking; its rigs' seeds are those of the devices.
+        known: one row per docking; its rigs' seeds are the devices' seeds.
         seed: of the dockings.
-        frames: averaged in each row.
-        threshold: readings below it are 0, N.
-        since_tare: s that pass at most before the contacts.
-        parameters: family of devices; None = defaults.
+        frames: averaged per row.
+        threshold: lower readings are stored as 0, N.
+        since_tare: s, longest time from tare to contacts.
+        parameters: family of devices; None = the defaults.
 
     Raises:
-        DatasetError: a docking has several rows, or no frames are wanted.
+        DatasetError: a docking has several rows, or `frames` < 1.
     """
     if frames < 1 or len(np.unique(known.attempt)) != len(known):
         raise DatasetError("second physics", f"{frames} frames of {len(known)} rows; give 1 or more, a row a docking")
@@ -68,9 +68,9 @@ def dock_anew(
                 columns.setdefault(name, []).append(column)
     back = np.argsort(np.concatenate(order))
     found: dict[str, NDArray[Any]] = {name: np.concatenate(parts)[back] for name, parts in columns.items()}
-    felt = found.pop("felt")
-    dead = np.isnan(felt)
-    cut = np.where(dead | (felt < threshold), 0.0, felt).astype(np.float32)
+    readings = found.pop("readings")
+    dead = np.isnan(readings)
+    cut = np.where(dead | (readings < threshold), 0.0, readings).astype(np.float32)
     same = {name: getattr(known, name) for name in ("angle", "vertical", "horizontal", "attempt", "rig", "subset")}
     meta = {
         "version": VERSION, "protocol": "second physics", "seed": seed, "frames": frames, "threshold": threshold,
@@ -82,7 +82,7 @@ def dock_anew(
 def _measure(
     model: Equilibrium, device: Device, pose: Array, random: np.random.Generator, frames: int, since_tare: float
 ) -> dict[str, NDArray[Any]]:
-    """Dock once at each commanded pose (N, 3); returns columns of a data set, and what was felt (N, 2, 10, 10) N."""
+    """Dock once at each commanded pose (N, 3); returns columns of a data set, and readings (N, 2, 10, 10) N."""
     count, docking = len(pose), model.parameters.docking
     touches = Touches.draw(model.parameters, random, count)
     actual = pose + touches.jitter
@@ -102,6 +102,6 @@ def _measure(
     sensor.pass_time(random.uniform(0.3, 3.0, count), taxels, touches.repeat)
     raw = sensor.read(taxels, touches.repeat, frames, 1.0 / FRAME_RATE)
     return {
-        "felt": np.maximum(raw - tare, 0.0).mean(axis=0), "tare": np.nan_to_num(tare).astype(np.float32),
+        "readings": np.maximum(raw - tare, 0.0).mean(axis=0), "tare": np.nan_to_num(tare).astype(np.float32),
         "contact_pose": actual, "current": current, "force": force,
     }  # fmt: skip

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every number of the second contact physics, each with its source; "assumed" where there is none.
+"""Parameters of the second contact physics, each with its source; "assumed" if there is none.
 
-Lengths of pads, ridges and bars, magnets, the arm's push and its landing are facts of the product and come from their
-own home. No number here was chosen by what an estimator makes of it.
+Dimensions of pads, ridges and bars, magnets, the arm's push and its landing are properties of the product, defined
+elsewhere. No number here was chosen by an estimator's results.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _DEGREE = math.pi / 180.0
 
 @dataclass(frozen=True)
 class FoundationParameters(Bounded):
-    """The pad as a distributed foundation: an elastic skin over a layer that shears, and the ridge's errors of form."""
+    """The pad as a distributed foundation: an elastic skin over a shear layer, and the ridge's form errors."""
 
     sub_samples: int = number(6, 1, 20, "", "points per taxel along y; half as many along x")
     modulus: float = number(0.8e6, 1e5, 1e8, "Pa", "Young's modulus of the skin (silicone of Shore A 20–30, handbook)")
@@ -31,20 +31,20 @@ class FoundationParameters(Bounded):
     )
     base_stiffness: float = number(2.0e9, 1e8, 1e12, "Pa/m", "pressure per deflection of the layer below (assumed)")
     shear_length: float = number(
-        1.0e-3, 1e-4, 5e-3, "m", "√(G/k) of that layer: how far its shear spreads load (Pasternak; assumed)"
+        1.0e-3, 1e-4, 5e-3, "m", "√(G/k) of that layer: distance over which its shear spreads load (Pasternak; assumed)"
     )
     bow: float = number(2e-5, 0.0, 2e-4, "m", "spread of a ridge's sagitta, per rig (moulded part of 46 mm; assumed)")
     skew: float = number(2e-5, 0.0, 2e-4, "m", "spread of the height between a ridge's ends, per rig (assumed)")
 
     @property
     def skin_stiffness(self) -> float:
-        """Pressure per indentation of the skin where it is little indented, Pa/m."""
+        """Pressure per indentation of the skin at small indentation, Pa/m."""
         return self.confinement * self.modulus / self.thickness
 
 
 @dataclass(frozen=True)
 class BarParameters(Bounded):
-    """The electrode bars as spring strips beside the pads; every number is of one bar of the full length."""
+    """The electrode bars as spring strips beside the pads; all numbers are for one full bar."""
 
     rate: float = number(
         1e4, 0.0, 1e6, "N/m", "stiffness of the springs behind a bar (contact springs of 2–20 N/mm; assumed)"
@@ -53,12 +53,12 @@ class BarParameters(Bounded):
     seat: float = number(2e-5, 1e-6, 1e-3, "m", "approach over which a bar takes its preload (assumed: roughness)")
     travel: float = number(1.5e-3, 1e-4, 1e-2, "m", "travel after which a bar is solid (assumed)")
     stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness of a solid bar (assumed)")
-    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "how far bars touch before ridges; negative = after (assumed)")
+    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "distance of bars ahead of ridges; negative = behind (assumed)")
 
 
 @dataclass(frozen=True)
 class PlatformRestParameters(Bounded):
-    """What holds the platform against tilting, and where the force acts."""
+    """Resistance of the platform to tilting, and point of action of the force."""
 
     compliance: float = number(0.02, 1e-4, 0.1, "rad/(N·m)", "tilt per moment (0.01–0.03; assumed)")
     line_share: float = number(
@@ -98,7 +98,7 @@ class SheetParameters(Bounded):
     pedestal: float = number(0.5, 0.0, 2.0, "N", "reading of an unloaded taxel; the board's")
     full_scale: float = number(9.0, 1.0, 50.0, "N", "largest force that is reported (paper)")
     bits: int = number(10, 4, 16, "bit", "resolution over pedestal plus full scale; the board's")
-    dead_taxels: int = number(1, 0, 20, "", "taxels of a rig that read nothing (NaN); as of the first physics")
+    dead_taxels: int = number(1, 0, 20, "", "taxels of a rig that read nothing (NaN); as in the first physics")
 
 
 @dataclass(frozen=True)
@@ -106,11 +106,11 @@ class SecondParameters(Bounded):
     """All parameters of one family of rigs of the second physics.
 
     Attributes:
-        dimensions: of pads and ridges; nothing else of them is used.
-        docking: the arm's landing (jitter), magnets, push and current; nothing else of them is used.
+        dimensions: only those of pads and ridges are used.
+        docking: only jitter, magnets, push and current are used.
         foundation: the pads.
         bars: the bars.
-        platform: what holds them.
+        platform: its support.
         sheet: the sensor.
     """
 
@@ -122,11 +122,11 @@ class SecondParameters(Bounded):
     sheet: SheetParameters = field(default_factory=SheetParameters)
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself, by the key that must change."""
+        """Refuse contradictory values; the error names the key to change."""
         foundation, bars, sheet = self.foundation, self.bars, self.sheet
         if foundation.base_stiffness < 0.5 * foundation.skin_stiffness:
             limit = f"half of the skin's {foundation.skin_stiffness:.3g} Pa/m: it would yield in place of the skin"
-            _refuse("foundation.base_stiffness", foundation.base_stiffness, f"is below {limit}; give more")
+            _refuse("foundation.base_stiffness", foundation.base_stiffness, f"is below {limit}; increase it")
         if bars.seat >= bars.travel:
             _refuse("bars.seat", bars.seat, f"is not below bars.travel, {bars.travel:g} m, after which a bar is solid")
         if bars.stop_stiffness < bars.rate:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what taxels bear to what the board reads: both sensor sheets of one rig, with their memory.
+"""From forces on taxels to the board's readings: both sensor sheets of one rig, with memory.
 
-In this order: bend of the characteristic, neighbours, matrix, edge, gains (of the taxel, of the pad in this contact and
-by warming up), hysteresis, creep, noise of the signal, dead band; then the zero (offset, warming up, what creep left),
+Order: bend of the characteristic, neighbours, matrix, edge, gains (of the taxel, of the pad in this contact and by
+warming up), hysteresis, creep, noise of the signal, dead band; then the zero (offset, warming up, residual creep),
 noise of the converter, clip, quantisation, dead taxels.
 
-- Hysteresis: three play operators beside a straight branch (Prandtl and Ishlinskii). A loop closes where its force
-  returns, and reading against force runs counter-clockwise: unloading reads more than loading.
-- Creep: one Kelvin–Voigt element for each decade from 0.1 s to 1000 s, exact for any step under a force that is held.
-  Part of what has crept shifts the zero until it has recovered; a tare takes that for its baseline.
-- Drift: (1 − e^(−t/τ)) from the first reading on; a tare takes away what the zero had drifted until then.
+- Hysteresis: three play operators and a straight branch (Prandtl and Ishlinskii). A loop closes when its force
+  returns; unloading reads more than loading.
+- Creep: one Kelvin–Voigt element per decade from 0.1 s to 1000 s, exact for any step under constant force. Part of the
+  creep shifts the zero until it recovers; a tare includes this shift in its baseline.
+- Drift: (1 − e^(−t/τ)) from the first reading on; a tare removes the zero's drift so far.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _DECADES = np.array([0.1, 1.0, 10.0, 100.0, 1000.0])  # s, time constants of cre
 
 @dataclass(frozen=True)
 class Sheets:
-    """What stays the same on both sheets of one rig.
+    """Constant properties of both sheets of one rig.
 
     Attributes:
-        gain: (2, 10, 10) of each taxel, loss at the edge included.
+        gain: (2, 10, 10) of each taxel, including the loss at the edge.
         bend: (2, 1, 1) of each pad's characteristic.
         hysteresis: (2, 1, 1) weight of each play operator.
         creep: (2, 1, 1) per decade.
-        band: (2, 10, 10) N below which a taxel tells nothing.
+        band: (2, 10, 10) N, dead band.
         offset: (2, 10, 10) N.
         gain_drift: (2, 1, 1) of a pad when warm.
         offset_drift: (2, 10, 10) N when warm.
@@ -77,7 +77,7 @@ class Sheets:
 
 
 class SheetSensor:
-    """The sheets of one rig in N courses of events at once; its memory does not grow with their length.
+    """The sheets of one rig in N independent histories; memory use does not depend on their length.
 
     Args:
         parameters: of the family.
@@ -100,53 +100,53 @@ class SheetSensor:
         """Let time pass under a constant force.
 
         Args:
-            step: s, (N,) or one for all; no time passes where it is not positive.
-            force: (N, 2, 10, 10) N that the taxels bear; None = nothing touches.
+            step: s, (N,) or one for all; no time passes if it is not positive.
+            force: (N, 2, 10, 10) N on the taxels; None = no contact.
             repeat: (N, 2) gain of each pad in this contact.
         """
         passed = np.maximum(np.asarray(step, dtype=float), 0.0).reshape(-1, 1, 1, 1)
-        felt = self._load(force, repeat)
+        signal = self._load(force, repeat)
         self._age += passed
         for crept, time in zip(self._crept, _DECADES, strict=True):
             kept = np.exp(-passed / time)
             crept *= kept
-            if felt is not None:
-                crept += (1.0 - kept) * self._sheets.creep * felt
+            if signal is not None:
+                crept += (1.0 - kept) * self._sheets.creep * signal
 
     def read(self, force: Array | None, repeat: Array | float = 1.0, count: int = 1, period: float = 0.0) -> Array:
-        """Read both pads `count` times, the first time now, a `period` (s) apart under one force.
+        """Read both pads `count` times under one force: now, then every `period` (s).
 
-        Drift is that at the first of them.
+        Drift is constant, taken at the first reading.
 
         Args:
-            force: as of `pass_time`, like `repeat`.
-            repeat: (N, 2).
-            count: readings.
+            force: as in `pass_time`.
+            repeat: (N, 2), as in `pass_time`.
+            count: number of readings.
             period: s between them.
 
         Returns:
-            (count, N, 2, 10, 10) N raw: pedestal included; NaN where dead.
+            (count, N, 2, 10, 10) N raw: with pedestal; NaN where dead.
         """
-        felt, p, sheets = self._load(force, repeat), self._parameters, self._sheets
-        first = 0.0 if felt is None else sheets.creep * felt
+        driven, p, sheets = self._load(force, repeat), self._parameters, self._sheets
+        first = 0.0 if driven is None else sheets.creep * driven
         kept = np.exp(-period * np.arange(count)[:, None] / _DECADES)
         crept = np.tensordot(kept, self._crept - first, axes=1) + len(_DECADES) * first
-        told = p.pedestal + sheets.offset + sheets.offset_drift * self._warm() + p.residual * crept
-        if felt is not None:
-            played = felt + sheets.hysteresis * (self._play.sum(axis=0) - len(_PLAY) * felt)
+        reading = p.pedestal + sheets.offset + sheets.offset_drift * self._warm() + p.residual * crept
+        if driven is not None:
+            played = driven + sheets.hysteresis * (self._play.sum(axis=0) - len(_PLAY) * driven)
             signal = played + (1.0 - p.residual) * crept
             signal *= 1.0 + p.noise_gain * self._random.standard_normal(signal.shape)
-            told += np.where(signal >= sheets.band, signal, 0.0)
-        told += p.noise * self._random.standard_normal(told.shape)
+            reading += np.where(signal >= sheets.band, signal, 0.0)
+        reading += p.noise * self._random.standard_normal(reading.shape)
         self.pass_time((count - 1) * period, force, repeat)
-        codes = np.rint(np.clip(told, 0.0, self._top) / self._quantum)
+        codes = np.rint(np.clip(reading, 0.0, self._top) / self._quantum)
         return np.where(sheets.dead, np.nan, codes * self._quantum)
 
     def _warm(self) -> Array:
         return np.asarray(-np.expm1(-self._age / self._parameters.drift_time))
 
     def _load(self, force: Array | None, repeat: Array | float) -> Array | None:
-        """Return what drives each taxel (N, 2, 10, 10) N, and move the play operators there."""
+        """Return the signal of each taxel (N, 2, 10, 10) N before hysteresis, and move the play operators to it."""
         if force is None:
             self._move(np.zeros(()))
             return None
@@ -157,14 +157,14 @@ class SheetSensor:
         around[..., :-1, :] += bent[..., 1:, :]
         around[..., 1:] += bent[..., :-1]
         around[..., :-1] += bent[..., 1:]
-        felt = (1.0 - 4.0 * p.neighbour) * bent + p.neighbour * around
-        felt += p.matrix * (felt.mean(axis=-1, keepdims=True) + felt.mean(axis=-2, keepdims=True))
+        signal = (1.0 - 4.0 * p.neighbour) * bent + p.neighbour * around
+        signal += p.matrix * (signal.mean(axis=-1, keepdims=True) + signal.mean(axis=-2, keepdims=True))
         by_pad = np.asarray(repeat, dtype=float)
         by_pad = by_pad[..., None, None] if by_pad.ndim else by_pad
-        felt *= sheets.gain * by_pad * (1.0 + sheets.gain_drift * self._warm())
-        self._move(felt)
-        return np.asarray(felt)
+        signal *= sheets.gain * by_pad * (1.0 + sheets.gain_drift * self._warm())
+        self._move(signal)
+        return np.asarray(signal)
 
-    def _move(self, felt: Array) -> None:
+    def _move(self, signal: Array) -> None:
         half = _PLAY.reshape(-1, 1, 1, 1, 1)
-        np.clip(self._play, felt - half, felt + half, out=self._play)
+        np.clip(self._play, signal - half, signal + half, out=self._play)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tactile arrays of a simulated charger by the second contact physics, sampled by a world."""
+"""The tactile arrays of a simulated charger in the second contact physics, sampled by a world."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from deltacharger_tactile.second.sheet import SheetSensor
 
 @functools.lru_cache(maxsize=4)
 def _model(parameters: SecondParameters) -> Equilibrium:
-    """Return the model of these parameters, which dockings share."""
+    """Return the model of these parameters, shared by dockings."""
     return Equilibrium(parameters)
 
 
 class SecondSource(PadSource[Touches]):
-    """Both pads of one rig by the second contact physics.
+    """Both pads of one rig in the second contact physics.
 
-    Frames that nobody reads may be left out, within limits: between two frames the pads are taken to bear the force of
-    the later one, and none before the first frame of a contact. So after a change of force that nobody read, creep is
-    that of the later force from the earlier frame on, and a force that rose and fell unread leaves no hysteresis. Where
-    the time does not rise, none passes.
+    Unneeded frames may be skipped, with limits. Between two frames the pads carry the force of the later one, and none
+    before the first frame of a contact. After an unread change of force, creep therefore starts at the earlier frame.
+    A force that rises and falls between two frames leaves no hysteresis. No time passes if `time` does not increase.
 
     Args:
-        parameters: family of rigs; None = defaults.
-        rig_seed: which device (gains, offsets, dead taxels, ridges, line of action, leans).
-        seed: course of the run (jitter, leans, repeatability, noise).
+        parameters: family of rigs; None = the defaults.
+        rig_seed: of the device (gains, offsets, dead taxels, ridges, line of action, leans).
+        seed: of the run (jitter, leans, repeatability, noise).
     """
 
     def __init__(self, parameters: SecondParameters | None = None, rig_seed: int = 0, seed: int = 0) -> None:
@@ -40,10 +39,10 @@ class SecondSource(PadSource[Touches]):
         self.parameters = parameters or SecondParameters()
         self.rig = Device.draw(self.parameters, rig_seed)
         self._sensor = SheetSensor(self.parameters.sheet, self.rig.sheets, self._random)
-        self._fresh = True  # whether nothing of this contact has been read
+        self._fresh = True  # no frame of this contact has been read
 
     def begin_docking(self) -> Pose:
-        """Unload the sheets and start a new contact as `PadSource.begin_docking` does."""
+        """Unload the sheets and start a new contact as in `PadSource.begin_docking`."""
         self._sensor.pass_time(0.0)
         self._fresh = True
         return super().begin_docking()
@@ -51,7 +50,7 @@ class SecondSource(PadSource[Touches]):
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
     ) -> Array:
-        """Return frames (count, 2, 10, 10) N raw; arguments as those of `PadSource.frames`."""
+        """Return frames (count, 2, 10, 10) N raw; arguments as in `PadSource.frames`."""
         pressed = self._press(pose, force, lean)
         repeat = 1.0 if self._contact is None else self._contact.repeat
         first = time - (count - 1) * period

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Intrinsics from what ROS tools write: calibration files and `ros2 topic echo` of sensor_msgs/CameraInfo."""
+"""Intrinsics from files of ROS tools: calibrations and `ros2 topic echo` of sensor_msgs/CameraInfo."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def from_camera_info(
         width: px.
         height: px.
         k: 9 numbers, (3, 3) row-major, px.
-        d: distortion coefficients; those missing at the end are 0.
+        d: distortion coefficients; missing ones at the end are 0.
         distortion_model: plumb_bob, rational_polynomial, or none or empty.
-        source: named in errors.
+        source: name for errors.
 
     Raises:
-        CameraInfoError: the camera is not calibrated, the model is another one, or a number is out of bounds.
+        CameraInfoError: the camera is not calibrated, the model is unknown, or a number is out of bounds.
     """
     matrix = _numbers(source, "camera matrix (k)", k)
     coefficients = _numbers(source, "distortion coefficients (d)", d)
     if len(matrix) != 9:
-        raise CameraInfoError(source, f"the camera matrix (k) has {len(matrix)} numbers and must have 9")
+        raise CameraInfoError(source, f"the camera matrix (k) has {len(matrix)} numbers; it must have 9")
     if not any(matrix):
         raise CameraInfoError(source, "the camera matrix (k) is all 0: calibrate the camera first")
     fx, skew, cx, zero, fy, cy, *last = matrix
@@ -74,7 +74,7 @@ def _numbers(source: str, name: str, found: Any) -> list[float]:
         raise CameraInfoError(source, f"the {name} must be a list of numbers, not {brief(found)}") from error
     wrong = [item for item in items if isinstance(item, bool) or not isinstance(item, numbers.Real)]
     if wrong:
-        raise CameraInfoError(source, f"the {name} holds {brief(wrong[0])}, which is not a number")
+        raise CameraInfoError(source, f"the {name} contains {brief(wrong[0])}, which is not a number")
     return [float(item) for item in items]
 
 
@@ -82,12 +82,12 @@ def load_camera_info(path: str | Path) -> Intrinsics:
     """Read a camera calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        CameraInfoError: it is neither, a field is missing, or `from_camera_info` refuses it.
+        FileNotFoundError: no such file.
+        CameraInfoError: another kind of file, a field is missing, or `from_camera_info` refuses it.
     """
     source = str(path)
     try:
-        found = read_yaml(path, first=True)  # an echoed topic holds one document per message; any of them will do
+        found = read_yaml(path, first=True)  # an echoed topic has one document per message; any will do
     except YamlError as error:
         raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
     if not isinstance(found, dict):
@@ -117,7 +117,7 @@ def _data(found: Any) -> Any:
 
 
 def _check_whole_image(source: str, found: dict[str, Any]) -> None:
-    """Refuse binning and a region of interest: k then belongs to another image than the one that is sent."""
+    """Refuse binning and a region of interest: k would belong to another image than the published one."""
     binned = [name for name in ("binning_x", "binning_y") if found.get(name, 0) not in (0, 1)]
     region = found.get("roi") or {}
     cut = isinstance(region, dict) and any(region.get(name) for name in ("x_offset", "y_offset"))

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""camera_node: an OAK-D on the topics that every ROS RGB-D driver has, or a recording in its place.
+"""camera_node publishes an OAK-D, or a recording, on the usual topics of ROS RGB-D drivers.
 
 Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour), color/camera_info, each converted
-only while somebody subscribes; /diagnostics (1 Hz, and at every change).
+only while it has subscribers; /diagnostics (1 Hz, and at every change).
 Parameters: width, height, rate, exposure_us, iso, lens_position, device_id; replay, replay_loop.
 
-A camera that is absent or was unplugged, or depthai that is not installed, is told and looked for until it is there: a
-charger docks to coordinates without it. All three messages of an image have one stamp: the middle of the colour's
-exposure. depthai keeps the device's clock aligned to this computer's monotonic one; the image's age by that clock is
-taken off ROS time at publication, so steps of ROS time do no harm.
-Other cameras have drivers of their own and need no camera_node. Executable: `camera_node [--replay FILE [--loop]]`.
+If the camera is missing or unplugged, or depthai is not installed, the node reports it and keeps searching: a charger
+can dock to coordinates without a camera. All three messages of an image have one stamp, the middle of the colour
+exposure. depthai aligns the device's clock to this computer's monotonic clock. At publication, the image's age by that
+clock is subtracted from ROS time, so steps of ROS time do no harm.
+Other cameras have their own drivers and need no camera_node. Executable: `camera_node [--replay FILE [--loop]]`.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ from deltacharger_vision.ros.recorded import decoded
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
-"""Opens a camera as `OakCamera` does."""
-_PAUSE = 0.05  # s between two looks for subscribers
-_JUMP = 1_000_000_000  # ns; a stamp so far from its pace comes from another clock than those before
-_LEAST_GAP = 0.01  # s between two passes of a recording whose images have all one time
+"""Opens a camera like `OakCamera`."""
+_PAUSE = 0.05  # s between checks for subscribers
+_JUMP = 1_000_000_000  # ns; a stamp that deviates by more belongs to another clock
+_LEAST_GAP = 0.01  # s between passes of a recording whose images all have one time
 
 
 class RecordingPlayer(ImageSource):
-    """Publishes a recording at its own pace, from the moment that somebody subscribes.
+    """Publishes a recording at its own pace, starting with the first subscriber.
 
-    Stamps are moved to the present and keep their distances; each colour image has a camera_info of its stamp.
+    Stamps are shifted to the present and keep their intervals. Each colour image has a camera_info with its stamp.
 
     Attributes:
-        passes: how often it came to the end.
+        passes: completed passes.
 
     Args:
         recording: to publish.
         publishers: of the topics.
-        loop: begin again at the end.
-        on_change: called in its thread when `problem` changes.
+        loop: restart at the end.
+        on_change: called in its thread if `problem` changes.
     """
 
     def __init__(
@@ -87,10 +87,10 @@ class RecordingPlayer(ImageSource):
         except RecordingError as error:
             problem = str(error)
         if not self._stop.is_set():
-            self._tell(problem)
+            self._set_problem(problem)
 
     def _play(self) -> None:
-        """Publish the recording once, or until it is told to stop."""
+        """Publish the recording once, or until stopped."""
         started, first, shift = time.monotonic(), None, None
         for each in self._recording.messages():
             first = each.time if first is None else first
@@ -106,7 +106,7 @@ class RecordingPlayer(ImageSource):
             self._stop.wait(max(_LEAST_GAP, lasted / max(self._recording.images - 1, 1)))
 
     def _publish(self, each: Recorded, shift: int | None) -> int:
-        """Publish an image and return by how much its stamp was moved, ns."""
+        """Publish an image and return the shift of its stamp, ns."""
         message, now = decoded(self._recording, each), self._publishers.now()
         stamp = stamp_ns(message)
         if shift is None or abs(stamp + shift - now) > _JUMP:
@@ -145,14 +145,14 @@ class CameraNode(Node):
 
     def _keeper(self, open_camera: OpenOak | None) -> CameraKeeper:
         opener = open_camera or OakCamera
-        return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._tell)
+        return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._report)
 
     def _replay(self, path: Path) -> RecordingPlayer:
         try:
             recording = CameraRecording(path)
             if not recording.images:
                 raise node_support.StartupError(f"camera_node: {path}: {recording.topics.color} holds no images")
-            return RecordingPlayer(recording, self._images, self._given.replay_loop, self._tell)
+            return RecordingPlayer(recording, self._images, self._given.replay_loop, self._report)
         except FileNotFoundError as error:
             raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
         except (OSError, VisionError, RecordingError) as error:
@@ -161,8 +161,8 @@ class CameraNode(Node):
     def _publish(self, taken: OakImage) -> None:
         self._images.image(taken.image, taken.time)
 
-    def _tell(self) -> None:
-        """Say what has changed, from the thread of the source."""
+    def _report(self) -> None:
+        """Log a change; runs in the source's thread."""
         problem = self._source.problem
         if problem:
             self._log.error(problem)
@@ -178,20 +178,20 @@ class CameraNode(Node):
             return
         problem = self._source.problem
         idle = not self._images.wanted()
-        text = problem or ("nobody subscribes" if idle else "OK")
+        text = problem or ("no subscribers" if idle else "OK")
         values = {"images": self._images.published}
         self._diagnostics.tell(ERROR if problem else OK, text, values, "camera", self._hardware())
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see node_support.run for the exit codes."""
-    parser = argparse.ArgumentParser(prog="camera_node", description="Publish the images of an OAK-D, or a recording.")
-    parser.add_argument("--replay", metavar="REC.mcap", help="publish a recording in place of a camera")
-    parser.add_argument("--loop", action="store_true", help="begin it again at its end")
+    parser = argparse.ArgumentParser(prog="camera_node", description="Publish the images of an OAK-D or a recording.")
+    parser.add_argument("--replay", metavar="REC.mcap", help="publish a recording instead of a camera")
+    parser.add_argument("--loop", action="store_true", help="restart the recording at its end")
     words = list(sys.argv[1:] if args is None else args)
     try:
         own = remove_ros_args(words)
-    except Exception:  # rclpy's own kinds, for words that `run` refuses
+    except Exception:  # rclpy's own error classes; `run` refuses these words
         own = []
     options = parser.parse_args(own)
     overrides = [Parameter("replay_loop", value=True)] if options.loop else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a camera delivering: looks for it, opens it, watches it, and opens it again. No ROS; camera_node wraps it."""
+"""Keeps a camera running: finds, opens and monitors it, and reopens it. Independent of ROS; used by camera_node."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from typing import Protocol
 from deltacharger_vision.errors import VisionError
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.5, 4.0  # s
-_LOOK = 0.1  # s between two looks at a camera that is open
+_LOOK = 0.1  # s between checks of an open camera
 
 
 class CameraUnavailable(VisionError, RuntimeError):
-    """There is no camera, or it does not deliver; the message names it and says what to do."""
+    """No camera, or one without images; the message names it and states what to do."""
 
 
 class OpenCamera(Protocol):
-    """A camera that delivers until `problem` says otherwise.
+    """A camera that delivers images until `problem` reports otherwise.
 
     Attributes:
-        name: of the device, as people tell it apart from others.
+        name: identifies the device to people.
     """
 
     name: str
 
     def problem(self) -> str:
-        """Return why it delivers no more, '' while it does."""
+        """Return why images stopped; '' while they arrive."""
 
     def close(self) -> None:
         """Release the device."""
 
 
 class ImageSource(ABC):
-    """A thread that delivers images until it is closed.
+    """A thread that delivers images until closed.
 
     Attributes:
-        problem: why there is no image, '' while they come.
+        problem: why there are no images; '' while they arrive.
 
     Args:
-        problem: at the beginning.
+        problem: initial value.
         on_change: called in its thread whenever `problem` changes.
     """
 
@@ -52,11 +52,11 @@ class ImageSource(ABC):
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
 
     def start(self) -> None:
-        """Begin to look for images."""
+        """Start delivering images."""
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, and release what it holds. Idempotent."""
+        """Stop the thread and release its resources. Idempotent."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -65,25 +65,25 @@ class ImageSource(ABC):
     def _run(self) -> None:
         """Deliver images until `_stop` is set."""
 
-    def _tell(self, problem: str) -> None:
+    def _set_problem(self, problem: str) -> None:
         if problem != self.problem:
             self.problem = problem
             self._on_change()
 
 
 class CameraKeeper(ImageSource):
-    """One camera, from plugging in to unplugging, as often as it takes.
+    """One camera, reconnected whenever it returns.
 
     Attributes:
-        name: of the camera that is open, or was last; '' before.
+        name: of the open camera, or the last one; '' before.
 
     Args:
-        open_camera: finds and opens it; raises CameraUnavailable where it cannot.
+        open_camera: finds and opens it; raises CameraUnavailable on failure.
         on_change: called in the keeper's thread whenever `problem` changes.
     """
 
     def __init__(self, open_camera: Callable[[], OpenCamera], on_change: Callable[[], None]) -> None:
-        super().__init__("the camera is looked for", on_change)
+        super().__init__("searching for the camera", on_change)
         self.name = ""
         self._open = open_camera
 
@@ -93,7 +93,7 @@ class CameraKeeper(ImageSource):
             try:
                 camera = self._open()
             except CameraUnavailable as error:
-                self._tell(str(error))
+                self._set_problem(str(error))
             else:
                 backoff = _SHORTEST_BACKOFF
                 self._watch(camera)
@@ -101,13 +101,13 @@ class CameraKeeper(ImageSource):
             backoff = min(2.0 * backoff, _LONGEST_BACKOFF)
 
     def _watch(self, camera: OpenCamera) -> None:
-        """Return when the camera delivers no more, with the device released."""
+        """Return when the camera stops delivering; the device is then released."""
         self.name = camera.name
         try:
-            self._tell("")
+            self._set_problem("")
             while not (problem := camera.problem()):
                 if self._stop.wait(_LOOK):
                     return
-            self._tell(problem)
+            self._set_problem(problem)
         finally:
             camera.close()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An OAK-D through depthai 3: found, set up for docking, its images as arrays. No ROS.
+"""An OAK-D through depthai 3: search, setup for docking, images as arrays. Independent of ROS.
 
-Colour comes undistorted, as depth is aligned to ideal pixels; each image tells its own intrinsics, which the device
-derives from its calibration. A device whose calibration is too old to undistort says so by its coefficients, which go
-along. Exposure and focus are locked: bars must not be over-exposed, and intrinsics hold at one focus only.
+Colour is undistorted, because depth is aligned to ideal pixels. Each image carries its own intrinsics, which the device
+derives from its calibration. If that calibration is too old to undistort, the image carries distortion coefficients.
+Exposure and focus are locked: bars must not be over-exposed, and intrinsics hold at one focus only.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import COLOR, DEPTH, RgbdImage
 
 _STEREO = (640, 400)
-"""px of each stereo image: with extended disparity, depth begins at 0.174 m there."""
+"""px of each stereo image: with extended disparity, depth starts at 0.174 m."""
 _SILENCE, _FIRST_IMAGE = 2.0, 10.0
-"""s without an image before it counts as gone: while it runs, and after it was opened."""
+"""s without an image until the camera counts as silent: while running, and after opening."""
 
 Take = Callable[[Any, Any], None]
-"""Takes a colour and a depth frame (depthai.ImgFrame) of one instant."""
+"""Receives simultaneous colour and depth frames (depthai.ImgFrame)."""
 
 
 @dataclass(frozen=True)
 class OakSettings(Bounded):
-    """How an OAK-D is set up.
+    """Setup of an OAK-D.
 
     Raises:
         ParameterError: a value is out of bounds, or the exposure takes longer than one image.
@@ -46,7 +46,7 @@ class OakSettings(Bounded):
     rate: float = number(15.0, 1.0, 60.0, "Hz", "images per second")
     exposure_us: int = number(10_000, 1, 33_000, "µs", "exposure of the colour camera (assumed)")
     iso: int = number(400, 100, 1600, "", "sensitivity of the colour camera (assumed)")
-    lens_position: int = number(-1, -1, 255, "", "focus of the colour camera; -1 = where it was calibrated")
+    lens_position: int = number(-1, -1, 255, "", "focus of the colour camera; -1 = as calibrated")
     device_id: str = words("", "id or name of the camera; '' = any")
 
     def __post_init__(self) -> None:
@@ -58,7 +58,7 @@ class OakSettings(Bounded):
 
 @dataclass(frozen=True)
 class OakImage:
-    """One image and when it was taken.
+    """One image and its time.
 
     Attributes:
         time: s by time.monotonic, middle of the exposure; depthai keeps the device's clock aligned to it.
@@ -70,18 +70,18 @@ class OakImage:
 
 
 class OakCamera:
-    """An open OAK-D that delivers.
+    """An open OAK-D.
 
     Args:
-        settings: how it is set up.
-        wanted: whether anybody wants the next image; the others are not converted.
-        take: called with images, from a thread of depthai's.
+        settings: its setup.
+        wanted: whether the next image is needed; others are not converted.
+        take: called with images, in a depthai thread.
 
     Attributes:
         name: id of the device.
 
     Raises:
-        CameraUnavailable: there is none, or it cannot be opened.
+        CameraUnavailable: no device, or it cannot be opened.
     """
 
     def __init__(self, settings: OakSettings, wanted: Callable[[], bool], take: Callable[[OakImage], None]) -> None:
@@ -95,32 +95,32 @@ class OakCamera:
             import depthai
 
             self._device = depthai.Device(info)
-            self._device.setMaxReconnectionAttempts(0)  # the keeper looks for it again, and says so
+            self._device.setMaxReconnectionAttempts(0)  # the keeper reconnects and reports it
             self._pipeline = depthai.Pipeline(self._device)
             color, depth = _sources(self._pipeline, self._device.readCalibration(), settings)
             attach(self._pipeline, color, depth, settings.rate, self._take)
             self._due = time.monotonic() + _FIRST_IMAGE
             self._pipeline.start()
-        except Exception as error:  # depthai raises RuntimeError and kinds of its own
+        except Exception as error:  # RuntimeError or depthai's own classes
             self.close()
             raise CameraUnavailable(f"OAK camera {self.name} cannot be opened: {error}") from error
 
     def problem(self) -> str:
-        """Return why it delivers no more, '' while it does."""
+        """Return why images stopped; '' while they arrive."""
         if self._failure:
             return f"OAK camera {self.name}: {self._failure}"
         if self._pipeline is None or not self._pipeline.isRunning():
-            return f"OAK camera {self.name} is gone: look at its cable and its power"
+            return f"OAK camera {self.name} is gone: check its cable and its power"
         if time.monotonic() > self._due:
-            return f"OAK camera {self.name} is silent: look at its cable (USB 3) and its power"
+            return f"OAK camera {self.name} is silent: check its cable (USB 3) and its power"
         return ""
 
     def close(self) -> None:
         """Stop the pipeline and release the device."""
         pipeline, device = self._pipeline, self._device
         ends = [*((pipeline.stop, pipeline.wait) if pipeline else ()), *((device.close,) if device else ())]
-        for end in ends:  # its threads run Python, so they must have ended before the pipeline is forgotten
-            with contextlib.suppress(Exception):  # an unplugged device cannot be told to stop
+        for end in ends:  # its threads run Python, so they must end before the pipeline is deleted
+            with contextlib.suppress(Exception):  # an unplugged device cannot be stopped
                 end()
 
     def _take(self, color: Any, depth: Any) -> None:
@@ -134,13 +134,13 @@ class OakCamera:
 
 
 def find_device(device_id: str) -> Any:
-    """Return the depthai.DeviceInfo of a device that may be opened.
+    """Return the depthai.DeviceInfo of an available device.
 
     Args:
         device_id: id or name; '' = any.
 
     Raises:
-        CameraUnavailable: there is none, which takes 0.5 s, or depthai is not installed or does not work.
+        CameraUnavailable: no device (after 0.5 s), or depthai is missing or does not work.
     """
     try:
         import depthai
@@ -151,37 +151,37 @@ def find_device(device_id: str) -> Any:
             raise CameraUnavailable(f"depthai cannot be loaded: {error}") from error
         raise CameraUnavailable(
             "depthai is not installed: install it with pip install 'deltacharger[oak]', or start your camera's own "
-            "driver in place of camera_node"
+            "driver instead of camera_node"
         ) from error
-    except Exception as error:  # depthai raises RuntimeError and kinds of its own; a wrong build, ImportError
-        raise CameraUnavailable(f"cameras cannot be looked for: depthai says {error}") from error
+    except Exception as error:  # RuntimeError or depthai's own classes; a wrong build raises ImportError
+        raise CameraUnavailable(f"cameras cannot be listed: depthai reports {error}") from error
     for info in found:
         if not device_id or device_id in (info.getDeviceId(), info.name):
             return info
     which = f"OAK camera {device_id}" if device_id else "OAK camera"
     others = f"; there is {', '.join(info.getDeviceId() for info in found)}" if found else ""
     raise CameraUnavailable(
-        f"no {which} found{others}: plug it in and look at its cable, at the udev rule for USB vendor 03e7, and for "
-        "another program that uses it"
+        f"no {which} found{others}: plug it in; check its cable, the udev rule for USB vendor 03e7, and whether "
+        "another program uses it"
     )
 
 
 def attach(pipeline: Any, color: Any, depth: Any, rate: float, take: Take) -> None:
-    """Hand colour and depth of one instant to `take`, which is called on the host; of late ones the newest counts.
+    """Pass simultaneous colour and depth frames to `take` on the host; if it is slow, only the newest.
 
     Args:
         pipeline: depthai.Pipeline, with or without a device.
         color: output (depthai.Node.Output) of colour frames.
         depth: output of depth frames.
         rate: of both, Hz.
-        take: called from a thread of the pipeline's.
+        take: called in a thread of the pipeline.
     """
     import depthai
 
     class ImageHost(depthai.node.HostNode):
-        """Hands groups of frames to `take`."""
+        """Passes groups of frames to `take`."""
 
-        def process(self, group):  # type: ignore[no-untyped-def]  # depthai reads annotations, and not as text
+        def process(self, group):  # type: ignore[no-untyped-def]  # depthai evaluates annotations, not strings
             take(group[COLOR], group[DEPTH])
 
     sync = pipeline.create(depthai.node.Sync)
@@ -199,7 +199,7 @@ def converted(color: Any, depth: Any) -> OakImage:
     """Return the image of an RGB888i frame and a RAW16 frame in mm (depthai.ImgFrame).
 
     Raises:
-        VisionError: they do not belong together, or the frame's intrinsics cannot be used.
+        VisionError: the frames do not match, or their intrinsics are unusable.
     """
     import depthai
 
@@ -217,14 +217,14 @@ def converted(color: Any, depth: Any) -> OakImage:
 
 
 def _sources(pipeline: Any, calibration: Any, settings: OakSettings) -> tuple[Any, Any]:
-    """Return the outputs of colour and of depth aligned to it."""
+    """Return the outputs of colour and aligned depth."""
     import depthai
 
     sockets = depthai.CameraBoardSocket
     camera = pipeline.create(depthai.node.Camera).build(sockets.CAM_A)
     camera.initialControl.setManualExposure(settings.exposure_us, settings.iso)
     lens = calibration.getLensPosition(sockets.CAM_A) if settings.lens_position < 0 else settings.lens_position
-    if lens:  # 0 where the focus is fixed
+    if lens:  # 0 if the focus is fixed
         camera.initialControl.setManualFocus(lens)
     color = camera.requestOutput(
         (settings.width, settings.height), depthai.ImgFrame.Type.RGB888i, fps=settings.rate, enableUndistortion=True

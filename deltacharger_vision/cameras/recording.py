@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an RGB-D camera published, out of an MCAP file: which topics hold it, and their messages as they came (CDR).
+"""Messages of an RGB-D camera in an MCAP file: its topics and their raw messages (CDR).
 
-Nothing here needs ROS; who has it decodes the messages. Needs the package mcap, `deltacharger[record]`.
+This module needs no ROS; callers with ROS decode the messages. It needs the package mcap, `deltacharger[record]`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _INFO_NAME = "camera_info"
 
 @dataclass(frozen=True)
 class CameraTopics:
-    """Names of a camera's topics; "" = to be found, or none.
+    """Names of a camera's topics; "" = find it, or none.
 
     Attributes:
         color: sensor_msgs/Image.
@@ -41,7 +41,7 @@ class Recorded(NamedTuple):
 
     Attributes:
         kind: COLOR, DEPTH or INFO.
-        time: when it was recorded, ns.
+        time: of recording, ns.
         data: CDR of IMAGE or CAMERA_INFO.
     """
 
@@ -51,22 +51,22 @@ class Recorded(NamedTuple):
 
 
 class CameraRecording:
-    """The images of one camera in an MCAP file; one that was cut off is read as far as it goes.
+    """The images of one camera in an MCAP file; a truncated file is read up to its end.
 
-    Where no topics are named, colour is the one topic that ends in color/image_raw, depth the one beside it that ends
-    in depth/image_raw or aligned_depth_to_color/image_raw, and the intrinsics the camera_info beside the colour.
+    If no topics are named, colour is the only topic that ends in color/image_raw. Depth is its neighbour that ends in
+    depth/image_raw or aligned_depth_to_color/image_raw. The intrinsics are the camera_info next to the colour.
 
     Args:
         path: of the file.
-        asked: topics by their names, with or without the first slash; those that are "" are found.
+        asked: requested topics, with or without the leading slash; the class finds those that are "".
 
     Attributes:
-        topics: color, and depth and info where there are any.
+        topics: color, and depth and info if present.
         images: number of colour images.
 
     Raises:
         OSError: the file cannot be read.
-        RecordingError: mcap is not installed, it is no MCAP file, holds no raw colour images, or several cameras.
+        RecordingError: mcap is missing, or the file is no MCAP file, has no raw colour images, or several cameras.
     """
 
     def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
@@ -76,7 +76,7 @@ class CameraRecording:
         self.images = self._file.counts[self.topics.color]
 
     def messages(self, *kinds: str) -> Iterator[Recorded]:
-        """Yield the messages in the order of the file, of some kinds or of all.
+        """Yield the messages of some or all kinds, in the file's order.
 
         Raises:
             RecordingError: the file ends early, or is damaged from here on.
@@ -100,7 +100,7 @@ class _Topics:
         self._types = types
 
     def choose(self, asked: CameraTopics) -> CameraTopics:
-        """Return those of the camera; RecordingError where that is not clear."""
+        """Return the camera's topics; raises RecordingError if they are ambiguous."""
         color = self._held(asked.color, IMAGE) if asked.color else self._color()
         depth = self._held(asked.depth, IMAGE) if asked.depth else self._depth(color)
         info = self._held(asked.info, CAMERA_INFO) if asked.info else self._beside(color, _INFO_NAME)
@@ -120,7 +120,7 @@ class _Topics:
         elif images:
             problem = f"no topic ends in {_COLOR_NAME}; name one of {held}"
         else:
-            problem = f"holds no images, but {held}"
+            problem = f"holds no images, only {held}"
         raise RecordingError(f"{self._path}: {problem}")
 
     def _depth(self, color: str) -> str:
@@ -142,8 +142,8 @@ class _Topics:
         if held == _COMPRESSED:
             raise RecordingError(f"{self._path}: {_advice(topic)}")
         if held is not None:
-            raise RecordingError(f"{self._path}: {topic} is of type {held or 'unknown'} and must be {kind}")
-        raise RecordingError(f"{self._path}: no topic {topic}; it holds {', '.join(sorted(self._types))}")
+            raise RecordingError(f"{self._path}: {topic} has type {held or 'unknown'}; it must be {kind}")
+        raise RecordingError(f"{self._path}: no topic {topic}; the file has {', '.join(sorted(self._types))}")
 
     def _of(self, kind: str) -> list[str]:
         return sorted(topic for topic, held in self._types.items() if held == kind)
@@ -154,7 +154,7 @@ def _ends(topic: str, name: str) -> bool:
 
 
 def _camera(topic: str) -> str:
-    """Return a topic without its last two names, which the topics of one camera share."""
+    """Return a topic without its last two names: the namespace that a camera's topics share."""
     return topic.rsplit("/", 2)[0]
 
 

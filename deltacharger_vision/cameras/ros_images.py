@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fields of sensor_msgs/Image as arrays that `RgbdImage.make` takes. Nothing here needs ROS.
+"""Converts the fields of sensor_msgs/Image to arrays for `RgbdImage.make`. Independent of ROS.
 
-Encodings and the layout of `data` are those of sensor_msgs/image_encodings.hpp.
+Encodings and the layout of `data` follow sensor_msgs/image_encodings.hpp.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ _COLORS: dict[str, tuple[type, int, tuple[int, ...]]] = {
     "bgr16": (np.uint16, 3, _BGR),
     "rgba16": (np.uint16, 4, _RGBA),
     "bgra16": (np.uint16, 4, _BGRA),
-    "8uc3": (np.uint8, 3, _BGR),  # OpenCV's types are named without an order; cv_bridge hands them over as BGR
+    "8uc3": (np.uint8, 3, _BGR),  # OpenCV's type names have no order; cv_bridge uses BGR
     "8uc4": (np.uint8, 4, _BGRA),
     "mono8": (np.uint8, 1, (0,)),
     "8uc1": (np.uint8, 1, (0,)),
     "mono16": (np.uint16, 1, (0,)),
     "16uc1": (np.uint16, 1, (0,)),
 }
-"""Of colour: type, channels, and those that are red, green and blue."""
+"""Colour encodings: type, channels, and the indices of red, green and blue."""
 _DEPTHS: dict[str, type] = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32, "64fc1": np.float64}
-_QUOTED = 40  # characters of an unknown encoding that are repeated
+_QUOTED = 40  # characters of an unknown encoding in errors
 _YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
-"""Offset of the first luminance in each group of four bytes; the detector looks at luminance alone."""
+"""Offset of the first luminance in each group of four bytes; the detector uses only luminance."""
 
 
 def color_array(image: Any) -> NDArray[Any]:
     """Return (H, W, 3) RGB or (H, W) gray, uint8 or uint16, of a colour image.
 
-    Of YUV 4:2:2 images the luminance is returned.
+    For YUV 4:2:2 images it returns the luminance.
 
     Args:
-        image: sensor_msgs/Image, or what has its fields.
+        image: sensor_msgs/Image, or an object with its fields.
 
     Raises:
-        ImageError: the encoding is unknown or raw, or the fields contradict each other.
+        ImageError: the encoding is unknown or raw, or the fields are inconsistent.
     """
     name = image.encoding.lower()
     if name in _YUV:
@@ -59,10 +59,10 @@ def color_array(image: Any) -> NDArray[Any]:
 
 
 def depth_array(image: Any) -> NDArray[Any]:
-    """Return (H, W) uint16 mm or float m of a depth image, as `color_array`.
+    """Return (H, W) uint16 mm or float m of a depth image, like `color_array`.
 
     Raises:
-        ImageError: the encoding is not 16UC1 (mm) or 32FC1 (m), or the fields contradict each other.
+        ImageError: the encoding is not 16UC1 (mm) or 32FC1 (m), or the fields are inconsistent.
     """
     name = image.encoding.lower()
     if name not in _DEPTHS:
@@ -80,7 +80,7 @@ def _rows(what: str, image: Any, kind: type, channels: int) -> NDArray[Any]:
         raise ImageError(what, f"{width} × {height} px with {step} bytes a row; a row needs {max(least, 1)}")
     flat = np.frombuffer(image.data, dtype=np.uint8)
     if flat.size < step * (height - 1) + least:
-        raise ImageError(what, f"{flat.size} bytes of {step * height}; the image was cut off on its way")
+        raise ImageError(what, f"{flat.size} bytes of {step * height}; the image was truncated in transit")
     padded = np.lib.stride_tricks.as_strided(flat, (height, least), (step, 1), writeable=False)
     pixels = np.ascontiguousarray(padded).view(stored).reshape(height, width, channels)
     return pixels.astype(kind, copy=False)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From an RGB-D image to the pose of the electrodes."""
+"""Detects the pose of the electrodes in an RGB-D image."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture for people: what the detector found, drawn into a copy of the colour image."""
+"""Draws the detector's result into a copy of the colour image."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _ARROW = 0.03  # m
 
 
 def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
-    """Return (H, W, 3) uint8 RGB: the bars' outlines, their midpoint, the normal where it is known, and the figures.
+    """Return (H, W, 3) uint8 RGB: the bars' outlines, their midpoint, the normal if known, and the figures.
 
-    The image itself is left as it is.
+    The image itself is not changed.
     """
     import cv2
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From an RGB-D image to the pose of a terminal's two electrodes, or to None.
+"""Finds the pose of a terminal's two electrodes in an RGB-D image, or None.
 
-Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least squares over edges and plane → judgement.
-Where that finds nothing: pieces between edges → pairs of lines → places on the plate's plane → edges → judgement.
-A pose whose outlines were not seen, or that depth contradicts, is not returned.
+Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least-squares fit of edges and plane → judgement.
+If that fails: pieces between edges → pairs of lines → positions on the plate's plane → edges → judgement.
+A pose without visible outlines, or contradicted by depth, is not returned.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from deltacharger_vision.poses import cross_matrix
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.terminal import Terminal
 
-_APART = 4.0  # standard deviations beyond which two poses are not the same one
+_APART = 4.0  # standard deviations beyond which two poses differ
 _LINEAR = (255.0 * LIGHT).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class DetectorSettings(Bounded):
-    """Numbers of the detector, those of its parts in settings of their own.
+    """Numbers of the detector; its parts have their own settings.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
     smoothing: float = number(0.6, 0.1, 5.0, "px", "standard deviation of the blur before edges are searched")
-    sure: float = number(0.8, 0.0, 1.0, "", "confidence at which no other pair is looked at")
-    normal_stddev: float = number(0.06, 0.001, 1.0, "rad", "largest standard deviation of a normal that is reported")
+    sure: float = number(0.8, 0.0, 1.0, "", "confidence at which the search ends")
+    normal_stddev: float = number(0.06, 0.001, 1.0, "rad", "largest standard deviation of a reported normal")
     segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
     pairing: PairingSettings = field(default_factory=PairingSettings)
     judgement: JudgementSettings = field(default_factory=JudgementSettings)
@@ -59,16 +59,16 @@ class ElectrodeDetector:
         self.settings = settings or DetectorSettings()
 
     def detect(self, image: RgbdImage) -> Detection | None:
-        """Return the terminal that the image supports best, or None. The same image gives the same answer.
+        """Return the terminal with the best support in the image, or None. Deterministic.
 
         Raises:
-            CameraInfoError: the lens's distortion is no one-to-one map over the image.
+            CameraInfoError: the lens's distortion is not one-to-one over the image.
         """
         import cv2
 
         settings = self.settings
         grey = np.asarray(cv2.cvtColor(image.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-        # An edge lies where the light is half-way, not where its encoding is.
+        # An edge lies at half the light, not at half its encoded value.
         smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), settings.smoothing)
         check_lens(image.intrinsics)
         judge = PartsJudge(smooth, image, self.terminal, settings.judgement)
@@ -78,7 +78,7 @@ class ElectrodeDetector:
                 continue
             try:
                 candidate = judge.judge(pair)
-            except CameraInfoError:  # a cut bar rebuilt beyond what the lens shows
+            except CameraInfoError:  # a cut bar is completed beyond the lens's view
                 continue
             if candidate is not None and (best is None or candidate.confidence > best.confidence):
                 best = candidate
@@ -89,7 +89,7 @@ class ElectrodeDetector:
         return None if best is None else self._detection(best, image.intrinsics)
 
     def _in_pieces(self, image: RgbdImage, judge: PartsJudge) -> Candidate | None:
-        """Return the terminal of which something hides parts, or None where two poses explain what is seen."""
+        """Return a partly hidden terminal, or None if two poses explain the image."""
         settings, found = self.settings, []
         pieces = find_pieces(image.color, settings.segmentation)
         for pair in find_cut_pairs(pieces, self.terminal, settings.pairing):
@@ -103,7 +103,7 @@ class ElectrodeDetector:
         return best
 
     def _covers(self, found: Candidate, pair: Pair, intrinsics: Intrinsics) -> bool:
-        """Return whether a pair lies where a terminal was found: no other can be there."""
+        """Return whether a pair lies on a found terminal: no other can be there."""
         middle, end = np.zeros(3), np.array([0.5 * self.terminal.bar_length, 0.0, 0.0])
         here, there = project(found.pose.points(np.stack([middle, end])), intrinsics)
         return bool(np.hypot(*(pair.centre.mean(axis=0) - here)) < np.hypot(*(there - here)))
@@ -114,7 +114,7 @@ class ElectrodeDetector:
         roll = line_angle(x, y)
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
-        # Where depth should be and is not, two tilts in a hundred are off by far more than the edges tell.
+        # If expected depth is missing, two tilts in a hundred are off by far more than the edges show.
         checked = found.fused or pose.translation[2] < self.settings.judgement.stereo_range
         known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
         return Detection(
@@ -131,7 +131,7 @@ class ElectrodeDetector:
 
 
 def _differ(one: Candidate, other: Candidate) -> bool:
-    """Return whether two poses are farther apart than what both are told to be off by."""
+    """Return whether two poses differ by more than their covariances explain."""
     apart = one.pose.translation - other.pose.translation
     spread = one.covariance[:3, :3] + other.covariance[:3, :3]
     return float(apart @ np.linalg.solve(spread, apart)) > _APART**2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subpixel edges: where along each line's normal the image changes most, found at many places of every line."""
+"""Subpixel edges: the steepest places of the image along each line's normal, at many places per line."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ from deltacharger_vision.projection import rays
 SAMPLES = 24
 """Places per line."""
 _STEP = 0.5
-_REACH = 3  # steps on either side of the steepest place that its centroid takes in
-_CORNER = 1.5  # px near a corner in which another edge disturbs
+_REACH = 3  # steps on either side of the steepest place that enter its centroid
+_CORNER = 1.5  # px near a corner that another edge disturbs
 _PULL = 0.3  # of the peak
 _SATURATED = 250.0  # of 255
-_SHARP = 2.5  # px: ramp of an edge, as wide as its step over its steepest slope, that a sharp image has
+_SHARP = 2.5  # px: width of an edge's ramp (step over steepest slope) in a sharp image
 _INDEPENDENT = 2.0  # px between samples of an edge that share little noise
 
 
 @dataclass(frozen=True)
 class EdgeSettings(Bounded):
-    """How edges are searched.
+    """Settings of the edge search.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
-    search: float = number(5.0, 1.0, 50.0, "px", "on either side of where a line is expected at first")
-    follow: float = number(2.5, 1.0, 50.0, "px", "the same once the pose has been refined")
+    search: float = number(5.0, 1.0, 50.0, "px", "first search distance on either side of a line's expected position")
+    follow: float = number(2.5, 1.0, 50.0, "px", "search distance once the pose has been refined")
     contrast: float = number(1.0, 0.01, 100.0, "", "least step of light within a pixel, of 255")
-    share: float = number(0.3, 0.0, 1.0, "", "the same as a share of the median step")
+    share: float = number(0.3, 0.0, 1.0, "", "least step as a share of the median step")
 
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Places of L lines with SAMPLES each.
+    """Edge points of L lines, SAMPLES per line.
 
     Attributes:
         lines: the lines.
         model: (L, S, 3) m, in the terminal's frame.
-        rays: (L, S, 2) x/z, y/z of where the edge was seen.
-        seen: (L, S) whether it was.
-        inside: (L, S) whether the image shows the place at all.
+        rays: (L, S, 2) x/z, y/z of the edge.
+        seen: (L, S) whether the edge was found.
+        inside: (L, S) whether the place is inside the image.
         weight: (L,) independent samples per sample.
-        missed: independent samples of the bars' sides at which the image shows no edge.
-        saturated: share of the places beside which the bar is as bright as the image can tell.
-        blur: (L,) px by which the ramp of a line is wider than in a sharp image.
+        missed: independent samples of the bars' sides without an edge in the image.
+        saturated: share of places where the bar beside the edge is saturated.
+        blur: (L,) px, excess width of the line's ramp over a sharp image.
     """
 
     lines: Lines
@@ -87,7 +87,7 @@ def find_edges(
     change = (values[..., :-2] - values[..., 2:]) / (2.0 * _STEP)
     fall = np.where(lines.outer[:, None, None], np.maximum(change, 0.0), np.abs(change))
     offsets = offsets[1:-1]
-    # Of a side's two lines each is looked for on its own side of the middle between them.
+    # A side's two lines are each searched on their own side of the middle between them.
     beyond = np.where(lines.outer[:, None], -offsets, offsets)
     offset, height, ramp = _steepest(fall, offsets, beyond <= 0.5 * lines.room[:, None])
     enough = max(settings.contrast, settings.share * float(np.median(height[lines.outer])))
@@ -98,16 +98,16 @@ def find_edges(
     seen = inside & (height >= enough)
     missed = _leave_inner(seen, inside, weight, lines)
     blur = np.maximum(np.median(np.where(seen, ramp, 0.0), axis=1) - _SHARP, 0.0)
-    # An edge sampled well inside the bar.
+    # Sampled well inside the bar.
     saturated = float(np.mean(values[lines.outer, :, : steps // 2].max(axis=2) >= _SATURATED))
     return EdgePoints(lines, model, found, seen, inside, weight, missed, saturated, blur)
 
 
 def _leave_inner(seen: Mask, inside: Mask, weight: Array, lines: Lines) -> float:
-    """Drop inner edges whose outer one was seen, as streaks and blur would be taken for them.
+    """Drop inner edges whose outer edge was found, because streaks and blur pass for inner edges.
 
     Returns:
-        Independent samples of the sides at which neither was seen.
+        Independent samples of the sides without either edge.
     """
     missed = 0.0
     for outer in np.flatnonzero(lines.outer):
@@ -122,10 +122,10 @@ def _leave_inner(seen: Mask, inside: Mask, weight: Array, lines: Lines) -> float
 
 
 def _steepest(fall: Array, offsets: Array, allowed: Mask) -> tuple[Array, Array, Array]:
-    """Return the offset (L, S) px of the steepest place of profiles (L, S, K), how steep it is, and the ramp's width.
+    """Return the offset (L, S) px of the steepest place of profiles (L, S, K), its slope, and the ramp's width.
 
-    Only offsets (L, K) that are allowed count. The slope is 0 where the steepest place is not a peak of the profile.
-    The width is that of a straight ramp as high and as steep, px.
+    Only allowed offsets (L, K) count. The slope is 0 if the steepest place is not a peak of the profile. The width is
+    that of a straight ramp of the same height and slope, px.
     """
     near = fall * allowed[:, None]
     peak = np.argmax(near, axis=2)[..., None]
@@ -135,7 +135,7 @@ def _steepest(fall: Array, offsets: Array, allowed: Mask) -> tuple[Array, Array,
     for step in (-1, 1):
         inner &= np.take_along_axis(fall, np.clip(peak + step, 0, last), axis=2)[..., 0] <= height
     reach = np.clip(peak + np.arange(-_REACH, _REACH + 1), 0, last)
-    # Only what exceeds part of the peak counts: the neighbour's edge does not pull.
+    # Only the excess over part of the peak counts, so that a neighbouring edge does not pull.
     strong = np.maximum(np.take_along_axis(near, reach, axis=2) - _PULL * height[..., None], 0.0)
     offset = np.sum(strong * offsets[reach], axis=2) / np.maximum(strong.sum(axis=2), 1e-9)
     ramp = _STEP * near.sum(axis=2) / np.maximum(height, 1e-9)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""electrode_detector_node: where the target's electrodes are, from the images of any RGB-D camera.
+"""electrode_detector_node finds the target's electrodes in the images of any RGB-D camera.
 
-Subscribes, only while it looks: color/image_raw, depth/image_raw (aligned to colour), color/camera_info.
-Publishes: electrode_detection when it found something, electrode_detection/image (what it saw, annotated, while
-somebody listens), /diagnostics (1 Hz).
-Serves: detect_electrodes, which looks at fresh images until the electrodes are found or its time is over.
-Parameters: rate (0 = on demand only), timeout and image_age_max, which may be set while the node runs;
-stamp_tolerance, the topics, the mount, the terminal's lengths.
-It drives nothing. With a rate it looks while somebody subscribes to electrode_detection. Without OpenCV it lives, says
-so and looks for it again: a charger docks to coordinates without it.
+Subscribes while detecting: color/image_raw, depth/image_raw (aligned to colour), color/camera_info.
+Publishes: electrode_detection if it finds electrodes, electrode_detection/image (annotated, while it has subscribers),
+/diagnostics (1 Hz).
+Serves: detect_electrodes, which examines new images until it finds the electrodes or times out.
+Parameters: rate (0 = on demand only), timeout and image_age_max may be set while the node runs; stamp_tolerance, the
+topics, the mount and the terminal's lengths may not.
+It moves nothing. With a rate, it detects while electrode_detection has subscribers. Without OpenCV it keeps running,
+reports the error and keeps trying to load it: a charger can dock to coordinates without a camera.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ from deltacharger_vision.ros.detections import detection_message
 from deltacharger_vision.ros.messages import color_message
 from deltacharger_vision.terminal import Terminal
 
-_FUTURE = 0.05  # s by which a stamp may be ahead of this computer's clock
+_FUTURE = 0.05  # s that a stamp may be ahead of this computer's clock
 
 
 @dataclass
 class _Tally:
-    """What became of the images so far."""
+    """Counts of images so far."""
 
     looked: int = 0
     found: int = 0
@@ -100,14 +100,14 @@ class ElectrodeDetectorNode(Node):
         Tuning(self, given, self._take)
 
     def close(self) -> None:
-        """Release waiting requests and end the thread."""
+        """Release waiting requests and stop the thread."""
         self._camera.close()
         if self._tf is not None:
             self._tf.close()
         self._regularly.stop()
 
     def _take(self, given: DetectorNodeParameters) -> str:
-        """Look with other parameters; requests under way go on with the timeout that they began with."""
+        """Use other parameters; pending requests keep their timeout."""
         before, self._given = self._given, given
         if given.rate != before.rate:
             self._regularly.start(given.rate)
@@ -127,25 +127,25 @@ class ElectrodeDetectorNode(Node):
         deadline = time.monotonic() + (limit or usual)
         refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
         with self._camera.watching():
-            while not images or time.monotonic() < deadline:  # looks may be slower than images come
+            while not images or time.monotonic() < deadline:  # detection may be slower than the camera
                 if (shot := self._camera.after(number, deadline)) is None:
                     break
                 number, images = shot.number, images + 1
                 if problem := self._age_problem(shot):
                     late, old = problem, old + 1
                     continue
-                message, refusal = self._look(shot, deadline)
+                message, refusal = self._examine(shot, deadline)
                 if message is not None:
                     response.success, response.message, response.detection = True, "found", message
                     return response
-            # What a fresh image shows says more than that another one came late.
+            # The result of a fresh image is more useful than the age of a later one.
             refusal = refusal or late or self._camera.problem()
-            refusal = refusal or "no image came in time; allow more than one image's time"
+            refusal = refusal or "no image arrived in time; allow more than one image period"
         response.message = f"{refusal} ({images} images in {limit or usual:.1f} s, {old} of them too old)"
         return response
 
     def _age_problem(self, shot: Shot) -> str:
-        """Return why an image is of another time than now; empty = it is not."""
+        """Return why an image is too old or in the future; '' if it is current."""
         age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
         oldest = self._given.image_age_max
         if -_FUTURE <= age <= oldest:
@@ -154,8 +154,8 @@ class ElectrodeDetectorNode(Node):
         when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
         return f"the image is {when} (image_age_max {oldest} s): check load, driver and clocks"
 
-    def _look(self, shot: Shot, deadline: float = math.inf) -> tuple[ElectrodeDetection | None, str]:
-        """Return what one image shows, published, or why it shows nothing; tf is waited for until then at most."""
+    def _examine(self, shot: Shot, deadline: float = math.inf) -> tuple[ElectrodeDetection | None, str]:
+        """Detect, publish and return the electrodes of one image, or a reason; wait for tf until `deadline` at most."""
         with self._looking:
             started = time.perf_counter()
             try:
@@ -173,16 +173,16 @@ class ElectrodeDetectorNode(Node):
         try:
             placed = self._mounted(header, deadline).place(found)
         except (TransformError, MountError) as error:
-            return None, f"the electrodes are seen, but not where the camera is: {error}"
+            return None, f"the electrodes were found, but the camera's pose is unknown: {error}"
         message = detection_message(placed, header.stamp, found.confidence, found.range, self._charger_base)
         self._detections.publish(message)
         return message, ""
 
     def _mounted(self, header: Any, deadline: float = math.inf) -> Mount:
-        """Return where the camera of an image is; tf is waited for until `deadline` (s, monotonic) at most.
+        """Return the mount of an image's camera; wait for tf until `deadline` (s, monotonic) at most.
 
         Raises:
-            TransformError: tf, where it is asked, does not know it now.
+            TransformError: tf is in use and does not provide it.
         """
         if self._tf is None:
             return self._mount
@@ -196,7 +196,7 @@ class ElectrodeDetectorNode(Node):
             self._pictures.publish(color_message(annotated(image, found), header.stamp, header.frame_id))
 
     def _watch(self, period: float, stopping: threading.Event) -> None:
-        """Look at `rate` while somebody wants to know."""
+        """Detect at `rate` while there are subscribers."""
         while not stopping.wait(period):
             if not self._wanted():
                 continue
@@ -207,7 +207,7 @@ class ElectrodeDetectorNode(Node):
                     shot = self._camera.after(number, started + 0.5)
                     if shot is not None:
                         number = shot.number
-                        if refusal := self._age_problem(shot) or self._look(shot)[1]:
+                        if refusal := self._age_problem(shot) or self._examine(shot)[1]:
                             self._log.warning(refusal, pause=5.0)
                     stopping.wait(max(0.0, started + period - time.monotonic()))
 
@@ -230,7 +230,7 @@ class ElectrodeDetectorNode(Node):
 
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
-    """Return where the camera is."""
+    """Return the camera's mount."""
     seven, deviations = given.mount, (given.mount_position_stddev, given.mount_rotation_stddev)
     try:
         return Mount.load(given.mount_file) if given.mount_file else Mount.from_numbers(seven, *deviations)
@@ -239,24 +239,24 @@ def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
 
 
 def _tf(node: Node, given: DetectorNodeParameters, transforms: TransformParameters) -> TfTree:
-    """Return the transforms that tell where the camera is."""
+    """Return the tf tree for the camera's pose."""
     if given.mount_file:
-        problem = "mount_from_tf and mount_file both say where the camera is; give one of them"
+        problem = "mount_from_tf and mount_file both define the camera's pose; give only one"
     elif not installed():
-        problem = "mount_from_tf needs tf2_ros, which comes with a ROS installation; give mount_file or mount"
+        problem = "mount_from_tf needs tf2_ros, which is part of a ROS installation; give mount_file or mount"
     else:
         return TfTree(node, transforms)
     raise node_support.StartupError(f"{node.get_name()}: {problem}")
 
 
 def _missing_library() -> str:
-    """Return why no image can be looked at; '' where OpenCV is there, which is then set up."""
+    """Load and set up OpenCV; return why that failed, or ''."""
     try:
         import cv2
     except ImportError as error:
         why = "is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot be loaded ({error})"
         return f"OpenCV {why}: install it with pip install 'deltacharger[vision]', or python3-opencv"
-    cv2.setNumThreads(1)  # one core for the camera; the others belong to servos and pads
+    cv2.setNumThreads(1)  # one core for the camera; servos and pads need the others
     return ""
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera's topics as pairs of one instant, listened to only while somebody wants them."""
+"""Pairs of simultaneous images from a camera's topics, subscribed only while needed."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from deltacharger_vision.ros.driver_diagnostics import DriverDiagnostics
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 SILENT = 1.0
-"""A topic without a message for so long counts as silent, s."""
+"""A topic without a message for this long counts as silent, s."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """Colour and depth of one instant, as they came.
+    """Messages of one colour and depth image of the same time.
 
     Attributes:
-        number: of this pair, rising.
+        number: of this pair, increasing.
         stamp: of the colour image, ns.
         color: its message.
         depth: its message.
@@ -44,10 +44,10 @@ class Shot:
     info: CameraInfo
 
     def image(self) -> RgbdImage:
-        """Return it decoded.
+        """Return the decoded image.
 
         Raises:
-            ImageError: an encoding is unknown, or the images do not fit together.
+            ImageError: an encoding is unknown, or the images do not match.
             CameraInfoError: the camera is not calibrated.
         """
         return rgbd_of(self.color, self.depth, intrinsics_of(self.info, CAMERA_INFO))
@@ -57,12 +57,12 @@ class Camera:
     """The three topics of an RGB-D camera.
 
     Args:
-        node: subscribes.
+        node: that subscribes.
         tolerance: largest difference between the stamps of colour and depth, s.
         topics: names of colour, depth and calibration.
 
     Attributes:
-        names: the same, resolved.
+        names: of the topics, resolved.
     """
 
     def __init__(self, node: Node, tolerance: float, topics: Sequence[str] = (COLOR, DEPTH, CAMERA_INFO)) -> None:
@@ -83,17 +83,17 @@ class Camera:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody listens."""
+        """Whether anyone uses the images."""
         return self._watchers > 0
 
     @property
     def shots(self) -> int:
-        """How many pairs came."""
+        """Number of pairs received."""
         return 0 if self._shot is None else self._shot.number
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Listen meanwhile; who renders or encodes only for subscribers does so only then."""
+        """Subscribe inside the context; a publisher that works only for subscribers then starts."""
         with self._news:
             self._watchers += 1
             if self._watchers == 1:
@@ -104,10 +104,10 @@ class Camera:
             with self._news:
                 self._watchers -= 1
                 if self._watchers == 0:
-                    self._forget()
+                    self._unsubscribe()
 
     def close(self) -> None:
-        """Let everybody who waits go on."""
+        """Release waiting threads."""
         with self._news:
             self._closed = True
             self._news.notify_all()
@@ -125,17 +125,17 @@ class Camera:
             return None
 
     def problem(self) -> str:
-        """Return what keeps images away; '' while they come, and while nobody listens long enough to tell."""
+        """Return why no images arrive; '' if they do, or if the subscription is too recent to know."""
         absent = [name for name in self.names if not self._node.count_publishers(name)]
         if absent:
-            return f"nobody publishes {', '.join(absent)}: start camera_node, or the camera's driver with these names"
+            return f"no publisher of {', '.join(absent)}: start camera_node, or the camera's driver with these names"
         with self._news:
             now, since = time.monotonic(), self._since
             silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]
             unmatched = now - max(self._matched, since) > SILENT
             driver = self._driver.of_publisher(silent[0]) if silent and self._driver else ""
         if silent:
-            why = driver or "look at the camera, its cable and its driver"
+            why = driver or "check the camera, its cable and its driver"
             return f"no images on {', '.join(silent)}: {why}"
         if unmatched:
             limit = f"stamp_tolerance, {1e3 * self._tolerance:g} ms"
@@ -160,8 +160,8 @@ class Camera:
 
         return on_message
 
-    def _forget(self) -> None:
-        """Stop listening; what came is old by the time that somebody listens again."""
+    def _unsubscribe(self) -> None:
+        """Drop subscriptions and messages, which would be too old for the next use."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []

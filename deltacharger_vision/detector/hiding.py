@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a terminal is hidden, and what is not there: whether the places beside edges look like its plate.
+"""Finds hidden and missing parts of a terminal: checks whether places beside edges look like its plate.
 
-An end of a bar is one only beside the plate: beside anything else it is where something hides the bar. And where a
-pose has a bar, the plate must not be seen. The plate is dark and lies behind; what hides a bar is bright, or before it.
+Beside the plate, an end is the end of a bar; beside anything else, something hides the rest of the bar. Where a pose
+has a bar, the plate must not be visible. The plate is dark and behind; what hides a bar is bright or in front of it.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _LONG, _ENDS = (0, 2), (1, 3)
 _ROWS = np.array([-0.25, 0.0, 0.25])  # of a bar's height
 _BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears the bar's depth
 _WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
-_BEHIND = 0.5  # of the bars' thickness: less than that before the plate is the plate
-_EMPTY = 3  # places of 2 × SAMPLES at which the plate may be seen by chance
-_ALIKE = 4.0  # of these places, that share the noise of depth
-_LEAST = 8  # of these places, at which bars must be seen
+_BEHIND = 0.5  # of the bars' thickness: less height above the plate counts as plate
+_EMPTY = 3  # places of 2 × SAMPLES that may look like plate by chance
+_ALIKE = 4.0  # of these places share the noise of depth
+_LEAST = 8  # of these places must show bars
 _CERTAIN = 2.0  # standard deviations
 
 
 @dataclass(frozen=True)
 class Hiding:
-    """What image and depth show beside and on the faces of a terminal at a pose.
+    """Appearance of a terminal's surroundings and faces in image and depth.
 
     Attributes:
-        ends: (2, 2) whether that end of each bar, at +x and at −x, is beside the plate.
-        refuted: whether the plate is seen where the bars should be, or a bar where the plate should be.
-        off: whether what depth is known of the bars' faces lies elsewhere than a bar's thickness before the plate.
+        ends: (2, 2) whether each end of each bar, at +x and at −x, is beside the plate.
+        refuted: whether the plate is visible where the bars should be, or a bar where the plate should be.
+        off: whether known depth of the bars' faces differs from a bar's thickness above the plate.
     """
 
     ends: Mask
@@ -58,17 +58,17 @@ def hiding(
     used: Mask,
     dark: float,
 ) -> Hiding:
-    """Return what hides a terminal.
+    """Check a terminal for hidden parts.
 
     Args:
         grey: (H, W) light.
         image: with depth.
         pose: of the terminal.
         terminal: its size.
-        plane: the plate's.
-        lines: the lines that the pose shows.
-        used: (L, S) places of these lines at which an edge was seen.
-        dark: light of the plate relative to that of the bars, at most.
+        plane: plane of the plate.
+        lines: visible lines at the pose.
+        used: (L, S) places of these lines with an edge.
+        dark: largest light of the plate, relative to the bars'.
     """
     view = _View(grey, image, pose, plane)
     bars = np.array([-0.5, 0.5]) * terminal.spacing
@@ -76,7 +76,7 @@ def hiding(
     x = 0.5 * terminal.bar_length * (2.0 * (np.arange(SAMPLES) + 0.5) / SAMPLES - 1.0)
     light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
     light, raised = view.middle(light, 2), view.middle(raised, 2)
-    # Seen at a slant, half of what lies between the bars is a side of one of them.
+    # At a slant, half of the area between the bars is a side of one of them.
     rows = terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
     between, _ = view.at(x, rows, 0.5 * terminal.bar_thickness)
     seen = _beside_edges(lines, used)
@@ -87,7 +87,7 @@ def hiding(
         return Hiding(np.zeros((2, 2), dtype=bool), True, True)
     known = raised[seen & np.isfinite(raised)]
     unsure = _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise / np.sqrt(max(1.0, len(known) / _ALIKE))
-    # Where noise hides the difference between bars and plate, depth tells nothing of what lies before them.
+    # If noise hides the difference between bars and plate, depth does not show what lies in front of them.
     apart = abs(float(np.median(known)) - terminal.bar_thickness) if len(known) >= _LEAST else 0.0
     off = bool(view.noise > terminal.bar_thickness or apart > unsure)
     empty = ~seen & (light < limit) & ~(raised > behind)
@@ -96,13 +96,13 @@ def hiding(
 
 
 def _ends(view: _View, terminal: Terminal, focal: float, y: Array, limit: float) -> tuple[Mask, bool]:
-    """Return which ends (2, 2) of bars with rows at y (2, 3) m are beside the plate, and whether a bar goes on."""
+    """Return which ends (2, 2) of bars with rows at y (2, 3) m are beside the plate, and whether a bar continues."""
     pose, rows = view.pose, terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
     pixel, camera = pose.translation[2] / focal, -pose.rotation.T @ pose.translation
     ends, longer = np.zeros((2, 2), dtype=bool), False
     for side, sign in enumerate((1.0, -1.0)):
         end = 0.5 * sign * terminal.bar_length
-        # Where the end's own side shows, the plate begins at its root.
+        # If the end's own side is visible, the plate begins at its root.
         root = terminal.bar_thickness if sign * camera[0] > 0.5 * terminal.bar_length else 0.0
         beyond, before = (
             view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
@@ -117,12 +117,12 @@ def _ends(view: _View, terminal: Terminal, focal: float, y: Array, limit: float)
 
 
 def _beside_edges(lines: Lines, used: Mask) -> Mask:
-    """Return (2, SAMPLES), from −x to +x, where edges of both long sides of each bar were seen."""
+    """Return (2, SAMPLES), from −x to +x, whether edges of both long sides of each bar were found."""
     seen = np.zeros((2, 2, SAMPLES), dtype=bool)
     for index in range(len(lines.bar)):
         side = int(lines.side[index])
         if side in _LONG:
-            # Corners run around a bar, so its upper side runs from +x to −x.
+            # Corners go around a bar, so its upper side runs from +x to −x.
             seen[lines.bar[index], _LONG.index(side)] |= used[index] if side == 0 else used[index][::-1]
     return np.asarray(seen.all(axis=1))
 
@@ -134,7 +134,7 @@ class _View:
         self._grey, self._image, self.pose, self._plane = grey, image, pose, plane
         away = float(pose.translation[2])
         self.noise = plane.scatter * away**2
-        """m, standard deviation of one height; those of neighbouring places are alike."""
+        """m, standard deviation of one height; neighbouring places correlate."""
 
     def at(self, x: Array, y: Array, z: float) -> tuple[Array, Array]:
         """Return light and height (m, NaN = unknown) at places (m), NaN outside the image."""
@@ -152,7 +152,7 @@ class _View:
 
     @staticmethod
     def middle(values: Array, axis: int) -> Array:
-        """Return the median of what is known, −inf where nothing is."""
+        """Return the median of the known values, −inf if none is known."""
         known = np.isfinite(values)
         filled = np.where(known, values, np.inf)
         order = np.sort(filled, axis=axis)

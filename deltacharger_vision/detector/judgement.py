@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What edges and depth make of a pair of blobs: a pose with its covariance, or nothing.
+"""Judges a pair of blobs by edges and depth: a pose with its covariance, or nothing.
 
-Image alone and image with depth are fitted apart. Where adding depth raises the squared error by more than chance
-does, bars of another size, or no bars at all, were seen: the metric gate.
+Image alone and image with depth are fitted separately. If depth raises the squared error by more than chance explains,
+the image shows bars of another size, or no bars at all: the metric gate.
 """
 
 from __future__ import annotations
@@ -39,34 +39,34 @@ from deltacharger_vision.terminal import Terminal
 _SAME_TILT = 0.03  # rad
 _UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
 _HOPELESS = 3.0
-EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three numbers
-_FOLLOWED = 4  # times that edges are found anew at most
-_ROUGH = 5  # steps of a fit to edges that will be found anew
-_SETTLED = 0.2  # px: edges found anew after so little movement are the same ones
+EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three parameters
+_FOLLOWED = 4  # most repetitions of the edge search
+_ROUGH = 5  # steps of a fit before the edges are searched again
+_SETTLED = 0.2  # px: after less movement, another edge search finds the same edges
 
 
 @dataclass(frozen=True)
 class JudgementSettings(Bounded):
-    """Limits of what is reported.
+    """Limits of reported poses.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
     stereo_range: float = number(
-        0.174, 0.0, 5.0, "m", "depth counts beyond it (OAK-D at 640 × 400, extended disparity)"
+        0.174, 0.0, 5.0, "m", "least distance at which depth counts (OAK-D at 640 × 400, extended disparity)"
     )
     nearest: float = number(0.08, 0.02, 5.0, "m", "least range")
     farthest: float = number(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
     tilt: float = number(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")
     clear: float = number(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
-    ambiguous: float = number(12.0, 0.0, 1000.0, "", "rise of the squared error by which a mirrored tilt is ruled out")
+    ambiguous: float = number(12.0, 0.0, 1000.0, "", "rise of the squared error that rules out a mirrored tilt")
     agreement: float = number(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
     exact: float = number(
         10.0, 0.0, 1000.0, "", "rise of the squared error with depth above which the focal length is fitted too"
     )
-    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of a focal length that is fitted")
-    alone: float = number(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, whose tilt nothing checks")
+    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of a fitted focal length")
+    alone: float = number(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, as nothing checks the tilt")
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
     plane: PlaneSettings = field(default_factory=PlaneSettings)
@@ -81,8 +81,8 @@ class Candidate:
         pose: of the terminal in the optical frame.
         covariance: (6, 6) of position (m) and rotation about the optical axes (rad).
         confidence: 0 to 1.
-        fused: whether depth took part.
-        upright: whether the tilt is known, not one of two that fit.
+        fused: whether depth was used.
+        upright: whether the tilt is unique.
     """
 
     pose: TerminalPose
@@ -94,7 +94,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Edges, the pose that fits them, and its squared error with the plane's."""
+    """Edges, the pose that fits them, and its squared error, including the plane's."""
 
     edges: Edges
     fit: PoseFit
@@ -106,7 +106,7 @@ class Judge:
 
     Args:
         grey: (H, W) float32, slightly smoothed.
-        image: the image it was made from.
+        image: the original image.
         terminal: size of the bars.
         settings: limits.
     """
@@ -120,7 +120,7 @@ class Judge:
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 
     def judge(self, pair: Pair) -> Candidate | None:
-        """Return the pose of a pair, or None where edges do not support one or depth contradicts it."""
+        """Return the pose of a pair, or None if edges do not support it or depth contradicts it."""
         settings, intrinsics = self._settings, self._image.intrinsics
         starts = by_corners(pair, self._terminal, intrinsics)
         if not starts or not 0.7 * settings.nearest < starts[0].translation[2] < 1.4 * settings.farthest:
@@ -130,13 +130,13 @@ class Judge:
             return None
         region = self._region(starts[0], limit)
         if region.share < settings.plane.known:
-            # Too little depth for a plane may still tell that nothing is there.
+            # Even too little depth for a plane may show that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
         plane = fit_plane(region, settings.plane, np.random.default_rng(0))
         both = None if plane is None else self._by_both(pair, starts[0], plane)
         if both is not None or starts[0].translation[2] >= settings.stereo_range:
             return both
-        # Too near for stereo, depth may be noise, or a corner of the plate; another plane is a contradiction.
+        # Too near for stereo, depth may be noise or a corner of the plate; but another plane is a contradiction.
         if plane is not None and not agree(plane, starts[0], settings.agreement):
             return None
         return self._by_image(pair, starts[0])
@@ -150,10 +150,10 @@ class Judge:
     def _search(
         self, start: TerminalPose, pair: Pair | None, plane: Plane | None = None, least: float = math.inf
     ) -> list[Explanation]:
-        """Return edges and poses that fit them, from a start whose tilt is right and whose place is rough.
+        """Return edges and the poses that fit them, from a start with the right tilt and a rough position.
 
-        It is laid over the pair's blobs before. Starts that soon fit far worse than `least`, the squared error of
-        another explanation, are given up.
+        First the start is laid over the pair's blobs. A start is abandoned if it soon fits far worse than `least`, the
+        squared error of another explanation.
         """
         settings = self._settings
         found: list[Explanation] = []
@@ -186,7 +186,7 @@ class Judge:
         return sorted(found, key=lambda each: each.misfit)
 
     def _moved(self, before: TerminalPose, after: TerminalPose) -> float:
-        """Return by how much the corners of the bars move in the image between two poses, px at most."""
+        """Return the largest movement of the bars' corners in the image between two poses, px."""
         one, two = (pose.points(self._corners) for pose in (before, after))
         return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
 
@@ -196,7 +196,7 @@ class Judge:
     def _follow(
         self, pose: TerminalPose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
     ) -> tuple[Edges, PoseFit] | None:
-        """Return the edges near those of a pose, and the pose that fits them."""
+        """Return the edges near a pose's edges, and the pose that fits them."""
         edges = self._edges(pose, window)
         found = edges.fit(pose, plane, rounds=rounds)
         return None if found is None else (edges, found)
@@ -209,7 +209,7 @@ class Judge:
         return Edges(points, self._terminal, self._focal, settings.refine)
 
     def _by_image(self, pair: Pair, start: TerminalPose) -> Candidate | None:
-        """Return the pose by edges alone; where either of two tilts may be the right one, its covariance spans both."""
+        """Return the pose by edges alone; if two tilts remain possible, its covariance spans both."""
         settings = self._settings
         found = self._explained(pair, start)
         if not found:
@@ -229,9 +229,9 @@ class Judge:
         return self._candidate(best.edges, best.fit, covariance, False, upright)
 
     def _explained(self, pair: Pair, start: TerminalPose) -> list[Explanation]:
-        """Return poses that fit the edges, more and more tilts being tried as long as none fits well.
+        """Return poses that fit the edges; try more tilts until one fits well.
 
-        Another tilt shows other sides of the bars, so each is fitted to edges of its own.
+        Another tilt shows other sides of the bars, so each is fitted to its own edges.
         """
         found: list[Explanation] = []
         nearest = math.inf
@@ -257,7 +257,7 @@ class Judge:
     def _by_both(self, pair: Pair, start: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane, unless the plane contradicts the edges."""
         settings = self._settings
-        # The plane tells the tilt, and with it which sides of the bars show.
+        # The plane gives the tilt, and so the visible sides of the bars.
         found = self._search(tilted(start, plane.coefficients, pair, self._image.intrinsics), pair, plane)
         if not found:
             return None
@@ -272,7 +272,7 @@ class Judge:
         if fused is None or alone is None:
             return None
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
-        # A bar that is cut looks like a wrong focal length.
+        # A cut bar looks like a wrong focal length.
         if rise > settings.exact and settings.calibration and shown.ends.all():
             return self._by_both_rescaled(alone.pose, fused.pose, plane)
         if not rise <= settings.support.disagreement:
@@ -281,13 +281,13 @@ class Judge:
         return self._candidate(edges, fused, doubt * fused.covariance, True, True)
 
     def _by_both_rescaled(self, alone: TerminalPose, exact: TerminalPose, plane: Plane) -> Candidate | None:
-        """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.
+        """Return the pose by edges and plane for a slightly wrong focal length, if that explains both.
 
         Args:
-            alone: pose by edges alone, where the lines are seen.
-            exact: pose by edges and plane of a camera whose focal length is right; the covariance spans this too, as
-                something that hides a little of the bars makes image and depth differ as well.
-            plane: the plate's.
+            alone: pose by edges alone, close to the lines.
+            exact: pose by edges and plane for the exact focal length. The covariance spans this too: something that
+                hides a little of the bars also makes image and depth differ.
+            plane: plane of the plate.
         """
         settings = self._settings
         edges = self._edges(alone, settings.edges.follow)
@@ -318,12 +318,12 @@ class Judge:
             return None
         if not self._dark(pose)[1]:
             return None
-        # Edges that fit worse than their noise explains have something wrong with them (Birge's ratio).
+        # If edges fit worse than their noise explains, something is wrong with them (Birge's ratio).
         excess = self._misfit(edges, found, missed=False) / settings.clear
         return Candidate(pose, covariance * max(1.0, excess), confidence, fused, upright)
 
     def _elsewhere(self, region: Region, pose: TerminalPose) -> bool:
-        """Return whether what depth is known, where stereo has any, lies at quite another range than a pose."""
+        """Return whether known depth, within stereo's range, lies at quite another range than a pose."""
         settings, away = self._settings, float(pose.translation[2])
         if away < settings.stereo_range or len(region.inverse) < settings.plane.fewest:
             return False
@@ -343,5 +343,5 @@ class Judge:
 
 def agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:
     """Return whether the plane crosses the line of sight at about the range of a pose."""
-    crossing = float(plane.coefficients @ pose.translation)  # 1 where it does so exactly
+    crossing = float(plane.coefficients @ pose.translation)  # 1 if exactly
     return abs(crossing - 1.0) <= tolerance

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of two bars that a camera can see as edges, given roughly where the terminal is.
+"""Lines of two bars that a camera can see as edges, for a rough pose of the terminal.
 
-A bar stands proud of its plate, so seen at a slant it shows a side beside its touched face. Where that side is wide
-enough, its root on the plate is a line of its own; where it is too narrow to tell the two apart, the edge lies
-somewhere between them and counts for less.
+A bar rises above its plate, so at a slant it shows a side beside its touched face. If that side is wide enough, its
+root on the plate is a separate line. If it is too narrow for two lines, the edge lies somewhere between them and has
+less weight.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from deltacharger_vision.terminal import Terminal
 
 _OUTWARD = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 _FLAT = 0.7
-"""A side narrower than this is not seen, px."""
+"""A narrower side is invisible, px."""
 _APART = 3.0
-"""A side wider than this shows two edges, px."""
+"""A wider side shows two edges, px."""
 _MERGED = 0.3
-"""Standard deviation of an edge between the two lines of a narrow side, in widths of the side."""
+"""Standard deviation of a narrow side's merged edge, in widths of the side."""
 _DRAWN = 0.5
-"""Standard deviation of an edge whose neighbour is just far enough to tell them apart, px."""
+"""Standard deviation of an edge whose neighbour is just far enough to separate them, px."""
 _BARS = np.repeat([0, 1], 4)
 _SIDES = np.tile([0, 1, 2, 3], 2)
 
 
 @dataclass(frozen=True)
 class Lines:
-    """L line segments of the terminal's frame that may show as edges.
+    """L line segments in the terminal's frame that may appear as edges.
 
     Attributes:
         start: (L, 3) m.
@@ -44,8 +44,8 @@ class Lines:
         bar: (L,) 0 at −y, 1 at +y.
         side: (L,) 0 at −y, 1 at +x, 2 at +y, 3 at −x of the bar.
         outer: (L,) the outermost line of its side: bright inside, dark outside.
-        room: (L,) px to the next line of the same side, inf where there is none.
-        bias: (L,) px, standard deviation of what shifts a whole edge.
+        room: (L,) px to the next line of the same side, inf if there is none.
+        bias: (L,) px, standard deviation of the shift of an entire edge.
     """
 
     start: Array
@@ -60,7 +60,7 @@ class Lines:
 
 
 def visible_lines(pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, bias: float) -> Lines:
-    """Return the lines of the touched faces, and of the roots of those sides that show."""
+    """Return the lines of the touched faces, and of the roots of visible sides."""
     corners = terminal.corners()
     start, end = corners.reshape(8, 3), np.roll(corners, -1, axis=1).reshape(8, 3)
     camera = -pose.rotation.T @ pose.translation
@@ -77,7 +77,7 @@ def visible_lines(pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics
     pixels = pixels + shift[:, None, None] * (roots - pixels)
     front = shift[:, None] * depth
     rows = np.flatnonzero(two)
-    # The blur of one edge still reaches the other.
+    # The blur of one edge still affects the other.
     near = _DRAWN * np.maximum(1.0 - (width - _APART) / _APART, 0.0)
     return Lines(
         np.concatenate([start + front, start[rows] + depth]),
@@ -97,6 +97,6 @@ def _normals(pixels: Array, pose: TerminalPose, intrinsics: Intrinsics, middle: 
     along = pixels[:, 1] - pixels[:, 0]
     along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    # The middle itself is projected: that of both ends lies beside the line where the lens bends it.
+    # Project the middle itself: with lens distortion, the middle of both ends is beside the line.
     at, beyond = project(pose.points(np.stack([middle, middle + 1e-4 * _OUTWARD[_SIDES]])), intrinsics)
     return np.where(np.sum((beyond - at) * normal, axis=1)[:, None] < 0.0, -normal, normal)

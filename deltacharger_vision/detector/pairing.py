@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of blobs that may be the two bars of a terminal, and the outlines of both, rebuilt where one is cut."""
+"""Pairs of blobs that may be a terminal's two bars, with the outlines of both; a cut bar is completed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deltacharger_vision.terminal import Terminal
 
 @dataclass(frozen=True)
 class PairingSettings(Bounded):
-    """Which blobs may belong together. Ratios are of the image, so they leave room for tilt up to about 50°.
+    """Limits of pairs. Ratios are measured in the image, so they allow for tilt up to about 50°.
 
     Raises:
         ParameterError: a value is out of bounds.
@@ -27,12 +27,12 @@ class PairingSettings(Bounded):
     near_by_width: float = number(0.55, 0.1, 1.0, "", "least spacing over width, 1 seen from the front")
     far_by_width: float = number(1.6, 1.0, 10.0, "", "largest spacing over width")
     widths: float = number(1.9, 1.0, 10.0, "", "largest ratio of the bars' widths")
-    whole: float = number(0.93, 0.5, 1.0, "", "least ratio of the lengths of two bars that are both taken as whole")
+    whole: float = number(0.93, 0.5, 1.0, "", "least ratio of the lengths of two complete bars")
     shift: float = number(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
-    part: float = number(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the whole one")
+    part: float = number(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the complete one")
     aside: float = number(0.35, 0.0, 2.0, "", "largest offset of a piece from the line of a bar, in widths")
     pieces: float = number(0.3, 0.1, 1.0, "", "least share of the bars' length from the first piece to the last")
-    most: int = number(6, 1, 100, "", "pairs that are looked at, the likeliest first")
+    most: int = number(6, 1, 100, "", "most pairs to examine, the likeliest first")
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Pair:
     """Outlines of two bars that may be a terminal.
 
     Attributes:
-        centre: (2, 2) px, of the bar at −y of the terminal's frame first (x along the bars, z away from the camera).
+        centre: (2, 2) px; first the bar at −y of the terminal's frame (x along the bars, z away from the camera).
         along: (2, 2) px, from the centre of each bar to the middle of its end at +x.
         across: (2, 2) px, from the centre of each bar to the middle of its side at +y.
-        doubt: how far the pair is from a terminal seen from the front; the least is tried first.
-        cut: whether both outlines end where what was seen of the two bars together ends, be it an end of a bar or not.
+        doubt: deviation from a terminal seen from the front; the smallest is tried first.
+        cut: whether both outlines end where the visible pieces end, which need not be ends of bars.
     """
 
     centre: Array
@@ -93,7 +93,7 @@ def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> l
 
 
 def find_cut_pairs(pieces: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
-    """Return the likeliest pairs of lines on which pieces of two bars lie, from the first to the last of their ends."""
+    """Return the likeliest pairs of lines through pieces of two bars, from the first end of a piece to the last."""
     if len(pieces) < 2:
         return []
     pitch = terminal.bar_height + terminal.gap
@@ -121,7 +121,7 @@ def find_cut_pairs(pieces: Blobs, terminal: Terminal, settings: PairingSettings)
 
 
 def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal, settings: PairingSettings) -> Pair | None:
-    """Return the pair of lines through two pieces, as long as all pieces on them; None where that is too long."""
+    """Return the pair of lines through two pieces, as long as all pieces on them; None if that is too long."""
     direction = pieces.direction[first] * pieces.length[first]
     other = pieces.direction[second] * pieces.length[second]
     direction = direction + (other if other @ direction > 0.0 else -other)
@@ -157,7 +157,7 @@ def _outline(blobs: Blobs, first: int, second: int, whole: bool, doubt: float) -
         directions = np.stack([direction, other])
         half = 0.5 * blobs.length[[first, second]]
     else:
-        # A cut bar shows where its line runs, and the whole one how long it is and where it ends.
+        # A cut bar shows its line, the complete one its length and ends.
         centre = blobs.centre[first] + np.stack([np.zeros(2), across * (offset @ across)])
         directions = np.stack([direction, direction])
         half = np.full(2, 0.5 * blobs.length[first])

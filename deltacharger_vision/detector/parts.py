@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of bars that something hides in part, on the plane of their plate: by all that is seen, and by no more.
+"""Poses of partly hidden bars on the plane of their plate, from visible parts only.
 
-A cable or a strap cuts a bar into pieces, and an end of a piece need not be an end of a bar. The plate's plane tells
-how far away the bars are, so that their length in the image is known: each end that is seen beside the plate puts them
-in place. Where the plate is seen where a pose has a bar, where a bar goes on beyond its end, or where two poses explain
-what is seen, there is no answer.
+A cable or a strap cuts a bar into pieces, and an end of a piece need not be an end of a bar. The plate's plane gives
+the bars' distance, and so their length in the image. Each end visible beside the plate then fixes their position.
+There is no result if the plate is visible where a pose has a bar, if a bar continues beyond its end, or if two poses
+explain the image.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from deltacharger_vision.detector.starts import by_spacing, on_plane
 from deltacharger_vision.detector.support import outline_shares
 
 _LONG, _ENDS = (0, 2), (1, 3)
-_LEAST_ENDS = 2  # of four that must be beside the plate
+_LEAST_ENDS = 2  # of four must be beside the plate
 _MESSY = 1.2  # times `clear`: a squared error that pieces do not explain
 
 
 class PartsJudge(Judge):
-    """A judge that also judges pairs of which pieces are seen."""
+    """A judge that also handles pairs of pieces."""
 
     def judge_cut(self, pair: Pair) -> list[Candidate]:
-        """Return the poses of bars that are partly hidden, on the plate's plane; none where depth tells no plane."""
+        """Return the poses of partly hidden bars on the plate's plane; none if depth shows no plane."""
         settings, intrinsics = self._settings, self._image.intrinsics
         start = by_spacing(pair, self._terminal, intrinsics)
         if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
@@ -45,11 +45,11 @@ class PartsJudge(Judge):
         return found
 
     def _by_parts(self, explained: Explanation, plane: Plane) -> Candidate | None:
-        """Return the pose by what is no hidden part of the bars, unless the plate is seen where they should be."""
+        """Return the pose by visible parts of the bars, unless the plate is visible where they should be."""
         settings = self._settings
         edges, fused = explained.edges, explained.fit
         shown = self._hiding(edges, fused, plane)
-        # A bar whose side is seen ends where the side does: by the face's edge alone it may be the other's.
+        # A bar with a visible side ends where the side ends: the face's edge alone may be the other bar's.
         ends, any_line = (
             shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= settings.support.end)
             for outer in (True, False)
@@ -57,7 +57,7 @@ class PartsJudge(Judge):
         # Between a bar and the plate there is an edge, or the bar ends elsewhere.
         if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
             return None
-        # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
+        # An edge at the end of a piece beside anything but the plate belongs to that thing.
         kept = edges.without_ends(shown.ends)
         both = kept.fit(fused.pose, plane)
         alone = None if both is None else kept.fit(both.pose)
@@ -75,7 +75,7 @@ class PartsJudge(Judge):
             return None
         covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess)
         if not ends.any(axis=0).all():
-            # By one end alone nothing tells whether its face's edge was seen or the root of its side.
+            # With one end only, it is unknown whether its face's edge or its side's root is visible.
             unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
             axis = both.pose.rotation[:, 0]
             covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
@@ -83,6 +83,6 @@ class PartsJudge(Judge):
 
     @staticmethod
     def _side_seen(lines: Lines, ends: Mask) -> float:
-        """Return the width (px) of the sides that show beside those ends (2, 2) that are True."""
+        """Return the width (px) of the sides visible beside the ends (2, 2) that are True."""
         two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
         return float(lines.room[two].max(initial=0.0))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plane of the dark plate around the bars, from depth: linear least squares on inverse depth.
 
-The noise of a stereo camera is even in disparity, that is in inverse depth, and a plane's inverse depth is linear in
-the ray: q·(x/z, y/z, 1) with q = n/D. Metal is left out: stereo sees reflections there.
+Noise of a stereo camera is uniform in disparity, that is in inverse depth. A plane's inverse depth is linear in the
+ray: q·(x/z, y/z, 1) with q = n/D. Metal is excluded: stereo sees reflections there.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
-_TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge them, times they are fitted anew
+_TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that test them, repetitions of their fit
 _ROUNDS = 6
-_NEAR, _MEDIAN = 2.0, 0.639  # standard deviations within which the scatter is judged, and their median size there
-_BLOCK = 8  # samples on a side, over which correlated noise is judged
-_USUAL = 0.055  # of the samples within _NEAR standard deviations, that lie within twice as many
-_BLOCKS = 12  # whose means have a scatter
+_NEAR, _MEDIAN = 2.0, 0.639  # standard deviations within which the scatter is measured, and their median size there
+_BLOCK = 8  # samples on a side, over which correlated noise is measured
+_USUAL = 0.055  # of the samples within _NEAR standard deviations lie within twice as many
+_BLOCKS = 12  # needed for a scatter of their means
 _TUKEY = 3.5
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
 
 
 @dataclass(frozen=True)
 class PlaneSettings(Bounded):
-    """Which depth is taken as the plate's.
+    """Which depth belongs to the plate.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
-    beside: float = number(0.006, 0.0, 0.2, "m", "how far beyond the bars' ends the plate is looked at")
-    above: float = number(0.020, 0.0, 0.2, "m", "the same above and below the bars")
-    metal: float = number(0.004, 0.0, 0.1, "m", "what is left out around the bars")
-    shadow: float = number(3.0, 0.0, 30.0, "px", "the same in the image: stereo smears depth")
-    most: int = number(3000, 100, 100_000, "", "depth samples that are used")
-    fewest: int = number(60, 10, 10_000, "", "samples without which there is no plane")
+    beside: float = number(0.006, 0.0, 0.2, "m", "width of the examined plate beyond the bars' ends")
+    above: float = number(0.020, 0.0, 0.2, "m", "width of the examined plate above and below the bars")
+    metal: float = number(0.004, 0.0, 0.1, "m", "excluded width around the bars")
+    shadow: float = number(3.0, 0.0, 30.0, "px", "excluded width in the image: stereo smears depth")
+    most: int = number(3000, 100, 100_000, "", "most depth samples used")
+    fewest: int = number(60, 10, 10_000, "", "least samples for a plane")
     known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
     inliers: float = number(0.65, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
-    tolerance: float = number(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
+    tolerance: float = number(0.05, 0.001, 1.0, "1/m", "largest deviation of inverse depth from the plane")
     noise: float = number(0.0035, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth: its steps are 1/8 px")
-    step: float = number(0.001, 0.0, 0.1, "m", "steps in which depth comes: millimetres, as 16UC1 carries it")
-    bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
+    step: float = number(0.001, 0.0, 0.1, "m", "steps of depth: millimetres, as in 16UC1")
+    bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of a shift of all inverse depths: 0.03 px")
     slope_bias: float = number(
-        0.002, 1e-6, 1.0, "1/m", "the same of what tilts them, per unit ray: 0.03 px over a plate"
+        0.002, 1e-6, 1.0, "1/m", "standard deviation of their tilt, per unit ray: 0.03 px over a plate"
     )
 
 
@@ -78,8 +78,8 @@ class Region:
     Attributes:
         rays: (N, 3) rays with z = 1.
         inverse: (N,) 1/m.
-        block: (N,) number of the block of the image that each belongs to.
-        share: share of the region whose depth is known.
+        block: (N,) number of each sample's block of the image.
+        share: of the region with known depth.
     """
 
     rays: Array
@@ -96,7 +96,7 @@ def plate_region(
     settings: PlaneSettings,
     dark: Mask | None = None,
 ) -> Region:
-    """Return the known depth (H, W) m around the bars of a terminal at `pose`, where it is `dark` (H, W) as a plate."""
+    """Return the known depth (H, W) m around the bars of a terminal at `pose`, where the image is `dark` (H, W)."""
     half = np.array([0.5 * terminal.bar_length, terminal.bar_height + 0.5 * terminal.gap])
     clear = max(settings.metal, settings.shadow * pose.translation[2] / intrinsics.fx)
     reach = half + clear + [settings.beside, settings.above]
@@ -128,23 +128,23 @@ def plate_region(
 
 
 def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generator) -> Plane | None:
-    """Return the plane that two thirds of the region's depth lie on, or None where there is none."""
+    """Return the plane that two thirds of the region's depth lie on, or None if there is none."""
     count = len(region.inverse)
     if count < settings.fewest or region.share < settings.known:
         return None
     coefficients = _consensus(region, random)
     if coefficients is None:
         return None
-    # Where depth is rounded most samples may lie on one step; less than its own scatter would fit that step alone.
+    # With rounded depth, most samples may lie on one step; a scatter smaller than rounding would fit that step alone.
     rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
     least = math.hypot(settings.noise, rounded)
-    # Nor may the step beside it be left out.
+    # The neighbouring step must stay in, too.
     narrowest = math.sqrt(12.0) / _NEAR * rounded
     block = np.unique(region.block, return_inverse=True)[1]
     residual = region.inverse - region.rays @ coefficients
     scatter, weight = max(least, 1.4826 * float(np.median(np.abs(residual)))), np.ones(count)
     for _ in range(_ROUNDS):
-        # What hangs before the plate would widen a scatter that it counts in, and be let in by it.
+        # Objects in front of the plate would widen the scatter if they counted, and thus be accepted.
         near = np.abs(residual) < min(settings.tolerance, _NEAR * max(scatter, 1.1 * narrowest))
         if np.count_nonzero(near) < 0.5 * settings.fewest:
             return None
@@ -155,7 +155,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
         )
         residual = region.inverse - region.rays @ coefficients
-    # Asked at last: few samples agree with their nearer half better than with the plane.
+    # Checked last: a few samples agree better with their nearer half than with the plane.
     if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
         return None
     normal = (region.rays * weight[:, None]).T @ region.rays
@@ -167,10 +167,10 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
 
 
 def _consensus(region: Region, random: np.random.Generator) -> Array | None:
-    """Return the plane that the nearer half of the samples lies closest to (fast least trimmed squares).
+    """Return the plane closest to its nearer half of the samples (fast least trimmed squares).
 
-    Rousseeuw, Van Driessen, "Computing LTS regression for large data sets", DMKD 12 (2006): a plane through three
-    samples is fitted anew to the half that is nearest to it, which never makes it worse.
+    Rousseeuw, Van Driessen, "Computing LTS regression for large data sets", DMKD 12 (2006): refitting a plane through
+    three samples to its nearest half never makes it worse.
     """
     picks = random.integers(0, len(region.inverse), size=(_TRIALS, 3))
     triples = region.rays[picks]
@@ -196,9 +196,9 @@ def _tukey(residual: Array) -> Array:
 
 
 def _in_line(block: NDArray[np.int64], residual: Array, near: Mask, least: float) -> Array:
-    """Return the weights of samples by the mean of their block, whose scatter is `least` (1/m) at least.
+    """Return the weights of samples by the mean of their block, with a scatter of at least `least` (1/m).
 
-    A strap over the plate or a cable on it is within the noise of one sample, and far out of that of a block.
+    A strap or cable on the plate is within the noise of one sample, but far outside the noise of a block.
     """
     size = np.bincount(block, weights=near)
     mean = np.bincount(block, weights=residual * near) / np.maximum(size, 1.0)
@@ -208,9 +208,9 @@ def _in_line(block: NDArray[np.int64], residual: Array, near: Mask, least: float
 
 
 def _doubt(residual: Array) -> float:
-    """Return the factor (1 at least) on a plane's covariance, by how many residuals in standard deviations are far out.
+    """Return the factor (≥ 1) on a plane's covariance, by the number of residuals (in standard deviations) far out.
 
-    Of a plane through two things, such as a plate and the hand before it, more lies a little off than chance has there.
+    A plane through two things, such as a plate and a hand in front of it, has more small deviations than chance.
     """
     size = np.abs(residual)
     within, twice = (int(np.count_nonzero(size < width)) for width in (_NEAR, 2.0 * _NEAR))
@@ -218,9 +218,9 @@ def _doubt(residual: Array) -> float:
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
-    """Return (2,) 1/m: what rounding hides of the slope of a plane that crosses few steps (1/m) of inverse depth.
+    """Return (2,) 1/m: uncertainty of the slope by rounding, for a plane that crosses few steps (1/m) of inverse depth.
 
-    Within one step nothing is seen of it; over several, their edges tell it. Fitted to planes drawn at random.
+    Within one step the slope is invisible; over several, their edges show it. Fitted to random planes.
     """
     crossed = float(np.ptp(region.rays @ coefficients)) / max(step, 1e-12)
     width = np.maximum(np.ptp(region.rays[:, :2], axis=0), 1e-6)
@@ -228,7 +228,7 @@ def _stairs(region: Region, coefficients: Array, step: float) -> Array:
 
 
 def _correlation(region: Region, residual: Array, good: Mask) -> float:
-    """Return by how much fewer independent samples there are: the variance of block means over what it would be."""
+    """Return the reduction of independent samples: the variance of block means over its value without correlation."""
     _, block = np.unique(region.block[good], return_inverse=True)
     size = np.bincount(block).astype(float)
     mean = np.bincount(block, weights=residual[good]) / size
@@ -236,6 +236,6 @@ def _correlation(region: Region, residual: Array, good: Mask) -> float:
     variance = float(np.mean(residual[good] ** 2))
     if variance <= 0.0:
         return 1.0
-    # The plane itself has taken three degrees of freedom out of few block means.
+    # The plane itself takes three degrees of freedom from few block means.
     means = float(np.sum(mean[full] ** 2 * size[full])) / max(1, int(full.sum()) - 3)
     return float(np.clip(means / variance, 1.0, size.max()))

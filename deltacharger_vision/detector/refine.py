@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose that fits edges, and a plate's plane where there is one: robust nonlinear least squares.
+"""The pose that fits edges, and a plate's plane if known: robust nonlinear least squares.
 
-Edges: distance of each seen place from its projected line (Drummond, Cipolla, "Real-time visual tracking of complex
-structures", PAMI 24 (2002)). Plane: the inverse depth that a stereo camera sees of a plane n·X = D is linear in the
-ray, q·ray with q = n/D.
+Edges: distance of each edge point from its projected line (Drummond, Cipolla, "Real-time visual tracking of complex
+structures", PAMI 24 (2002)). Plane: for a stereo camera, the inverse depth of a plane n·X = D is linear in the ray,
+q·ray with q = n/D.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from deltacharger_vision.poses import TerminalPose, cross_matrix, facing
 from deltacharger_vision.terminal import Terminal
 
 ROUNDS = 10
-"""Steps of a fit at most."""
+"""Most steps of a fit."""
 _ENOUGH = 1e-2  # squared length of a step in standard deviations
-_LARGEST = 0.3  # rad a step
+_LARGEST = 0.3  # rad per step
 _FEWEST = 24  # edge points
-_TILT = 0.7  # rad: a weak belief that the terminal is seen from the front, so that tilt stays finite
+_TILT = 0.7  # rad: weak prior for a frontal view, which keeps the tilt finite
 
 
 @dataclass(frozen=True)
 class RefineSettings(Bounded):
-    """How far edges are believed.
+    """Weights of edges.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
     bias: float = number(
-        0.07, 0.001, 5.0, "px", "standard deviation of what shifts a whole edge (blur, glare, machining)"
+        0.07, 0.001, 5.0, "px", "standard deviation of the shift of an entire edge (blur, glare, machining)"
     )
-    blurred: float = number(0.1, 0.0, 5.0, "", "the same per px by which edges are wider than sharp ones")
+    blurred: float = number(0.1, 0.0, 5.0, "", "additional standard deviation per px of blur")
     noise: float = number(0.12, 0.001, 5.0, "px", "least standard deviation of one edge point")
-    spread: float = number(0.05, 0.001, 5.0, "px", "standard deviation of how far light spreads over every edge")
-    glare: float = number(0.5, 0.0, 5.0, "px", "the same per saturated share of the bars, added")
-    outlier: float = number(4.7, 2.0, 20.0, "", "standard deviations beyond which a point counts for nothing (Tukey)")
+    spread: float = number(0.05, 0.001, 5.0, "px", "standard deviation of the spread of light over every edge")
+    glare: float = number(0.5, 0.0, 5.0, "px", "additional spread per saturated share of the bars")
+    outlier: float = number(4.7, 2.0, 20.0, "", "standard deviations beyond which a point has no weight (Tukey)")
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class PoseFit:
         covariance: (6, 6) of position (m) and rotation about the optical axes (rad).
         used: (L, S) edge points that agree with the pose.
         scatter: px, robust standard deviation of the edge points.
-        spread: px by which bars seem larger on every side, as bright metal does.
-        enlarged: relative, by which the intrinsics' focal length is too large; 0 unless it was fitted.
-        residual: (N,) px, distances of the lines from the N seen places.
+        spread: px, apparent enlargement of the bars on every side, as bright metal shows.
+        enlarged: relative excess of the intrinsics' focal length; 0 unless fitted.
+        residual: (N,) px, distances of the lines from the N edge points.
     """
 
     pose: TerminalPose
@@ -69,13 +69,13 @@ class PoseFit:
 
 
 class Edges:
-    """Edge points that a terminal's pose is fitted to.
+    """Edge points for fitting a terminal's pose.
 
     Args:
         points: the edge points.
         terminal: size of the bars.
-        focal: px, of a camera that would see the rays of the points.
-        settings: how far they are believed.
+        focal: px, of an ideal camera with the rays of the points.
+        settings: their weights.
     """
 
     def __init__(self, points: EdgePoints, terminal: Terminal, focal: float, settings: RefineSettings) -> None:
@@ -90,14 +90,14 @@ class Edges:
         self._outer = points.lines.outer[self._line].astype(float)
         bias = points.lines.bias[self._line]
         self._bias = np.hypot(bias, settings.blurred * points.blur[self._line])
-        # What draws an edge toward a narrow side's other line differs along it: such points say little each.
+        # The pull of a narrow side's other line varies along the edge, so such points have little weight each.
         drawn = np.maximum(bias**2 - settings.bias**2, 0.0)
         self._independent = points.weight[self._line] / (1.0 + drawn / settings.noise**2)
         _, self._first, self._group = np.unique(self._line, return_index=True, return_inverse=True)
         self._spread = settings.spread + settings.glare * points.saturated
 
     def without_ends(self, ends: Mask) -> Edges:
-        """Return the edges without those ends (2, 2) of each bar, at +x and at −x, that are False."""
+        """Return the edges without the ends (2, 2) of each bar, at +x and at −x, that are False."""
         lines = self.points.lines
         hidden = (lines.side == 1) & ~ends[lines.bar, 0] | (lines.side == 3) & ~ends[lines.bar, 1]
         points = replace(self.points, seen=self.points.seen & ~hidden[:, None])
@@ -106,13 +106,13 @@ class Edges:
     def fit(
         self, start: TerminalPose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS
     ) -> PoseFit | None:
-        """Return the pose near `start` that fits the edges, and the plane; None where they do not settle it.
+        """Return the pose near `start` that fits edges and plane; None if they do not determine it.
 
         Args:
-            start: where to begin.
-            plane: the plate's.
-            calibration: relative standard deviation of the focal length, which is fitted too; 0 takes it as exact.
-            rounds: steps at most.
+            start: initial pose.
+            plane: plane of the plate.
+            calibration: relative standard deviation of the focal length, which is fitted too; 0 = exact.
+            rounds: most steps.
         """
         if len(self._line) < _FEWEST:
             return None
@@ -133,7 +133,7 @@ class Edges:
                 gradient[:6] += slope.T @ precision @ off
             try:
                 covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-            except np.linalg.LinAlgError:  # edges that settle nothing
+            except np.linalg.LinAlgError:  # the edges determine nothing
                 return None
             step = -covariance @ gradient
             step *= min(1.0, _LARGEST / max(float(np.abs(step[3:6]).max()), 1e-12))
@@ -142,13 +142,13 @@ class Edges:
             if not np.all(np.isfinite(step)) or pose.translation[2] <= 0.01 or facing(pose) <= 0.2:
                 return None
             columns = self._linear(pose, extra)
-            # Far points are forgiven at first, while the start is still rough.
+            # Outliers are tolerated at first, while the start is still rough.
             scatter, robust = self._trust(columns[-1], robust, 2.0 if round_ == 0 else 1.0)
             if round_ > 0 and -float(step @ gradient) < _ENOUGH:
                 break
         used = np.zeros(self.points.seen.shape, dtype=bool)
         used[self._line, self._place] = robust > 0.0
-        # Of what an edge's own bias leaves: that of the merged ends alone would look like a fit that failed.
+        # Scaled by the edges' own bias: otherwise merged ends alone would look like a failed fit.
         scatter = max(scatter, _spread(columns[-1] * self._settings.noise / np.hypot(self._settings.noise, self._bias)))
         return PoseFit(pose, covariance[:6, :6], used, scatter, float(extra[0]), float(extra[1]), columns[-1])
 
@@ -157,7 +157,7 @@ class Edges:
     ) -> float:
         """Return the robust sum of squares of a fit to these edges, in standard deviations of this scatter (px).
 
-        Where `missed`, places without an edge count as outliers, so that explanations by other lines can be compared.
+        With `missed`, places without an edge count as outliers, so that explanations by other lines are comparable.
         """
         residual = found.residual
         limit = self._settings.outlier**2 / 3.0
@@ -189,19 +189,19 @@ class Edges:
     def _whitened(self, rows: Array, scatter: float, robust: Array) -> Array:
         """Return rows (k, N) scaled so that points of a line, which share its bias, become independent.
 
-        The inverse root of σ² I + b² 1 1ᵀ over n points is (I − (1 − 1/√(1 + n b²/σ²)) 1 1ᵀ/n)/σ; σ is left to the
-        caller.
+        The inverse root of σ² I + b² 1 1ᵀ over n points is (I − (1 − 1/√(1 + n b²/σ²)) 1 1ᵀ/n)/σ. The caller divides
+        by σ.
         """
         count = np.add.reduceat(self._independent * robust, self._first)[self._group]
         share = 1.0 - 1.0 / np.sqrt(1.0 + count * (self._bias / scatter) ** 2)
         return rows - share * self._means(rows, robust)
 
     def _linear(self, pose: TerminalPose, extra: Array) -> Array:
-        """Return (9, N): the Jacobian's eight columns and the distances (px) of the lines from the seen places.
+        """Return (9, N): the Jacobian's eight columns and the distances (px) of the lines from the edge points.
 
         Args:
             pose: of the terminal.
-            extra: (2,) px that the lines are spread, and what the focal length is too large by.
+            extra: (2,) spread of the lines (px) and relative excess of the focal length.
         """
         turned = pose.rotation @ self._model
         inverse = 1.0 / (turned[2] + pose.translation[2])
@@ -219,7 +219,7 @@ class Edges:
         return rows
 
     def _normals(self, pose: TerminalPose) -> Array:
-        """Return (2, L) unit normals of the lines as an ideal camera sees them, away from the bars."""
+        """Return (2, L) unit normals of the lines in an ideal camera, away from the bars."""
         ends = pose.rotation @ self._ends + pose.translation[:, None]
         seen = ends[:2] / ends[2]
         count = seen.shape[1] // 2
@@ -236,7 +236,7 @@ def _spread(residual: Array) -> float:
 
 
 def _beliefs(pose: TerminalPose, terminal: Terminal, plane: Plane | None) -> list[tuple[Array, Array, Array]]:
-    """Return residual, Jacobian (k, 6) and precision (k, k) of what is known apart from edges."""
+    """Return residual, Jacobian (k, 6) and precision (k, k) of other knowledge than edges."""
     axis, t = pose.rotation[:, 2], pose.translation
     # Tilt: the part of the axis across the line of sight.
     sight = t / np.linalg.norm(t)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bright elongated blobs of an image: what may be an electrode, or a part of one."""
+"""Bright elongated blobs of an image, which may be electrodes or parts of them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from deltacharger_core.parameters import Bounded, number
 
 Image = NDArray[np.uint8]
 
-_LOST = 3.0  # px by which an edge's line, and the pixels beside it that part what it runs between, narrow a piece
+_LOST = 3.0  # px by which the edges around a piece, with the pixels beside them, narrow it
 
 
 @dataclass(frozen=True)
 class SegmentationSettings(Bounded):
-    """Which blobs may be bars.
+    """Limits of blobs.
 
     Attributes:
         levels: grey levels (0–255) above which a pixel is bright; one of them suits the light.
-        parting: differences within 3 × 3 px, of 255 in any colour, that part two pieces; one of them suits the light.
+        parting: differences within 3 × 3 px, of 255 in any colour, that separate pieces; one of them suits the light.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
     levels: tuple[int, ...] = (25, 40, 60, 90, 125, 160, 195, 230)
-    neighbourhood: int = number(61, 3, 1001, "px", "side of the window whose mean a locally bright pixel exceeds")
-    excess: int = number(12, 1, 254, "", "grey levels by which it does")
+    neighbourhood: int = number(61, 3, 1001, "px", "side of the window for the local mean")
+    excess: int = number(12, 1, 254, "", "least excess of a locally bright pixel over the mean, grey levels")
     shortest: float = number(12.0, 2.0, 1000.0, "px", "least length of a bar")
     thinnest: float = number(2.0, 1.0, 100.0, "px", "least width of a bar")
     stout: float = number(1.4, 1.0, 10.0, "", "least length over width")
@@ -39,7 +39,7 @@ class SegmentationSettings(Bounded):
     fill: float = number(0.72, 0.3, 1.0, "", "least share of the enclosing rectangle that a blob covers")
     parting: tuple[int, ...] = (14, 28)
     stub: float = number(1.1, 1.0, 10.0, "", "least length over width of a piece of a bar")
-    most: int = number(60, 2, 1000, "", "blobs that are looked at, the most rectangular first")
+    most: int = number(60, 2, 1000, "", "most blobs to examine, the most rectangular first")
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Blobs:
         return len(self.length)
 
     def chosen(self, rows: NDArray[Any]) -> Blobs:
-        """Return those of an index or mask."""
+        """Return the blobs of an index or mask."""
         return Blobs(self.centre[rows], self.direction[rows], self.length[rows], self.width[rows], self.fill[rows])
 
 
 def find_blobs(grey: Image, settings: SegmentationSettings) -> Blobs:
-    """Return the blobs of a grey image (H, W) that may be bars or parts of bars, at most `settings.most`."""
+    """Return at most `settings.most` blobs of a grey image (H, W) that may be bars or parts of bars."""
     import cv2
 
     smooth = cv2.GaussianBlur(grey, (3, 3), 0)
@@ -84,9 +84,9 @@ def find_blobs(grey: Image, settings: SegmentationSettings) -> Blobs:
 
 
 def find_pieces(color: Image, settings: SegmentationSettings) -> Blobs:
-    """Return the even parts of an image (H, W, 3) that may be pieces of bars, whatever lies before or beside them.
+    """Return the uniform parts of an image (H, W, 3) that may be pieces of bars, even if something covers the bars.
 
-    What lies across a bar and is as bright is one blob with it at every level. Its edge still parts the two.
+    An equally bright object across a bar merges with it at every grey level. Its edge still separates the two.
     """
     import cv2
 
@@ -108,7 +108,7 @@ def _chosen(rows: list[tuple[float, ...]], most: int) -> Blobs:
 def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) -> list[tuple[float, ...]]:
     """Return x, y, length, width, angle of the long side (rad), fill of each blob of a mask that may be a bar.
 
-    Where a mask shows all too narrow by `lost` px, pieces of bars will do.
+    If the mask shows everything too narrow by `lost` px, pieces of bars are accepted.
     """
     import cv2
 
@@ -117,7 +117,7 @@ def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) 
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     rows: list[tuple[float, ...]] = []
     for index, contour in enumerate(contours):
-        # A hole between pieces is as large as a bar with the edges around it.
+        # A hole between pieces is as large as a bar with its edges.
         if len(contour) < 4 or (lost and family[0, index, 3] >= 0):
             continue
         _, _, box_width, box_height = cv2.boundingRect(contour)

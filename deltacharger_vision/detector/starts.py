@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where to start: poses that put a terminal's silhouette where a pair of blobs lies.
+"""Initial poses that match a terminal's silhouette to a pair of blobs.
 
-A blob covers all that is bright of a bar, its touched face and the sides that show, so the face's corners alone would
-put the terminal too near and off to the side. Given a tilt, the silhouette of the whole bar is laid over the blob.
+A blob covers all bright parts of a bar: its touched face and visible sides. The face's corners alone would put the
+terminal too near and to the side. For a given tilt, the silhouette of the complete bar is laid over the blob.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SAME, _SAME_PX = 0.05, 3.0  # of the length, px: a pair is as long as the bars
 
 
 def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[TerminalPose]:
-    """Return the one or two poses that put the faces' corners where the outlines have them, the better first.
+    """Return the one or two poses that match the faces' corners to the outlines, the better first.
 
     Collins, Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014).
     """
@@ -37,7 +37,7 @@ def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[T
     model = terminal.corners().reshape(-1, 1, 3)
     try:
         found, vectors, translations, _ = cv2.solvePnPGeneric(model, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    except cv2.error:  # corners that no plane in front of a camera shows
+    except cv2.error:  # no plane in front of a camera shows these corners
         return []
     poses = []
     for vector, translation in zip(vectors[:found], translations[:found], strict=True):
@@ -49,14 +49,14 @@ def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[T
 
 
 def mirrored(pose: TerminalPose) -> TerminalPose:
-    """Return the pose with its tilt mirrored at the line of sight, which looks nearly the same from afar."""
+    """Return the pose with its tilt mirrored at the line of sight, which looks almost equal from afar."""
     sight = pose.translation / np.linalg.norm(pose.translation)
     half_turn = 2.0 * np.outer(sight, sight) - np.eye(3)
     return TerminalPose(half_turn @ pose.rotation @ np.diag([-1.0, -1.0, 1.0]), pose.translation)
 
 
 def leaning(pose: TerminalPose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[TerminalPose]:
-    """Return the pose leaning across and along the bars by these tangents; the large ones are from the front."""
+    """Return the pose leaning across and along the bars by these tangents; large leans start from a frontal view."""
     axis = pose.translation if leans is LARGE_LEANS else pose.rotation[:, 2]
     along, across, upright = tilted(pose, axis, pair, intrinsics).rotation.T
     return [tilted(pose, upright + a * across + b * along, pair, intrinsics) for a, b in leans]
@@ -68,7 +68,7 @@ def tilted(pose: TerminalPose, axis: Array, pair: Pair, intrinsics: Intrinsics) 
     middle, along = pair.centre.mean(axis=0), pair.along.mean(axis=0)
     ends = np.ones((2, 3))
     ends[:, :2] = rays(np.stack([middle - along, middle + along]), intrinsics)
-    # The bars lie in the plane of both ends' rays, and across the axis.
+    # The bars lie in the plane of both ends' rays, perpendicular to the axis.
     bars = np.cross(np.cross(ends[0], ends[1]), axis)
     bars = bars / max(float(np.linalg.norm(bars)), 1e-9)
     if bars @ (ends[1] - ends[0]) < 0.0:
@@ -77,14 +77,14 @@ def tilted(pose: TerminalPose, axis: Array, pair: Pair, intrinsics: Intrinsics) 
 
 
 def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool) -> TerminalPose:
-    """Return the pose moved, not turned, until the bars lie over the blobs of a pair.
+    """Return the pose translated until the bars lie over a pair's blobs.
 
     Args:
-        pose: the tilt, and roughly where.
+        pose: with the tilt and a rough position.
         pair: the blobs.
         terminal: size of the bars.
         intrinsics: of the camera.
-        sides: whether the blobs hold the sides of the bars, which may be bright or dark, or the touched faces alone.
+        sides: whether the blobs include the bars' sides, which may be bright or dark.
     """
     face = terminal.corners()
     whole = np.concatenate([face, face + np.array([0.0, 0.0, terminal.bar_thickness if sides else 0.0])], axis=1)
@@ -107,7 +107,7 @@ def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: In
 
 
 def by_spacing(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> TerminalPose:
-    """Return the pose of a terminal seen from the front whose bars are as far apart as a pair's lines."""
+    """Return the frontal pose of a terminal whose bars have the distance of a pair's lines."""
     middle = pair.centre.mean(axis=0)
     spacing = float(np.hypot(*(pair.centre[1] - pair.centre[0])))
     place = np.append(rays(middle, intrinsics), 1.0) * terminal.spacing * intrinsics.fy / max(spacing, 1e-6)
@@ -119,7 +119,7 @@ def on_plane(pose: TerminalPose, coefficients: Array, pair: Pair, terminal: Term
 ]:  # fmt: skip
     """Return poses on the plate's plane q·X = 1 whose bars end where a cut pair ends, at one end or the other.
 
-    One pose where it is as long as the bars are there.
+    A single pose if the pair has the bars' length.
     """
     turned = tilted(pose, coefficients, pair, intrinsics)
     along = pair.along[0] / np.hypot(*pair.along[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether edges and depth support a pose: what is not seen is not reported."""
+"""Whether edges and depth support a pose; unsupported poses are not reported."""
 
 from __future__ import annotations
 
@@ -24,40 +24,36 @@ _LONG, _ENDS = (0, 2), (1, 3)
 
 @dataclass(frozen=True)
 class SupportSettings(Bounded):
-    """What a detection must show.
+    """Requirements of a detection.
 
     Raises:
         ParameterError: a value is out of bounds.
     """
 
-    seen: float = number(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
-    unchecked: float = number(
-        0.8, 0.0, 1.0, "", "share of both outlines that must be seen where no depth checks the pose"
-    )
-    whole: float = number(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
-    part: float = number(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
-    parts: float = number(
-        0.4, 0.05, 1.0, "", "share of all long sides that must be seen of bars that are partly hidden"
-    )
-    end: float = number(0.5, 0.1, 1.0, "", "share of each end of the clearer bar that must be seen")
+    seen: float = number(0.55, 0.2, 1.0, "", "least visible share of both outlines")
+    unchecked: float = number(0.8, 0.0, 1.0, "", "least visible share of both outlines if no depth checks the pose")
+    whole: float = number(0.75, 0.3, 1.0, "", "least visible share of the clearer bar's outline")
+    part: float = number(0.15, 0.05, 1.0, "", "least visible share of each long side of the other bar")
+    parts: float = number(0.4, 0.05, 1.0, "", "least visible share of all long sides of partly hidden bars")
+    end: float = number(0.5, 0.1, 1.0, "", "least visible share of each end of the clearer bar")
     scatter: float = number(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
     around: float = number(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")
     disagreement: float = number(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
 
 
 def outline_shares(points: EdgePoints, fit: PoseFit, outer: bool = False) -> Array:
-    """Return the share (2, 4) of each side of each bar that was seen where the pose has it; 0 outside the image.
+    """Return the visible share (2, 4) of each side of each bar; 0 outside the image.
 
     Args:
         points: the edge points.
         fit: the pose.
-        outer: whether the outermost line of each side is asked for alone.
+        outer: count only the outermost line of each side.
     """
     shares = np.zeros((2, 4))
     lines = points.lines
     for index in np.flatnonzero(lines.outer) if outer else range(len(lines.bar)):
         share = float(np.mean(fit.used[index]))
-        # A side that shows two lines is seen by either.
+        # Either line of a side suffices.
         bar, side = lines.bar[index], lines.side[index]
         shares[bar, side] = max(shares[bar, side], share)
     return shares
@@ -66,7 +62,7 @@ def outline_shares(points: EdgePoints, fit: PoseFit, outer: bool = False) -> Arr
 def plate_is_dark(
     grey: NDArray[Any], pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, share: float
 ) -> tuple[float, bool]:
-    """Return `share` of the light (H, W) of the bars, and whether it is darker where a third bar would be."""
+    """Return `share` of the bars' light (H, W), and whether the image is darker where a third bar would be."""
     places = np.linspace(-0.4, 0.4, 9) * terminal.bar_length
     rows = np.array([-1.5, -0.5, 0.5, 1.5]) * terminal.spacing
     points = np.stack(np.broadcast_arrays(places, rows[:, None], 0.0), axis=-1)
@@ -84,7 +80,7 @@ def plate_is_dark(
 
 
 def supported(shares: Array, fit: PoseFit, settings: SupportSettings) -> float:
-    """Return the share (0 to 1) of the outlines that was seen, or 0 where that is too little for a pose."""
+    """Return the visible share (0 to 1) of the outlines, or 0 if that is too little for a pose."""
     long_sides, ends = shares[:, _LONG], shares[:, _ENDS]
     bars = 0.7 * long_sides.mean(axis=1) + 0.3 * ends.mean(axis=1)
     clear = int(np.argmax(bars))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera sits: boards, views and the fit."""
+"""Calibration of the camera's mount: boards, views and the fit."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards of known size for calibration: an AprilTag or a ChArUco board, by the name that a command line gives."""
+"""Calibration boards of known size: an AprilTag or a ChArUco board, by name."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class AprilTag(Board):
         size: side of its black square, m.
 
     Raises:
-        BoardError: there is no such tag, or the size is out of bounds.
+        BoardError: no such tag, or the size is out of bounds.
     """
 
     family: str = "36h11"
@@ -56,12 +56,12 @@ class AprilTag(Board):
             raise BoardError("family", f"'{self.family}' is none of {', '.join(FAMILIES)}")
         count = len(dictionary(self.family).bytesList)
         if not 0 <= self.tag < count:
-            raise BoardError("tag", f"{self.family} has the tags 0…{count - 1}, and no {self.tag}")
+            raise BoardError("tag", f"{self.tag} is not in {self.family}, which has the tags 0…{count - 1}")
         _check_length("size", self.size)
 
     @property
     def name(self) -> str:
-        """As `parse_board` reads it."""
+        """Name for `parse_board`."""
         return f"apriltag:{self.family}:{self.tag}"
 
     @property
@@ -141,7 +141,7 @@ class Charuco(Board):
 
     @property
     def name(self) -> str:
-        """As `parse_board` reads it."""
+        """Name for `parse_board`."""
         return f"charuco:{self.dictionary}:{self.columns}x{self.rows}"
 
     @property
@@ -204,7 +204,7 @@ class Charuco(Board):
 
 
 def parse_board(text: str, size: float, marker: float | None = None) -> Board:
-    """Return the board that `text` names.
+    """Return the board with the name `text`.
 
     Args:
         text: `apriltag:FAMILY:NUMBER` or `charuco:DICTIONARY:COLUMNSxROWS`.
@@ -212,13 +212,13 @@ def parse_board(text: str, size: float, marker: float | None = None) -> Board:
         marker: side of a ChArUco marker, m; None = three quarters of the square.
 
     Raises:
-        BoardError: it names no board, or a value is out of bounds.
+        BoardError: unknown name, or a value is out of bounds.
     """
     kind, *parts = text.lower().split(":")
     try:
         if kind == "apriltag" and len(parts) == 2:
             if marker is not None:
-                raise BoardError("marker", "an AprilTag has one size; leave the marker's out")
+                raise BoardError("marker", "an AprilTag has one size; omit the marker's")
             return AprilTag(parts[0], int(parts[1]), size)
         if kind == "charuco" and len(parts) == 2:
             columns, rows = map(int, parts[1].split("x"))
@@ -227,11 +227,11 @@ def parse_board(text: str, size: float, marker: float | None = None) -> Board:
         raise
     except ValueError:
         pass
-    raise BoardError("board", f"'{text}' names no board; write apriltag:36h11:0 or charuco:4x4_50:5x4")
+    raise BoardError("board", f"'{text}' is not a board; write apriltag:36h11:0 or charuco:4x4_50:5x4")
 
 
 def markers_in(image: NDArray[np.uint8]) -> tuple[str, ...]:
-    """Name the markers of common dictionaries in an image (H, W[, 3]): a hint where another board was expected."""
+    """Return names of markers of common dictionaries in an image (H, W[, 3]), as a hint at another board."""
     gray = grayscale(image)
     found = []
     for name in _HINTED:

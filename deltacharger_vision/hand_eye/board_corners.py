@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is common to the boards for calibration: the corners that an image shows of one, and the markers of OpenCV.
+"""Common parts of calibration boards: visible corners of a board, and OpenCV's markers.
 
 A board's frame: origin at the centre of the printed pattern, x to the right and y up on the print, z out of the print,
-toward who looks at it. Corners lie at z = 0.
+toward the viewer. Corners lie at z = 0.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from deltacharger_vision.hand_eye.corner_refinement import refined
 Gray = NDArray[np.uint8]
 
 FAMILIES = ("16h5", "25h9", "36h10", "36h11")
-"""Of AprilTags."""
+"""AprilTag families."""
 DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
-"""Of the markers of a ChArUco board."""
+"""Marker dictionaries of ChArUco boards."""
 FEWEST_CORNERS = 4
-"""That an image must show of a board."""
+"""Fewest visible corners of a detected board."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The corners of a board that an image shows.
+    """Visible corners of a board in an image.
 
     Attributes:
         corners: (K, 3) m in the board's frame, K ≥ 4.
-        pixels: (K, 2) px where the image shows them, the centre of the first pixel at (0, 0).
-        white: value, 0 to 255, that the brightest twentieth of the pixels between them reaches.
+        pixels: (K, 2) px, their positions in the image; the centre of the first pixel is (0, 0).
+        white: 0 to 255, value reached by the brightest twentieth of the pixels between them.
     """
 
     corners: Array
@@ -45,12 +45,12 @@ class Sighting:
 
 
 class Board(ABC):
-    """What is common to both kinds of board."""
+    """Common base of both kinds of board."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """As `parse_board` reads it."""
+        """Name for `parse_board`."""
 
     @property
     @abstractmethod
@@ -65,26 +65,26 @@ class Board(ABC):
     @property
     @abstractmethod
     def margin(self) -> float:
-        """Width of the white margin that the print needs around the pattern, m."""
+        """Width of the white margin around the pattern, m."""
 
     @abstractmethod
     def corners(self) -> Array:
-        """Return all corners (K, 3) m that an image can show."""
+        """Return all detectable corners (K, 3) m."""
 
     @abstractmethod
     def cells(self) -> Mask:
-        """Return (rows, columns) of equal rectangles that the pattern consists of, True = black, first row on top."""
+        """Return (rows, columns) of the pattern's equal rectangles, True = black, first row on top."""
 
     @abstractmethod
     def _find(self, gray: Gray) -> tuple[Array, Array, float] | None:
-        """Return corners (K, 3) m, their pixels (K, 2) to a pixel or so, and the px around them that hold no others."""
+        """Return corners (K, 3) m, their pixels (K, 2) within about a pixel, and the free px around them."""
 
     @abstractmethod
     def _edges(self, corners: Array) -> Array:
-        """Return (K, 2, M, 2) m: from each corner to samples on the two edges that cross there."""
+        """Return (K, 2, M, 2) m: from each corner to samples on its two edges."""
 
     def detect(self, image: NDArray[np.uint8]) -> Sighting | None:
-        """Return the corners that an image shows; None where the board is not seen, or seen twice.
+        """Return the visible corners; None if the board is not visible, or visible twice.
 
         Args:
             image: (H, W) gray or (H, W, 3) RGB.
@@ -102,7 +102,7 @@ class Board(ABC):
 
 @cache
 def dictionary(name: str) -> Any:
-    """Return OpenCV's dictionary of that name, one of `FAMILIES` or `DICTIONARIES`."""
+    """Return OpenCV's dictionary with a name of `FAMILIES` or `DICTIONARIES`."""
     import cv2
 
     kind = f"APRILTAG_{name}" if name in FAMILIES else name.upper()
@@ -111,14 +111,14 @@ def dictionary(name: str) -> Any:
 
 @cache
 def marker_detector(name: str) -> Any:
-    """Return OpenCV's detector of the markers of a dictionary."""
+    """Return OpenCV's marker detector for a dictionary."""
     import cv2
 
     return cv2.aruco.ArucoDetector(dictionary(name), cv2.aruco.DetectorParameters())
 
 
 def grayscale(image: NDArray[np.uint8]) -> Gray:
-    """Return (H, W) of an image (H, W) or (H, W, 3) RGB; BoardError where it is neither."""
+    """Return (H, W) gray of an image (H, W) or (H, W, 3) RGB; raises BoardError for any other shape."""
     import cv2
 
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
@@ -127,7 +127,7 @@ def grayscale(image: NDArray[np.uint8]) -> Gray:
 
 
 def _refined(gray: Gray, corners: Array, pixels: Array, offsets: Array, free: float) -> Sighting | None:
-    """Return the corners (K, 3) m whose edges are seen; `offsets` (K, 2, M, 2) m lead to samples on those edges."""
+    """Return the corners (K, 3) m with visible edges; `offsets` (K, 2, M, 2) m lead to samples on those edges."""
     import cv2
 
     homography, _ = cv2.findHomography(np.ascontiguousarray(corners[:, :2]), np.ascontiguousarray(pixels))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration board as a drawing in true size, for a printer."""
+"""Drawing of a calibration board in true size, for printing."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.rendering.board_drawing import board_boxes
 
-_STRIP = 6.0  # mm below the board for what it is called
+_STRIP = 6.0  # mm below the board for its name
 _LETTER = 2.5  # mm
-_LIGHT = 0.5  # reflectance that tells black from white
+_LIGHT = 0.5  # reflectance between black and white
 
 
 def board_svg(board: Board) -> str:
-    """Return an SVG drawing of a board with its white margin, outlined for cutting, and its name and size below."""
+    """Return an SVG drawing of a board: white margin, cutting outline, and name and size below."""
     plate, *areas = board_boxes(board, np.eye(4))
     width, height = 1e3 * plate.size[0], 1e3 * plate.size[1]
     parts = [

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hand-eye calibration: where the fixed camera sits on the charger, from images of a board on the moving platform.
+"""Hand-eye calibration: mount of the fixed camera on the charger, from images of a board on the moving platform.
 
-The platform only translates. So the classical AX = XB has no answer, and two things are special: the camera's rotation
-follows from the directions of the platform's moves, and its place is known only together with the board's offset on the
-platform, which a ruler must tell; the offset's error is the camera's. The board's orientation is found besides.
+The platform only translates, so the classical AX = XB has no solution. The camera's rotation follows from the
+directions of the platform's moves. Its position depends on the board's offset on the platform, which must be measured
+with a ruler; the offset's error is also the camera's. The fit also finds the board's orientation.
 
-`calibrate` gives the mount with a covariance, the error on views that were held out, and the size of the board that
-fits the moves; `checks` says what is doubtful about all this.
+`calibrate` returns the mount with a covariance, the error on held-out views, and the board size that fits the moves;
+`checks` lists doubts about them.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import cross_matrix, transform
 
 HELD_OUT = 5
-"""Every so many-th view judges the others."""
+"""Period of held-out views, which test the others."""
 LINE = 0.005
-"""The platform must move across its longest way by more than this, m, or the rotation about that way stays unknown."""
+"""Least movement across the longest direction, m; with less, the rotation about that direction stays unknown."""
 PLACES_APART = 0.005
-"""Positions nearer than this are one place, m."""
+"""Positions closer than this count as one, m."""
 _FEWEST_PLACES = 4
-_TOLD = 0.01
-"""Share of a joint error's variance that views must remove to tell anything of it."""
+_KNOWN_SHARE = 0.01
+"""Share of a joint error's variance that views must remove to give any information."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated mount and how it fits.
+    """A calibrated mount and its quality.
 
     Attributes:
-        mount: of the camera, its covariance with the error of the board's offset.
+        mount: of the camera; its covariance includes the error of the board's offset.
         board: (3, 3) end_effector_R_board.
-        joints: (3,) rad, constant errors of the arm's angles as far as the views tell, and their standard deviations.
-        joint_surprise: squared size of those errors in units of what was believed of them; 3 where that was right.
+        joints: (3,) rad, constant errors of the arm's angles as far as visible, and their standard deviations.
+        joint_surprise: squared size of those errors in units of their prior; 3 if the prior is right.
         fit: to all views.
-        held_out: indices of the views that judged a fit to the others.
-        held_out_errors: (len(held_out), 3) m in charger_base: where those images show the board less where that fit
-            expects it.
-        size: factor on the board's stated size that fits the platform's moves best; about 1 where it was right.
+        held_out: indices of the views that tested a fit to the others.
+        held_out_errors: (len(held_out), 3) m in charger_base: the board's position in those images minus the fit's
+            prediction.
+        size: factor on the stated board size that fits the platform's moves best; about 1 if the size is right.
         size_stddev: of `size`.
         decided: whether only one orientation of the board fits the images.
         positions: (N, 3) m, of the platform.
-        reprojection: (N,) px, root mean square distance of a view's corners from where they should be.
+        reprojection: (N,) px, root mean square distance of a view's corners from their prediction.
     """
 
     mount: Mount
@@ -71,7 +71,7 @@ class Calibration:
     reprojection: Array
 
     def point_covariance(self, point: Array) -> Array:
-        """Return the covariance (3, 3) m² by the mount alone of a `point` (3,) m of charger_base that is seen."""
+        """Return the covariance (3, 3) m², by the mount alone, of a `point` (3,) m in charger_base."""
         lever = np.hstack([np.eye(3), -cross_matrix(np.asarray(point) - self.mount.pose[:3, 3])])
         return np.asarray(lever @ self.mount.covariance @ lever.T)
 
@@ -87,14 +87,14 @@ def calibrate(
     """Find the camera's mount.
 
     Args:
-        views: five or more, in the order in which they were taken.
+        views: five or more, in the order of recording.
         intrinsics: of the camera.
-        beliefs: the board's offset, and how exact all is.
-        every: every so many-th view is held out of the fit that it judges; the mount itself is fitted to all.
+        beliefs: the board's offset, and the accuracy of all inputs.
+        every: period of held-out views, which test a fit to the others; the mount itself is fitted to all.
 
     Raises:
-        HandEyeError: too few views, platform moves that leave the mount unknown, or views that do not agree.
-        CameraInfoError: the lens's distortion is no one-to-one map at a corner.
+        HandEyeError: too few views, platform moves that leave the mount unknown, or contradictory views.
+        CameraInfoError: the lens's distortion is not one-to-one at a corner.
     """
     beliefs = beliefs or Beliefs()
     judges = [index for index in range(len(views)) if index % every == every - 1]
@@ -125,14 +125,14 @@ def calibrate(
 
 
 def check_moves(positions: Sequence[Array]) -> None:
-    """Refuse positions (3,) m each of the platform that leave the mount unknown.
+    """Refuse platform positions (3,) m that leave the mount unknown.
 
     Raises:
-        HandEyeError: says what is missing.
+        HandEyeError: states what is missing.
     """
     if len(positions) < FEWEST:
         raise HandEyeError(
-            f"{len(positions)} views show the board, and {FEWEST} are the least; take 20, all over the workspace"
+            f"{len(positions)} views show the board, at least {FEWEST} are needed; take 20, all over the workspace"
         )
     places = count_places(np.array(positions))
     if places < _FEWEST_PLACES:
@@ -146,7 +146,7 @@ def check_moves(positions: Sequence[Array]) -> None:
 
 
 def moved(positions: Array) -> tuple[Array, Array]:
-    """Return how far positions (N, 3) spread (3,) m, farthest first, and along which unit axes (3, 3), row by row."""
+    """Return the extents (3,) m of positions (N, 3), largest first, and their unit axes (3, 3), row by row."""
     centred = positions - positions.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=True)[2]
     along = np.ptp(centred @ axes.T, axis=0)
@@ -155,7 +155,7 @@ def moved(positions: Array) -> tuple[Array, Array]:
 
 
 def axis_name(axis: Array) -> str:
-    """Return a unit axis (3,) of charger_base in words."""
+    """Return a unit axis (3,) of charger_base as text."""
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) > 0.9:
         return "xyz"[largest]
@@ -164,7 +164,7 @@ def axis_name(axis: Array) -> str:
 
 
 def count_places(positions: Array) -> int:
-    """Return at how many places positions (N, 3) m lie."""
+    """Return the number of distinct places of positions (N, 3) m."""
     places: list[Array] = []
     for position in positions:
         if all(np.linalg.norm(position - place) > PLACES_APART for place in places):
@@ -185,16 +185,16 @@ def _mount(found: HandEyeFit, beliefs: Beliefs) -> Mount:
 
 
 def _surprise(found: HandEyeFit, beliefs: Beliefs) -> float:
-    """Return the joints' squared errors in units of P − C, of which they are drawn where the belief P is right.
+    """Return the joints' squared errors in units of P − C, their distribution if the prior P is right.
 
-    C is their covariance after the views; where it is that of before, the views say nothing, and that is no surprise.
+    C is their covariance after the views. If C equals P, the views give no information, which is no surprise.
     """
     if not beliefs.joint_stddev:
         return 0.0
     errors = found.state.joints / beliefs.joint_stddev
-    told = np.eye(len(JOINTS)) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
-    values, axes = np.linalg.eigh(told)
-    return float(np.sum((errors @ axes) ** 2 / np.maximum(values, _TOLD)))
+    gained = np.eye(len(JOINTS)) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
+    values, axes = np.linalg.eigh(gained)
+    return float(np.sum((errors @ axes) ** 2 / np.maximum(values, _KNOWN_SHARE)))
 
 
 def _judged(
@@ -209,7 +209,7 @@ def _judged(
 
 
 def _reprojection(corners: Corners, found: HandEyeFit) -> Array:
-    """Return (N,) px, what both a move of the board and scatter of its corners make of a view."""
+    """Return (N,) px: the residual of a view by both movement of the board and scatter of its corners."""
     apart = found.apart
     count = np.bincount(corners.view)
     by_move = np.einsum("ni,nij,nj->n", apart.moves, apart.precision, apart.moves)

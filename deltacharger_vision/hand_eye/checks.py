@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is doubtful about a hand-eye calibration, said so that a person knows what to do.
+"""Checks a hand-eye calibration and states what to do.
 
-A doubt is a reason not to use the mount; a note is a reason to do better next time.
+A doubt is a reason not to use the mount; a note is a hint for the next calibration.
 """
 
 from __future__ import annotations
@@ -15,65 +15,65 @@ from deltacharger_core.arrays import Array
 from deltacharger_vision.hand_eye.calibrate import Calibration, axis_name, count_places, moved
 
 GOOD_VIEWS = 15
-"""From which on more views gain little against the error of the board's offset."""
+"""More views gain little against the error of the board's offset."""
 _GOOD_PLACES = 10
 _GOOD_SPAN = 0.030  # m
 _SIZE, _SIZE_SIGMAS = 0.008, 4.0
 _SHARE = 0.2  # of views that contradict the others
 _ROTATION = math.radians(0.3)  # standard deviation
 _ARM, _PIXEL, _HELD_OUT = 0.001, 0.8, 0.002  # m, px, m
-_SURPRISE = 16.3  # of χ² with three degrees of freedom; one right arm in 1000 exceeds it
+_SURPRISE = 16.3  # of χ² with three degrees of freedom; one correct arm in 1000 exceeds it
 _NAMED = 5
-# A camera that was moved: the least shift that matters, its chance in the order of views drawn anew, and how often.
+# A moved camera: least shift that matters, its chance among random orders of the views, and number of such orders.
 _SHIFT, _CHANCE, _DRAWS = 0.0004, 0.002, 2000
 _FEWEST_SIDE = 3
 
 
 def doubts(found: Calibration, size: float, names: Sequence[str]) -> list[str]:
-    """Return why the mount should not be used; empty where it should.
+    """Return why the mount should not be used; empty if it should.
 
     Args:
-        found: what to judge.
+        found: calibration to check.
         size: stated size of the board, m: of the tag's black square or of a chessboard square.
         names: (N,) of the images.
     """
     wrong_size = _size(found, size)
     if wrong_size:
-        return [wrong_size]  # all else would follow from it
-    said = [*_moved(found, names), *_agreement(found, names), _joints(found), _certainty(found)]
+        return [wrong_size]  # other doubts would follow from it
+    reasons = [*_moved(found, names), *_agreement(found, names), _joints(found), _certainty(found)]
     if not found.decided:
-        said.append("the board could as well be tilted the other way: turn it by 20° on the platform, or move it more")
-    return [text for text in said if text]
+        reasons.append("the board could also be tilted the other way: turn it by 20° on the platform, or move it more")
+    return [text for text in reasons if text]
 
 
 def notes(found: Calibration, names: Sequence[str]) -> list[str]:
-    """Return what would make the mount better; arguments as of `doubts`."""
-    said = []
+    """Return hints for a better mount; arguments as in `doubts`."""
+    hints = []
     kept = found.positions[found.fit.kept]
     if len(kept) < GOOD_VIEWS:
-        said.append(f"{len(kept)} views are few; take {GOOD_VIEWS} or more")
+        hints.append(f"{len(kept)} views are few; take {GOOD_VIEWS} or more")
     places = count_places(kept)
     if places < min(_GOOD_PLACES, len(kept)):
-        said.append(f"the platform stood at {places} places only; more places tell more than more images")
+        hints.append(f"the platform stood at {places} places only; more places help more than more images")
     for extent, axis in zip(*moved(kept), strict=True):
         if extent < _GOOD_SPAN:
-            said.append(
+            hints.append(
                 f"the platform moved by {1e3 * extent:.0f} mm only along {axis_name(axis)}; give it "
                 f"{1e3 * _GOOD_SPAN:.0f} mm and more, as far as the camera sees the board"
             )
     if 0 < np.count_nonzero(~found.fit.kept) <= _SHARE * len(names):
-        said.append(f"left out, as the others contradict: {_named(found, names)}")
-    return said
+        hints.append(f"left out, as the others contradict: {_named(found, names)}")
+    return hints
 
 
 def drift(moves: Array) -> tuple[int, float, float]:
-    """Find the moment at which what images show has shifted most, as by a camera that was pushed.
+    """Find the moment of the largest shift between images, as by a pushed camera.
 
     Args:
-        moves: (N, 3) m, residuals in the order of time.
+        moves: (N, 3) m, residuals in order of time.
 
     Returns:
-        The first view after it, the shift (m), and the chance that drawing the order anew shifts as much.
+        The first view after it, the shift (m), and the chance that a random order shifts as much.
     """
     count = len(moves)
     if count < 2 * _FEWEST_SIDE:
@@ -87,9 +87,9 @@ def drift(moves: Array) -> tuple[int, float, float]:
     before = np.cumsum(clipped[orders], axis=1)[:, sides - 1]
     total = clipped.sum(axis=0)
     apart = np.linalg.norm((total - before) / (count - sides)[:, None] - before / sides[:, None], axis=2)
-    told = apart * np.sqrt(sides * (count - sides) / count)
-    best = int(np.argmax(told[0]))
-    chance = float(np.mean(told[1:].max(axis=1) >= told[0].max()))
+    evidence = apart * np.sqrt(sides * (count - sides) / count)
+    best = int(np.argmax(evidence[0]))
+    chance = float(np.mean(evidence[1:].max(axis=1) >= evidence[0].max()))
     return int(sides[best]), float(apart[0, best]), chance
 
 
@@ -99,7 +99,7 @@ def _size(found: Calibration, size: float) -> str:
         return ""
     likely, spread = 1e3 * size * found.size, 1e3 * size * found.size_stddev
     return (
-        f"the platform's moves say that the board's size is {likely:.2f} ± {spread:.2f} mm, not {1e3 * size:g} mm: "
+        f"the platform's moves show that the board's size is {likely:.2f} ± {spread:.2f} mm, not {1e3 * size:g} mm: "
         "measure the print. If it is right, the image is over-exposed, or focal length or the arm's geometry is wrong"
     )
 
@@ -109,38 +109,38 @@ def _moved(found: Calibration, names: Sequence[str]) -> list[str]:
     if chance > _CHANCE or shift < _SHIFT:
         return []
     return [
-        f"from {names[first]} on the board is seen {1e3 * shift:.1f} mm elsewhere: was the camera, or the board, moved "
-        "meanwhile? Fix it and take all images anew"
+        f"from {names[first]} on the board appears {1e3 * shift:.1f} mm elsewhere: was the camera or the board moved? "
+        "Fix it and take all images again"
     ]
 
 
 def _agreement(found: Calibration, names: Sequence[str]) -> list[str]:
-    said = []
+    reasons = []
     spread = found.fit.spread
     left = int(np.count_nonzero(~found.fit.kept))
     if left > _SHARE * len(names):
-        said.append(
+        reasons.append(
             f"{left} of {len(names)} views contradict the others ({_named(found, names)}): do their positions belong "
             "to these images?"
         )
     if spread.arm > _ARM:
-        said.append(
+        reasons.append(
             f"platform and images disagree by {1e3 * spread.arm:.1f} mm in each direction: calibrate the arm, fasten "
             "the board, and let the arm come to rest before each image"
         )
     if spread.pixel > _PIXEL:
-        said.append(
+        reasons.append(
             f"corners scatter by {spread.pixel:.1f} px about the board's shape: is the board flat, the image sharp, "
             "the camera's calibration that of this image size?"
         )
     error = held_out_rms(found)
     if error > _HELD_OUT:
-        said.append(f"held-out images show the board {1e3 * error:.1f} mm from where it is expected")
-    return said
+        reasons.append(f"held-out images show the board {1e3 * error:.1f} mm from where it is expected")
+    return reasons
 
 
 def held_out_rms(found: Calibration) -> float:
-    """Return the root mean square length (m) of the held-out errors, of views that the others do not contradict."""
+    """Return the root mean square length (m) of the held-out errors, without views that contradict the others."""
     good = found.fit.kept[list(found.held_out)]
     return math.sqrt(float(np.mean(np.sum(found.held_out_errors[good] ** 2, axis=1)))) if good.any() else math.nan
 
@@ -150,7 +150,7 @@ def _joints(found: Calibration) -> str:
         return ""
     worst = math.degrees(float(np.abs(found.joints[0]).max()))
     return (
-        f"the arm's angles are off by more than was stated, by {worst:.1f}° at least: calibrate the arm and give its "
+        f"the arm's angles are off by more than stated, by at least {worst:.1f}°: calibrate the arm and give its "
         "--geometry, or state more"
     )
 

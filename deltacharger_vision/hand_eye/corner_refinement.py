@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corners of printed squares to a small part of a pixel: where the straight edges that meet there cross.
+"""Subpixel corners of printed squares: the intersections of their straight edges.
 
-An edge's place is where the light is half between both sides, found from the area under a profile across it, in linear
-light: in the encoded values of an image (sRGB) the middle of a blurred edge lies off the edge.
+An edge lies where the light is half-way between both sides, found from the area under a profile across it in linear
+light. In the encoded values of an image (sRGB), the middle of a blurred edge is displaced.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from deltacharger_core.arrays import Array
 from deltacharger_vision.images import LIGHT
 
 _PROFILE = 13  # samples across an edge
-_ENDS = 2  # of them at either end, that tell the levels of both sides
+_ENDS = 2  # of them at either end, for the levels of both sides
 _WIDEST, _NARROWEST = 4.0, 1.2  # px to either side
-_CONTRAST = 0.25  # of the strongest edge, below which a sample is no edge
+_CONTRAST = 0.25  # of the strongest edge; a weaker sample is no edge
 _FEWEST = 4  # samples of an edge
 _PASSES = 3
 
 
 def refined(gray: NDArray[np.uint8], pixels: Array, offsets: Array, free: float) -> Array:
-    """Return where edges cross, (K, 2) px; NaN where they are not seen or lie elsewhere.
+    """Return where edges cross, (K, 2) px; NaN if they are invisible or elsewhere.
 
     Args:
         gray: (H, W) sRGB.
-        pixels: (K, 2) px, corners to one or two pixels.
-        offsets: (K, 2, M, 2) px, from each corner to samples on the two edges that cross there.
-        free: px to either side of the edges that show nothing else.
+        pixels: (K, 2) px, corners within one or two pixels.
+        offsets: (K, 2, M, 2) px, from each corner to samples on its two edges.
+        free: px on either side of the edges without other features.
     """
     light = LIGHT.astype(np.float32)[gray]
     width = float(np.clip(free, _NARROWEST, _WIDEST))
@@ -48,7 +48,7 @@ def refined(gray: NDArray[np.uint8], pixels: Array, offsets: Array, free: float)
 
 
 def _edges(light: NDArray[np.float32], points: Array, across: Array, width: float) -> tuple[Array, Array]:
-    """Return the edge's place (K, 2, M) px along `across` from points (K, 2, M, 2), and the weight of each."""
+    """Return the edge's position (K, 2, M) px along `across` from points (K, 2, M, 2), and the weight of each."""
     import cv2
 
     steps = np.linspace(-width, width, _PROFILE)
@@ -69,7 +69,7 @@ def _edges(light: NDArray[np.float32], points: Array, across: Array, width: floa
 
 
 def _fitted(along: Array, place: Array, weight: Array) -> tuple[Array, Array]:
-    """Return level and slope (K, 2) of place = level + slope · along (K, 2, M); NaN where too few samples count."""
+    """Return level and slope (K, 2) of place = level + slope · along (K, 2, M); NaN with too few samples."""
     with np.errstate(invalid="ignore", divide="ignore"):
         total = weight.sum(axis=-1)
         middle, mean = ((weight * values).sum(axis=-1) / total for values in (along, place))
@@ -80,6 +80,6 @@ def _fitted(along: Array, place: Array, weight: Array) -> tuple[Array, Array]:
 
 
 def _invertible(matrices: Array) -> Array:
-    """Return matrices (K, 2, 2) with NaN for those of edges that hardly cross."""
+    """Return matrices (K, 2, 2) with NaN for edges that hardly cross."""
     crossing = np.abs(np.linalg.det(np.nan_to_num(matrices))) > 0.1
     return np.where(crossing[:, None, None], matrices, np.nan)

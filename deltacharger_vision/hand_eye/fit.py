@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand-eye fit: all corners of all views at once, each view with a position error of its own.
+"""The hand-eye fit of all corners of all views at once, each view with its own position error.
 
-A corner scatters by σ px, and besides all corners of a view move together, because the arm stands elsewhere than its
-angles say: by τ m in each direction. So a view's residuals have the covariance σ² I + τ² G Gᵀ, with G = ∂pixels/∂e.
-Both spreads come from the data: σ from what moving the board cannot explain, τ from what it can (the estimator of Paule
-and Mandel, 1982), each with a little of what was believed beforehand. A robust fit comes first, and views that
-contradict the others are left out of the final one.
+A corner scatters by σ px. In addition, all corners of a view move together, by τ m in each direction, because the
+arm's position differs from its angles. A view's residuals have the covariance σ² I + τ² G Gᵀ, with G = ∂pixels/∂e. Both
+spreads come from the data: σ from what moving the board cannot explain, τ from what it can (the estimator of Paule and
+Mandel, 1982), each with a weak prior. A robust fit comes first; the final one leaves out contradicting views.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ from deltacharger_vision.hand_eye.model import (
 from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError
 
 _ROBUST_STEPS, _STEPS = 12, 12
-_CHANCE = 1e-5  # of a good view that it contradicts the others so much
-_BELIEF = 6.0  # observations that a spread believed beforehand counts for
+_CHANCE = 1e-5  # that a good view contradicts the others so much
+_BELIEF = 6.0  # weight of a spread's prior, in observations
 _FINEST_PIXEL, _FINEST_ARM = 0.01, 1e-5  # px, m
 _COARSEST_ARM = 1.0  # m
 _MEDIAN_OF_3 = 2.366  # median of χ² with three degrees of freedom
 _STEP, _SETTLED = 1e-3, 1e-7  # m and rad; a millimetre is about a milliradian here
 _FEWEST = 4  # views; fewer leave camera and board undetermined
-_ALIKE = 1e-3  # relative difference of spreads that changes nothing
-_JURY = 8  # views; fewer cannot tell which of them is wrong
+_ALIKE = 1e-3  # negligible relative difference of spreads
+_JURY = 8  # views; fewer do not show which of them is wrong
 
 
 @dataclass(frozen=True)
@@ -49,13 +48,13 @@ class HandEyeSpread:
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """Residuals of views, apart into what another position explains and the rest.
+    """Residuals of views, separated into what another position explains and the rest.
 
     Attributes:
-        moves: (N, 3) m in charger_base: the position that the image says less the one that was predicted.
-        precision: (N, 3, 3) 1/m² for σ = 1 px, of `moves` by the corners alone.
-        rest: (N,) px², sum of squares of what no move explains.
-        counts: (N,) how many numbers `rest` has left.
+        moves: (N, 3) m in charger_base: position by the image minus prediction.
+        precision: (N, 3, 3) 1/m² of `moves` by the corners alone, for σ = 1 px.
+        rest: (N,) px², sum of squares that no move explains.
+        counts: (N,) degrees of freedom of `rest`.
     """
 
     moves: Array
@@ -69,9 +68,9 @@ class HandEyeFit:
     """A fitted state.
 
     Attributes:
-        state: what was found.
-        covariance: (12, 12) or (13, 13) of a step from the true state to the found one.
-        kept: (N,) views that it was fitted to; the others contradict them.
+        state: result.
+        covariance: (12, 12) or (13, 13) of a step from the true state to the result.
+        kept: (N,) views used for the fit; the others contradict them.
         spread: of corners and positions.
         apart: residuals of all N views.
     """
@@ -88,12 +87,12 @@ def fit(corners: Corners, beliefs: Beliefs, state: HandEyeState, free_scale: boo
 
     Args:
         corners: of N views.
-        beliefs: what is known beforehand.
-        state: to start from.
+        beliefs: prior knowledge.
+        state: initial state.
         free_scale: also fit the board's size.
 
     Raises:
-        HandEyeError: fewer than four views are left that agree.
+        HandEyeError: fewer than four views agree.
     """
     length = FREE_WITH_SCALE if free_scale else FREE
     spread = HandEyeSpread(math.inf, math.inf)
@@ -102,7 +101,7 @@ def fit(corners: Corners, beliefs: Beliefs, state: HandEyeState, free_scale: boo
         before, spread = spread, _robust_spread(apart, beliefs)
         if _same(before, spread):
             break
-        # Cauchy's weights: 1 for what scatters little, falling with the square of what does not.
+        # Cauchy's weights: 1 for small residuals, falling with the square of large ones.
         weights = 1.0 / (1.0 + _distance(apart, spread) / (2.0 * np.bincount(corners.view)))
         state, _ = _solved(corners, beliefs, state, spread, weights, length)
     agreeing = _agreeing(set_apart(corners, state), spread)
@@ -121,7 +120,7 @@ def fit(corners: Corners, beliefs: Beliefs, state: HandEyeState, free_scale: boo
 
 
 def set_apart(corners: Corners, state: HandEyeState) -> Apart:
-    """Return the residuals of views, apart into moves of the board and the rest."""
+    """Return the residuals of views, separated into moves of the board and the rest."""
     error = residuals(corners, state)
     _, by_position = jacobian(corners, state, np.zeros(FREE))
     moves, precision, rest, counts = [], [], [], []
@@ -138,7 +137,7 @@ def set_apart(corners: Corners, state: HandEyeState) -> Apart:
 def _solved(
     corners: Corners, beliefs: Beliefs, state: HandEyeState, spread: HandEyeSpread, weights: Array, length: int
 ) -> tuple[HandEyeState, Array]:
-    """Return the state of least squares, views weighted by `weights` (N,), and its covariance (length, length)."""
+    """Return the least-squares state, views weighted by `weights` (N,), and its covariance (length, length)."""
     from scipy.optimize import least_squares
 
     _, by_position = jacobian(corners, state, np.zeros(FREE))
@@ -192,14 +191,14 @@ def _distance(apart: Apart, spread: HandEyeSpread) -> Array:
 
 
 def _moves_squared(apart: Apart, spread: HandEyeSpread) -> Array:
-    """Return (N,) squared moves in units of the spread of positions and of what the corners tell of them."""
+    """Return (N,) squared moves in units of the positions' spread and the corners' accuracy."""
     covariance = spread.arm**2 * np.eye(3) + spread.pixel**2 * np.linalg.pinv(apart.precision, hermitian=True)
     solved = np.linalg.solve(covariance, apart.moves[..., None])[..., 0]
     return np.asarray(np.sum(apart.moves * solved, axis=-1))
 
 
 def _robust_spread(apart: Apart, beliefs: Beliefs) -> HandEyeSpread:
-    """Return the spread that half of the views stay within; at least what is believed, as few views fit too well."""
+    """Return the spread that contains half of the views, at least the prior, because few views fit too well."""
     count = len(apart.moves)
     pixel = np.sqrt(np.median(apart.rest / np.maximum(apart.counts, 1.0)))
     arm = np.sqrt(np.median(np.sum(apart.moves**2, axis=1)) / _MEDIAN_OF_3 * count / max(count - 2.0, 1.0))
@@ -207,7 +206,7 @@ def _robust_spread(apart: Apart, beliefs: Beliefs) -> HandEyeSpread:
 
 
 def _agreeing(apart: Apart, spread: HandEyeSpread) -> Mask:
-    """Return (N,) which views agree with the others; all, where there are too few to tell who is wrong."""
+    """Return (N,) which views agree with the others; all if there are too few to identify a wrong one."""
     from scipy.stats import chi2
 
     if len(apart.moves) < _JURY:
@@ -219,17 +218,17 @@ def _agreeing(apart: Apart, spread: HandEyeSpread) -> Mask:
 
 
 def _spread(apart: Apart, kept: Mask, beliefs: Beliefs, covariance: Array) -> HandEyeSpread:
-    """Return the spread of the kept views, with what was believed before counting as a few more observations."""
+    """Return the spread of the kept views; the prior counts as a few more observations."""
     from scipy.optimize import brentq
 
-    # Of the numbers fitted, three (the board as seen by the camera) and the scale show in what no move explains.
+    # Of the fitted parameters, three (the board as seen by the camera) and the scale affect what no move explains.
     scaled = len(covariance) > SCALE
     left = max(float(apart.counts[kept].sum()) - 3.0 - scaled, 0.0)
     squares = float(apart.rest[kept].sum()) + _BELIEF * beliefs.pixel_stddev**2
     pixel = max(float(np.sqrt(squares / (left + _BELIEF))), _FINEST_PIXEL)
-    # The other six, and as much of the joints' errors as the views tell, show in the moves.
-    told = float(np.sum(1.0 - np.diag(covariance)[ANGLES] / max(beliefs.joint_stddev, 1e-9) ** 2))
-    free = max(3.0 * float(kept.sum()) - 6.0 - min(max(told, 0.0), 3.0), 0.0)
+    # The other six, and the joints' errors as far as the views show them, affect the moves.
+    gained = float(np.sum(1.0 - np.diag(covariance)[ANGLES] / max(beliefs.joint_stddev, 1e-9) ** 2))
+    free = max(3.0 * float(kept.sum()) - 6.0 - min(max(gained, 0.0), 3.0), 0.0)
     some = Apart(apart.moves[kept], apart.precision[kept], apart.rest[kept], apart.counts[kept])
 
     def excess(arm: float) -> float:

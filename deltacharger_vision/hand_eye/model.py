@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measurement model of a hand-eye calibration: where an image should show the board's corners, and its derivatives.
+"""The measurement model of a hand-eye calibration: expected positions of the board's corners, and their derivatives.
 
-With the platform at e (forward kinematics), its constant angle errors δ, the board's offset o and orientation Q on it:
-a corner b lies at e + J δ + o + Q s b in charger_base, and at X = Rᵀ (e + J δ + Q s b − d) in the camera with
-d = t − o. Only the difference d is seen, since platform and board never turn; o comes from a ruler. s is 1, or free to
-find out whether the board has the size that was stated.
+With the platform at e (forward kinematics), its constant angle errors δ, and the board's offset o and orientation Q:
+a corner b is at e + J δ + o + Q s b in charger_base, and at X = Rᵀ (e + J δ + Q s b − d) in the camera with
+d = t − o. Only the difference d is observable, because platform and board never turn; o is measured with a ruler. s is
+1, or fitted to check the stated size of the board.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CLOSEST = 1e-3  # m
 
 @dataclass(frozen=True, eq=False)
 class HandEyeState:
-    """What is looked for.
+    """Parameters to fit.
 
     Attributes:
         camera: (3, 3) R, charger_base_R_camera.
@@ -59,7 +59,7 @@ class HandEyeState:
 
 
 def residuals(corners: Corners, state: HandEyeState) -> Array:
-    """Return (M, 2) px: where the corners should be seen less where they are."""
+    """Return (M, 2) px: expected minus measured corners."""
     camera = _in_base(corners, state) @ state.camera
     depth = np.maximum(camera[:, 2:], _CLOSEST)
     return np.asarray(corners.focal * camera[:, :2] / depth - corners.seen)
@@ -82,7 +82,7 @@ def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array,
     by_position = by_camera @ at.camera.T
     turned = at.scale * corners.points @ at.board.T
     found = np.zeros((len(base), 2, len(step)))
-    # A rotation by w: dRᵀ y = Rᵀ [y]× dw and d(Q b) = −[Q b]× dq, with dw on the left of the step so far.
+    # A rotation by w: dRᵀ y = Rᵀ [y]× dw and d(Q b) = −[Q b]× dq, with dw to the left of the previous step.
     found[:, :, CAMERA] = by_position @ _skew(base) @ _left(step[CAMERA])
     found[:, :, SHIFT] = -by_position
     found[:, :, BOARD] = -by_position @ _skew(turned) @ _left(step[BOARD])
@@ -93,7 +93,7 @@ def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array,
 
 
 def _in_base(corners: Corners, state: HandEyeState) -> Array:
-    """Return (M, 3) m, the corners from the camera's place, along the axes of charger_base."""
+    """Return (M, 3) m, the corners relative to the camera, along the axes of charger_base."""
     platform = corners.positions + corners.slopes @ state.joints - state.shift
     return np.asarray(platform[corners.view] + state.scale * corners.points @ state.board.T)
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A first hand-eye answer without a guess: the board's pose in each image, then Procrustes against the platform.
+"""Initial hand-eye solution without a guess: the board's pose in each image, then Procrustes against the platform.
 
-The platform only translates, so the board has one orientation C in the camera, and of the two poses that fit an image
-of a plane (IPPE) the one is right that fits all images. With C the board's place X in the camera follows linearly, and
-X = k Rᵀ (e − d) gives the camera's rotation R, d = t − o (camera less board offset) and the scale k (Umeyama 1991,
-reweighted so that a wrong view does little harm).
+The platform only translates, so the board has one orientation C in the camera. Two poses fit an image of a plane
+(IPPE); the right one fits all images. With C, the board's position X in the camera follows linearly. X = k Rᵀ (e − d)
+then gives the camera's rotation R, d = t − o (camera minus board offset) and the scale k (Umeyama 1991, reweighted so
+that a wrong view does little harm).
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_vision.hand_eye.views import Corners, HandEyeError
 
-_CAP = 3.0  # px; a view that fits worse counts as one that fits so badly
-_LIKE = np.radians(10.0)  # two orientations within it are one
+_CAP = 3.0  # px; cap of a view's misfit
+_LIKE = np.radians(10.0)  # orientations closer than this are one
 _STEPS = 30
-_NEAR = 0.0005  # m; residuals below it weigh alike
-_DECIDED = 1.5  # times the misfit of the chosen orientation that the other one must have
+_NEAR = 0.0005  # m; smaller residuals have equal weight
+_DECIDED = 1.5  # least ratio of the other orientation's misfit to the chosen one's
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A first answer.
+    """An initial solution.
 
     Attributes:
         camera: (3, 3) charger_base_R_camera.
-        shift: (3,) m, the camera's place less the board's offset on the platform.
+        shift: (3,) m, the camera's position minus the board's offset on the platform.
         board: (3, 3) end_effector_R_board.
-        scale: what the board's size must be multiplied by to fit the platform's moves.
+        scale: factor on the board's size that fits the platform's moves.
         decided: whether only one orientation of the board fits.
     """
 
@@ -43,7 +43,7 @@ class Start:
 
 
 def start(corners: Corners) -> Start:
-    """Return a first answer.
+    """Return an initial solution.
 
     Raises:
         HandEyeError: no board pose fits the images.
@@ -64,7 +64,7 @@ def start(corners: Corners) -> Start:
 
 
 def _candidates(corners: Corners) -> Array:
-    """Return (P, 3, 3) camera_R_board: both that IPPE finds in each view."""
+    """Return (P, 3, 3) camera_R_board: both IPPE solutions of each view."""
     import cv2
 
     found = []
@@ -77,12 +77,12 @@ def _candidates(corners: Corners) -> Array:
         matrices = [cv2.Rodrigues(turn)[0] for turn in turns[:count]]
         found += [matrix for matrix in matrices if np.isfinite(matrix).all()]
     if not found:
-        raise HandEyeError("in no view do the corners lie as a board shows them; look at the images and the board")
+        raise HandEyeError("no view shows the corners of a board; check the images and the board")
     return np.stack(found)
 
 
 def _tried(corners: Corners, turns: Array) -> tuple[Array, Array]:
-    """Return the misfit (P,) px² of orientations (P, 3, 3), and the board's places (P, N, 3) m in the camera."""
+    """Return the misfit (P,) px² of orientations (P, 3, 3), and the board's positions (P, N, 3) m in the camera."""
     misfit = np.zeros(len(turns))
     places = np.zeros((len(turns), corners.views, 3))
     for view, rows in enumerate(corners.rows):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a hand-eye calibration is given: views of a board on the platform, and what is known beforehand."""
+"""Inputs of a hand-eye calibration: views of a board on the platform, and prior knowledge."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.projection import rays
 
 FEWEST = 5
-"""Views that a calibration needs, one of them to judge the others."""
+"""Views needed for a calibration, one of them to test the others."""
 _FARTHEST = 10.0
-"""No platform stands further from its charger, m."""
+"""Largest plausible coordinate of a platform, m."""
 
 
 class HandEyeError(VisionError, ValueError):
-    """Views do not tell where the camera is. Example: all were taken with the platform on one line.
+    """The views do not determine the mount. Example: in all, the platform was on one line.
 
     Args:
         reason: what is missing and what to do.
@@ -39,10 +39,10 @@ class View:
     Attributes:
         position: (3,) m of end_effector in charger_base, by forward kinematics.
         sighting: the board's corners in the image.
-        slope: (3, 3) m/rad, by how much `position` changes with each arm angle; 0 where angles are exact.
+        slope: (3, 3) m/rad, derivative of `position` by each arm angle; 0 if the angles are exact.
 
     Raises:
-        HandEyeError: a number is not finite, or the platform far outside any workspace.
+        HandEyeError: a number is not finite, or the platform is far outside any workspace.
     """
 
     position: Array
@@ -59,7 +59,7 @@ class View:
 
 @dataclass(frozen=True)
 class Beliefs(Bounded):
-    """What is known before the views are seen. Standard deviations without a source are assumed.
+    """Knowledge before the views. Standard deviations without a source are assumed.
 
     Attributes:
         offset: (3,) m, origin of the board in end_effector.
@@ -69,7 +69,7 @@ class Beliefs(Bounded):
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    offset_stddev: float = number(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, as measured by hand")
+    offset_stddev: float = number(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, measured by hand")
     joint_stddev: float = number(0.001745, 0.0, 0.2, "rad", "of each arm's constant angle error (0.1°)")
     arm_stddev: float = number(0.0001, 1e-6, 0.1, "m", "scatter of a position; corrected by the views")
     pixel_stddev: float = number(0.1, 1e-3, 10.0, "px", "scatter of a corner; corrected by the views")
@@ -82,12 +82,12 @@ class Beliefs(Bounded):
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The corners of several views, one row each, view after view; M of them in N views.
+    """The M corners of N views, one row each, view after view.
 
     Attributes:
         view: (M,) index of the view.
         points: (M, 3) m in the board's frame.
-        seen: (M, 2) px without the lens's distortion: focal length times ray, from the principal point.
+        seen: (M, 2) px without lens distortion: focal length times ray, from the principal point.
         positions: (N, 3) m.
         slopes: (N, 3, 3) m/rad.
         focal: (2,) px.
@@ -102,7 +102,7 @@ class Corners:
 
     @property
     def views(self) -> int:
-        """How many views there are."""
+        """Number of views."""
         return len(self.positions)
 
     @cached_property
@@ -116,7 +116,7 @@ class Corners:
         """Gather the corners of `views` and undistort them.
 
         Raises:
-            CameraInfoError: the lens's distortion is no one-to-one map at a corner.
+            CameraInfoError: the lens's distortion is not one-to-one at a corner.
         """
         focal = np.array([intrinsics.fx, intrinsics.fy])
         pixels = np.concatenate([view.sighting.pixels for view in views])

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated cameras and what they see."""
+"""Simulated cameras and their scenes."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration board for the simulated camera: a white plate and its black cells as thin boxes."""
+"""A calibration board for the simulated camera: thin boxes for a white plate and its black cells."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
 
 Area = tuple[int, int, int, int]
-"""Left, top, right and bottom of a rectangle of cells, the last two beyond it."""
+"""Left, top, right and bottom of a rectangle of cells; right and bottom are exclusive."""
 
 THICKNESS = 0.002
-"""Of the plate that the board is printed on, m (assumed)."""
-_BIT = 1e-4  # m, of white on black: what is thinner could be painted over
+"""Thickness of the board's plate, m (assumed)."""
+_BIT = 1e-4  # m, of white on black: something thinner could be painted over
 _WHITE, _BLACK = (0.75, 0.75, 0.75), (0.03, 0.03, 0.03)  # reflectance of matte print (assumed)
 
 
 def bracket() -> Array:
-    """Return (4, 4) end_effector_T_board of the place that docs/camera-calibration.md proposes.
+    """Return (4, 4) end_effector_T_board of the mount proposed in docs/camera-calibration.md.
 
-    The plate is screwed to the back of the platform, upright and parallel to the contact plane, and looks backward at
-    the camera: the board's x is −x of end_effector, y is y, z is −z. It stands above the upper edge and to the left,
-    clear of the limb that comes from above on the right.
+    The plate is screwed to the back of the platform, upright, parallel to the contact plane, facing back to the camera:
+    the board's x is −x of end_effector, y is y, z is −z. It is above the upper edge and to the left, clear of the limb
+    from the upper right.
     """
     return transform(np.diag([-1.0, 1.0, -1.0]), (0.020, 0.030, -0.022))
 
@@ -37,24 +37,24 @@ def with_board(scene: RenderedScene, board: Board, pose: Array, in_camera: bool 
     """Return the scene with a board in it.
 
     Args:
-        scene: as it is without.
-        board: which.
-        pose: (4, 4) from the board's frame to the terminal's, or to the optical frame where `in_camera`.
-        in_camera: whether `pose` is that of the optical frame.
+        scene: without the board.
+        board: to add.
+        pose: (4, 4) from the board's frame to the terminal's frame, or to the optical frame with `in_camera`.
+        in_camera: whether `pose` refers to the optical frame.
 
     Raises:
-        SceneError: the pose is not a rigid transform.
+        RenderingError: the pose is not a rigid transform.
     """
     plate, *cells = board_boxes(board, pose, in_camera)
-    # What is painted first must be the plate, also where a cell is further away than its centre.
+    # The plate must be painted first, even if a cell is further away than its centre.
     return dataclasses.replace(scene, background=(*scene.background, plate), foreground=(*scene.foreground, *cells))
 
 
 def board_boxes(board: Board, pose: Array, in_camera: bool = False) -> list[Box]:
-    """Return the white plate, then the black areas, whose faces lie at z = 0, and the white within them.
+    """Return the white plate, then the black areas with faces at z = 0, and the white within them.
 
-    Arguments and errors as in `with_board`. Each area is one box: an edge made of several would be half covered several
-    times, and would not lie where it should.
+    Arguments and errors as in `with_board`. Each area is one box: if an edge consisted of several boxes, its pixels
+    would be half covered several times, which would shift the edge.
     """
     check_pose("board", pose)
     return [dataclasses.replace(box, pose=pose @ box.pose, in_camera=in_camera) for box in _boxes(board)]
@@ -75,7 +75,7 @@ def _boxes(board: Board) -> tuple[Box, ...]:
     plate = shifted((0.0, 0.0, -THICKNESS / 2))
     boxes = [Box(plate, (width + 2 * margin, height + 2 * margin, THICKNESS), _WHITE)]
     for area in _areas(black):
-        boxes.append(box(area, 0.0, 0.0, _BLACK))  # no ink is thick enough to show its side
+        boxes.append(box(area, 0.0, 0.0, _BLACK))  # ink has no visible side
         left, top, right, bottom = area
         for a, b, c, d in _rectangles(~black[top:bottom, left:right]):
             boxes.append(box((left + a, top + b, left + c, top + d), _BIT, _BIT, _WHITE))
@@ -83,7 +83,7 @@ def _boxes(board: Board) -> tuple[Box, ...]:
 
 
 def _areas(black: Mask) -> list[Area]:
-    """Return the rectangles around what is black and connected by more than a corner, those within others left out."""
+    """Return bounding rectangles of black areas that share sides, without those inside others."""
     import cv2
 
     _, _, stats, _ = cv2.connectedComponentsWithStats(black.astype(np.uint8), connectivity=4)
@@ -96,9 +96,9 @@ def _holds(outer: Area, inner: Area) -> bool:
 
 
 def _rectangles(marked: Mask) -> list[Area]:
-    """Return rectangles that cover the marked cells (rows, columns) and no others.
+    """Return rectangles that cover exactly the marked cells (rows, columns).
 
-    They overlap where they can: at a seam between two, half-covered pixels would let the black through.
+    They overlap if possible: at a seam, half-covered pixels would show the black.
     """
     if not marked.any():
         return []
@@ -113,7 +113,7 @@ def _rectangles(marked: Mask) -> list[Area]:
 
 
 def _changes(marked: Mask, axis: int) -> NDArray[np.int64]:
-    """Return where rows (axis 0) or columns (1) differ from those before, and both ends."""
+    """Return the indices where rows (axis 0) or columns (1) differ from the previous one, and both ends."""
     differs = (np.diff(marked, axis=axis) != 0).any(axis=1 - axis)
     return np.concatenate([[0], 1 + np.flatnonzero(differs), [marked.shape[axis]]])
 

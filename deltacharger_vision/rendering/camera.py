@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RGB-D images of a terminal without a camera and without graphics hardware: a ray-caster of boxes in numpy."""
+"""Simulated RGB-D images of a terminal without graphics hardware: a ray-caster of boxes in numpy."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose
 from deltacharger_vision.rendering.stereo_depth import measured
 
 OAK_D = Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5)
-"""An OAK-D's colour image at 640 × 400 px, without its lens's distortion."""
+"""Colour image of an OAK-D at 640 × 400 px, without lens distortion."""
 _LARGER_THAN_ANY = 36
-"""Bytes per pixel of an array that is larger than any used for an image."""
+"""Bytes per pixel, more than any array of an image needs."""
 _LARGEST_KEPT = 31 << 20
-"""Bytes; glibc keeps nothing larger (its limit is 32 MiB on 64-bit machines)."""
+"""Bytes; glibc caches nothing larger (its limit is 32 MiB on 64-bit machines)."""
 
 
 def taken(
@@ -30,15 +30,15 @@ def taken(
     unevenness: float,
     random: np.random.Generator,
 ) -> RgbdImage:
-    """Return the image that a camera with the defects of `parameters` takes of what lies before it.
+    """Return the image of a camera with the defects of `parameters`.
 
     Args:
-        light: (3, H, W) linear, which is changed.
-        depth: (H, W) 1/m, one over the true depth, and (H, W) share of holes; None leaves all depth unknown.
+        light: (3, H, W) linear, modified in place.
+        depth: (H, W) 1/m, inverse of the true depth, and (H, W) share of holes; None = all depth unknown.
         intrinsics: of the camera.
         parameters: its defects.
         unevenness: relative range of slow changes of the light over the image.
-        random: draws all of them.
+        random: source of all random values.
     """
     p, shape = parameters, (intrinsics.height, intrinsics.width)
     if unevenness:
@@ -51,17 +51,17 @@ def taken(
 
 
 class SimulatedCamera:
-    """An RGB-D camera: colour and the depth of the same pixels, with the defects of `parameters`.
+    """An RGB-D camera with the defects of `parameters`: colour, and depth of the same pixels.
 
-    It does not simulate cast shadows, light reflected from one surface to another, colour filters over the pixels,
-    rolling shutter, nor stereo matching itself: depth is the true one, spoilt as matching spoils it.
+    Not simulated: cast shadows, light reflected between surfaces, colour filters over the pixels, rolling shutter, and
+    stereo matching itself. Depth is the true depth with typical errors of matching.
     """
 
     def __init__(self, intrinsics: Intrinsics = OAK_D, parameters: CameraParameters | None = None) -> None:
         self.intrinsics = intrinsics
         self.parameters = parameters or CameraParameters()
         self._rays = Rays(intrinsics)
-        # glibc maps large arrays anew each time until one as large was freed: 25 ms an image instead of 14.
+        # Without this allocation, glibc maps large arrays again for each image: 25 ms instead of 14.
         np.empty(min(_LARGER_THAN_ANY * intrinsics.width * intrinsics.height, _LARGEST_KEPT), dtype=np.uint8)
 
     def render(
@@ -74,13 +74,13 @@ class SimulatedCamera:
         """Return one image; the same generator state gives the same image.
 
         Args:
-            scene: what stands before the camera.
+            scene: in front of the camera.
             camera_T_terminal: (4, 4), from the terminal's frame to the optical frame (x right, y down, z forward).
             random: draws noise, holes and the streaks of metal.
-            color_only: leave all depth unknown and do nothing for it.
+            color_only: leave all depth unknown, without computing it.
 
         Raises:
-            SceneError: the pose is not a rigid transform.
+            RenderingError: the pose is not a rigid transform.
         """
         check_pose("camera_T_terminal", camera_T_terminal)
         color, inverse, holes = self._painted(scene, np.asarray(camera_T_terminal, dtype=float), random)

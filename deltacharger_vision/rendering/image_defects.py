@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From light to the numbers of an image: blur, uneven light, exposure, noise and the encoding of sRGB."""
+"""From light to pixel values: blur, uneven light, exposure, noise and sRGB encoding."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _KNOTS = (6, 9)
 def developed(
     light: Array32, exposure: float, shot_noise: float, read_noise: float, random: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return (H, W, 3) uint8 of light (3, H, W), which is changed: exposed, with noise, saturated at 1, as sRGB.
+    """Return (H, W, 3) uint8 sRGB of light (3, H, W): exposed, with noise, saturated at 1. Modifies `light`.
 
-    The noise's variance is read_noise² + shot_noise² · light, of full scale.
+    The noise's variance is read_noise² + shot_noise² · light, relative to full scale.
     """
     image = np.empty((*light.shape[1:], 3), dtype=np.uint8)
     encoding, spread = _encoding(), np.empty_like(light[0])
-    # One colour after the other: its arrays stay in the processor's cache.
+    # One colour at a time, so that arrays stay in the processor's cache.
     for channel, plane in enumerate(light):
         if exposure != 1.0:
             plane *= np.float32(exposure)
@@ -51,7 +51,7 @@ def _encoding() -> NDArray[np.uint8]:
 
 
 def blurred(light: Array32, defocus: float, motion_x: float, motion_y: float) -> Array32:
-    """Return light (3, H, W) blurred by a Gaussian of `defocus` px and a straight movement (px); both 0: unchanged."""
+    """Return light (3, H, W) blurred by a Gaussian of `defocus` px and a straight movement (px)."""
     if not defocus and not motion_x and not motion_y:
         return light
     margin = math.ceil(3 * defocus + max(abs(motion_x), abs(motion_y))) + 1
@@ -66,9 +66,9 @@ def blurred(light: Array32, defocus: float, motion_x: float, motion_y: float) ->
 
 
 def white(shape: tuple[int, ...], random: np.random.Generator) -> Array32:
-    """Return noise (shape) of mean 0 and variance 1, each value on its own.
+    """Return independent noise (shape) of mean 0 and variance 1.
 
-    Four uniform numbers each: normal up to 3.4 standard deviations, in less than half the time of normal ones.
+    Each value is a sum of four uniform numbers: normal up to 3.4 standard deviations, in less than half the time.
     """
     count = math.prod(shape)
     words = random.integers(0, 2**64, size=count, dtype=np.uint64).view(np.uint16).reshape(4, count)
@@ -81,13 +81,13 @@ def white(shape: tuple[int, ...], random: np.random.Generator) -> Array32:
 
 
 def slow_field(shape: tuple[int, int], spread: float, random: np.random.Generator) -> Array32:
-    """Return (H, W) factors 1 ± spread that change slowly over an image."""
+    """Return (H, W) slowly varying factors 1 ± spread."""
     knots = random.uniform(1.0 - spread, 1.0 + spread, _KNOTS)
     down, across = (_hats(count, size) for count, size in zip(_KNOTS, shape, strict=True))
     return np.asarray(down @ knots.astype(np.float32) @ across.T, dtype=np.float32)
 
 
 def _hats(count: int, size: int) -> Array32:
-    """Return (size, count) weights of straight lines between `count` knots."""
+    """Return (size, count) weights of linear interpolation between `count` knots."""
     place = np.linspace(0.0, count - 1.0, size)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(place - np.arange(count))).astype(np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How brushed metal looks: a highlight that is narrow along the brushing and wide across it, and streaks."""
+"""Brushed metal: streaks, and a highlight that is narrow along the brushing and wide across it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def brushed(
     """Return the diffuse light (h, w) of metal brushed along the box's x, with streaks, and the highlight (h, w).
 
     The highlight is Ward's exp(−((h·x/a)² + (h·y/b)²)/(h·n)²) with h between light and eye, x along and y across
-    the brushing; the faces at the box's ends have none.
+    the brushing. The faces at the box's ends have none.
 
     Args:
         rays: of the camera.
-        box: what is painted.
+        box: to paint.
         pose: (4, 4) of the box in the optical frame.
-        piece: what is seen of it.
+        piece: its visible part.
         gray: diffuse light without streaks.
         light: (3,) unit vector toward the light in the optical frame.
         parameters: of the scene.
@@ -75,15 +75,15 @@ def streaks(
         box: the metal.
         pose: (4, 4) of the box in the optical frame.
         inverse: (h, w) 1/m, 1/z on its surface.
-        along: (h, w) each, products of every pixel's ray with the box's three axes.
-        parameters: how strong both are.
+        along: (h, w) each, dot products of every pixel's ray with the box's three axes.
+        parameters: strengths of both.
         random: draws them.
     """
     fine = 1.0 + parameters.streaks * random.standard_normal(_STREAKS)
     slow = 1.0 + parameters.mirrored * random.standard_normal(_BLOTCHES)
     centre = pose[:3, :3].T @ pose[:3, 3]
     depth = 1.0 / np.maximum(inverse, 1e-6)
-    # y and z in one: a line runs along the face in front and along the face above.
+    # y and z together: a line continues from the front face to the upper one.
     beside = (along[1] + along[2]) * depth - (centre[1] + centre[2])
     x = along[0] * depth - centre[0]
     width, length = max(box.size[1] + box.size[2], 1e-6), max(box.size[0], 1e-6)

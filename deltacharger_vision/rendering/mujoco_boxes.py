@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes drawn by MuJoCo's OpenGL rasteriser without a window: colour, 1/z and which box, of every pixel.
+"""Draws boxes with MuJoCo's OpenGL rasteriser off-screen: colour, 1/z and box number of every pixel.
 
-The rasteriser's list of geoms is filled anew for each image, so that no MuJoCo model is compiled for a scene. Colour is
-drawn at twice the size with four samples a pixel and averaged; 1/z and the box's number are those of the pixel's
-centre. Depth is kept as a 32-bit float that is 1 at the near plane and 0 at the far one, and so is linear in 1/z.
+The rasteriser's geom list is refilled for each image, so no MuJoCo model is compiled for a scene. Colour is drawn at
+twice the size with four samples per pixel and averaged. 1/z and the box number are taken at the pixel's centre. Depth
+is a 32-bit float, 1 at the near plane and 0 at the far one, and so linear in 1/z.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from deltacharger_vision.errors import RendererError
 from deltacharger_vision.images import Intrinsics
 
 NEAR, FAR = 0.01, 500.0
-"""Distance of the clipping planes, m; what is nearer to the camera's plane is cut away."""
+"""Distance of the clipping planes, m; nearer parts are cut away."""
 NONE = -1
-"""Number of the box where there is none."""
+"""Box number of a pixel without a box."""
 WIDEST = 2.0
-"""Largest width of an edge that averaging gives, px; the narrowest is 1 px, a pixel's own."""
+"""Largest edge width by averaging, px; the smallest is 1 px, a pixel itself."""
 _LARGER = 2
 _SAMPLES = 4
-_SHADOW_SIDE = 2048  # px of the map of shadows
+_SHADOW_SIDE = 2048  # px of the shadow map
 _SHADOW_REACH = 0.3  # m around the middle within which shadows are cast
-_LIGHT_AWAY = 1.0  # m; a light from one direction needs a place for the map of shadows alone
+_LIGHT_AWAY = 1.0  # m; only the shadow map needs a position of a directional light
 _GEOMS = 64
 _INSTALL = "install libegl1, libegl-mesa0 and libgl1-mesa-dri (Debian, Ubuntu) and set MUJOCO_GL=egl"
 
@@ -45,8 +45,8 @@ class Solid:
     Attributes:
         pose: (4, 4) of its centre in the optical frame.
         size: (3,) m.
-        color: what it reflects of red, green, blue light; with a light of 1, at most 1.
-        mirror: what it reflects as a highlight, likewise.
+        color: reflectance of red, green, blue; at most 1 for a light of 1.
+        mirror: reflectance of the highlight; at most 1 for a light of 1.
     """
 
     pose: Array
@@ -60,8 +60,8 @@ class Lamp:
     """The light of a scene.
 
     Attributes:
-        toward: (3,) unit vector toward it in the optical frame.
-        middle: (3,) m, around which shadows are cast.
+        toward: (3,) unit vector toward the light in the optical frame.
+        middle: (3,) m, centre of the shadows.
         ambient: light from everywhere.
         diffuse: light from `toward`.
         sharpness: exponent of the highlight (Blinn, Phong), at most 128.
@@ -75,13 +75,13 @@ class Lamp:
 
 
 class BoxRasteriser:
-    """Draws boxes as a pinhole camera sees them. Use it in one thread at a time; `close` releases it.
+    """Draws boxes for a pinhole camera. Use it in one thread at a time; `close` releases it.
 
     Args:
         intrinsics: of the camera; its lens must not distort.
 
     Raises:
-        RendererError: MuJoCo or off-screen OpenGL is missing, or the image is larger than it can draw.
+        RendererError: MuJoCo or off-screen OpenGL is missing, or the image is too large.
     """
 
     def __init__(self, intrinsics: Intrinsics) -> None:
@@ -97,21 +97,21 @@ class BoxRasteriser:
         self._intrinsics = intrinsics
 
     def close(self) -> None:
-        """Release OpenGL's memory; a second call does nothing."""
+        """Release OpenGL's memory. Idempotent."""
         self._finalizer()
 
     def draw(
         self, solids: Sequence[Solid], lamp: Lamp, edge_width: float
     ) -> tuple[Array32, Array32, NDArray[np.int32]]:
-        """Return light (3, H, W) in 0…1, 1/z (H, W) 1/m and the number of the box (H, W), NONE where there is none.
+        """Return light (3, H, W) in 0…1, 1/z (H, W) 1/m and the box number (H, W), NONE without a box.
 
         Args:
-            solids: what to draw.
-            lamp: what lights it.
-            edge_width: px over which an edge passes from 0 to 1, 1…WIDEST.
+            solids: to draw.
+            lamp: light.
+            edge_width: px of an edge's ramp, 1…WIDEST.
 
         Raises:
-            RendererError: it was closed.
+            RendererError: the renderer is closed.
         """
         if not self._finalizer.alive:
             raise RendererError("the renderer was closed; make a new one")
@@ -127,11 +127,11 @@ class BoxRasteriser:
         return _averaged(large, edge_width), inverse, found
 
     def _open(self, opened: ExitStack) -> None:
-        """Make the OpenGL context and its two buffers, each to be released when `opened` closes."""
+        """Make the OpenGL context and its two buffers; closing `opened` releases them."""
         height, width = self._shape
         try:
             self._gl = self._context(_LARGER * width, _LARGER * height)
-        except Exception as error:  # of each backend its own
+        except Exception as error:  # each backend has its own classes
             raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
         opened.callback(self._gl.free)
         with self._gl.as_current():
@@ -170,7 +170,7 @@ class BoxRasteriser:
             geom.segid, geom.category = index, mujoco.mjtCatBit.mjCAT_STATIC
             geom.specular, geom.shininess = solid.mirror, lamp.sharpness / 128.0
         scene.ngeom = len(solids)
-        # Shadow takes all light of a lamp away, so what comes from everywhere is a lamp of its own.
+        # A shadow removes all light of a lamp, so ambient light is a separate lamp.
         scene.nlight = 2
         for light, ambient, diffuse in ((scene.lights[0], lamp.ambient, 0.0), (scene.lights[1], 0.0, lamp.diffuse)):
             light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
@@ -182,7 +182,7 @@ class BoxRasteriser:
         self._aim()
 
     def _aim(self) -> None:
-        """Set the frustum of the camera: pixels' centres are whole numbers, so the image begins half a pixel before."""
+        """Set the camera's frustum: pixel centres are integers, so the image begins half a pixel earlier."""
         of = self._intrinsics
         left, right = ((edge - of.cx) / of.fx * NEAR for edge in (-0.5, of.width - 0.5))
         top, bottom = ((of.cy - edge) / of.fy * NEAR for edge in (-0.5, of.height - 0.5))
@@ -193,23 +193,23 @@ class BoxRasteriser:
             camera.frustum_center, camera.frustum_width = (left + right) / 2, (right - left) / 2
 
     def _read(self, buffer: Any, larger: int, numbers: bool) -> tuple[NDArray[np.uint8], Array32]:
-        """Draw into a buffer and return colours (h, w, 3), or numbers of the boxes in them, and depth (h, w)."""
+        """Draw into a buffer; return colours or encoded box numbers (h, w, 3), and depth (h, w)."""
         mujoco, flag = self._mujoco, self._mujoco.mjtRndFlag
         height, width = larger * self._shape[0], larger * self._shape[1]
         self._scene.flags[flag.mjRND_SEGMENT] = self._scene.flags[flag.mjRND_IDCOLOR] = numbers
         color, area = np.empty((height, width, 3), dtype=np.uint8), mujoco.MjrRect(0, 0, width, height)
         depth = np.empty((height, width) if numbers else (0, 0), dtype=np.float32)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, buffer)  # OpenGL knows one at a time
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, buffer)  # OpenGL draws to one at a time
         mujoco.mjr_render(area, self._scene, buffer)
         mujoco.mjr_readPixels(color, depth if numbers else None, area, buffer)
         return color[::-1], depth[::-1]
 
 
 def _imported() -> tuple[Any, Any]:
-    """Return MuJoCo and the class of its OpenGL contexts: of EGL on Linux, unless MUJOCO_GL says otherwise.
+    """Return MuJoCo and the class of its OpenGL contexts: EGL on Linux, unless MUJOCO_GL states another.
 
-    MuJoCo chooses its class while it is imported. Where that was done before, for mechanics alone, it has taken GLFW's,
-    which makes no buffers without a display.
+    MuJoCo chooses its class on import. If it was imported earlier, for mechanics alone, it has chosen GLFW, which
+    provides no buffers without a display.
     """
     backend = os.environ.setdefault("MUJOCO_GL", "egl") if sys.platform == "linux" else ""
     try:
@@ -223,7 +223,7 @@ def _imported() -> tuple[Any, Any]:
         if error.name != "mujoco":
             raise RendererError(f"MuJoCo lacks {error.name}; {_INSTALL}") from error
         raise RendererError("MuJoCo is not installed; install deltacharger[sim]") from error
-    except Exception as error:  # a missing library shows as many kinds
+    except Exception as error:  # a missing library may raise anything
         raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
     if not hasattr(mujoco, "GLContext"):
         raise RendererError(f"MuJoCo's OpenGL is switched off (MUJOCO_GL={os.environ.get('MUJOCO_GL')}); {_INSTALL}")
@@ -236,9 +236,9 @@ def _release(gl: Any, buffer: Any) -> None:
 
 
 def _averaged(large: NDArray[np.uint8], edge_width: float) -> Array32:
-    """Return (3, H, W) in 0…1 of colours (2H, 2W, 3): four pixels in a row, the outer ones weighing what widens edges.
+    """Return (3, H, W) in 0…1 of colours (2H, 2W, 3): weighted means of four pixels; the outer weights widen edges.
 
-    Halves of a pixel at ±1/4 and, weighing `outer` each, at ±3/4 px spread an edge by a variance of 1/12 + outer px²;
+    Half pixels at ±1/4 px, and with weight `outer` each at ±3/4 px, spread an edge by a variance of 1/12 + outer px²;
     a ramp of width w has w²/12.
     """
     outer = np.float32((np.clip(edge_width, 1.0, WIDEST) ** 2 - 1.0) / 12.0)

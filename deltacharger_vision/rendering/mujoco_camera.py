@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated camera's scenes drawn by MuJoCo: a second opinion on geometry and light, from OpenGL's rasteriser."""
+"""The simulated camera's scenes drawn by MuJoCo: a cross-check of geometry and light with OpenGL's rasteriser."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, 
 
 _WALL_SIDE, _WALL_THICKNESS = 100.0, 0.01
 _BRIGHTEST = 2.0
-"""Light up to so many times what saturates the camera is kept apart; OpenGL has 256 steps of it."""
+"""Range of light in multiples of the camera's saturation; OpenGL has 256 steps for it."""
 _LEAST_SCALE = 1e-6
 
 
 class MujocoCamera:
     """An RGB-D camera with the scenes, parameters and defects of SimulatedCamera, drawn by MuJoCo.
 
-    Against the ray-caster: things cast shadows within 0.3 m of the terminal; highlights are round (Blinn, Phong) and
-    as wide as the geometric mean of the scene's lobes; light is one of 256 linear steps; the wall ends at 50 m. Where
-    the ray-caster draws holes by a highlight's brightness, here it is what is brighter than lit metal can be.
-
+    Differences from the ray-caster: things cast shadows within 0.3 m of the terminal; highlights are round (Blinn,
+    Phong) and as wide as the geometric mean of the scene's lobes; light has 256 linear steps; the wall ends at 50 m.
+    Holes in glare follow the light beyond what lit metal can have, instead of the highlight's brightness.
     Use it in one thread at a time. `close`, or the end of a `with` block, releases OpenGL's memory.
 
     Args:
@@ -55,7 +54,7 @@ class MujocoCamera:
         self.close()
 
     def close(self) -> None:
-        """Release OpenGL's memory; a second call does nothing."""
+        """Release OpenGL's memory. Idempotent."""
         self._rasteriser.close()
 
     def render(
@@ -68,14 +67,14 @@ class MujocoCamera:
         """Return one image; the same generator state gives the same image on one machine.
 
         Args:
-            scene: what stands before the camera.
+            scene: in front of the camera.
             camera_T_terminal: (4, 4), from the terminal's frame to the optical frame (x right, y down, z forward).
             random: draws noise, holes and the streaks of metal.
             color_only: leave all depth unknown.
 
         Raises:
-            SceneError: the pose is not a rigid transform.
-            RendererError: the camera was closed.
+            RenderingError: the pose is not a rigid transform.
+            RendererError: the camera is closed.
         """
         check_pose("camera_T_terminal", camera_T_terminal)
         pose, p = np.asarray(camera_T_terminal, dtype=float), self.parameters
@@ -85,7 +84,7 @@ class MujocoCamera:
         for index, (box, placed) in enumerate(boxes):
             if box.metal and (window := _window(number == index)):
                 self._spoil(scene.parameters, box, placed, light, inverse, holes, number == index, window, random)
-        # What averaging cannot widen edges by is left to the blur.
+        # The blur provides edge width beyond the range of averaging.
         blur = math.sqrt(max(0.0, p.edge_width**2 - WIDEST**2) / 12.0)
         depth = None if color_only else (inverse, holes)
         blurred = replace(p, defocus=min(math.hypot(p.defocus, blur), 20.0)) if blur else p
@@ -94,7 +93,7 @@ class MujocoCamera:
     def _drawn(
         self, scene: RenderedScene, pose: Array, boxes: list[tuple[Box, Array]]
     ) -> tuple[Array32, Array32, NDArray[np.int32]]:
-        """Return light (3, H, W), 1/z (H, W) 1/m and numbers of boxes (H, W)."""
+        """Return light (3, H, W), 1/z (H, W) 1/m and box numbers (H, W)."""
         s = scene.parameters
         full = max(_LEAST_SCALE, min(_brightest(s, (box for box, _ in boxes)), _BRIGHTEST / self.parameters.exposure))
         lamp = Lamp(
@@ -143,13 +142,13 @@ def _wall(parameters: SceneParameters) -> Box:
 
 
 def _brightest(parameters: SceneParameters, boxes: Iterable[Box]) -> float:
-    """Return the most light that any of the boxes can send."""
+    """Return the largest light that any of the boxes can reflect."""
     lit, highlight = parameters.ambient + parameters.diffuse, parameters.highlight
     return max(lit * max(box.color) + (highlight if box.metal else 0.0) for box in boxes)
 
 
 def _window(mask: Mask) -> tuple[slice, slice] | None:
-    """Return rows and columns that hold a mask (H, W); None where it is empty."""
+    """Return the rows and columns of a mask (H, W); None if it is empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may hang, lie or reach before a terminal: cables, straps, hands and labels, as boxes that both renderers draw.
+"""Obstructions of a terminal for both renderers: cables, straps, hands and labels, as boxes.
 
-Each is drawn so that it passes through, or ends at, a place on the bars or beside them. The ranges are assumed. Frame:
-the terminal's (x along the bars, y up, z into the plate, touched faces at z = 0).
+Each passes through, or ends at, a random place on the bars or beside them. The ranges are assumed. Frame: the
+terminal's (x along the bars, y up, z into the plate, touched faces at z = 0).
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ Random = np.random.Generator
 
 _LINKS = 8  # straight parts of a cable
 _STICKER, _BAND = 0.0002, 0.001  # m, thickness
-_ROUND = math.cos(math.pi / 8)  # of two crossed squares, whose outline is nearly a circle
+_ROUND = math.cos(math.pi / 8)  # of two crossed squares, whose outline is almost a circle
 _BESIDE = 0.006  # m beside the bars that a place may be
 _AXES = np.eye(3)
-_ACROSS, _DOWN = 48, 8  # places on a face at which it is asked whether it is hidden
+_ACROSS, _DOWN = 48, 8  # places on a face that are tested for visibility
 
 
 def draw_obstruction(random: Random, kind: str, terminal: Terminal, room: float) -> tuple[Box, ...]:
     """Return one obstruction.
 
     Args:
-        random: draws it.
+        random: source of all random values.
         kind: one of KINDS.
-        terminal: what it is before.
-        room: m, how far before the touched faces it may be at most.
+        terminal: obstructed terminal.
+        room: m, largest distance in front of the touched faces.
 
     Raises:
         RenderingError: the kind is unknown, or there is no room.
@@ -50,14 +50,14 @@ def draw_obstruction(random: Random, kind: str, terminal: Terminal, room: float)
 
 
 def _cable(random: Random, terminal: Terminal, place: Array, room: float) -> list[Box]:
-    """Return a cable that sags between two ends on either side, round and of one colour."""
+    """Return a round cable of one colour that sags between two ends."""
     width, angle = random.uniform(0.002, 0.012), random.uniform(-math.pi, math.pi)
     away = 0.5 * width + _up_to(random, 0.8 * room, 0.06)
     reach, sag = random.uniform(0.08, 0.3), random.uniform(0.0, 0.06)
     along = np.array([math.cos(angle), math.sin(angle)])
     middle = random.uniform(-0.5, 0.5)
     color = _paint(random)
-    # A parabola through `place`: gravity draws it down the plate, and its ends are farther from it.
+    # A parabola through `place`: gravity pulls it down the plate, and its ends are farther from it.
     run = np.linspace(-1.0, 1.0, _LINKS + 1)
     bow = run**2 - middle**2
     points = np.empty((_LINKS + 1, 3))
@@ -73,7 +73,7 @@ def _cable(random: Random, terminal: Terminal, place: Array, room: float) -> lis
 
 
 def _strap(random: Random, terminal: Terminal, place: Array, room: float) -> list[Box]:
-    """Return a flat band, tight over the bars or raised and turned before them."""
+    """Return a flat band, tight over the bars, or raised and turned in front of them."""
     pose = _flat(random, place)
     width, length = random.uniform(0.006, 0.04), random.uniform(0.15, 0.6)
     if random.random() < 0.5:
@@ -142,14 +142,14 @@ def _between(start: Array, end: Array, section: tuple[float, float], askew: floa
 
 
 def _flat(random: Random, place: Array) -> Array:
-    """Return (4, 4) of something that lies flat at `place` (2,), turned at random."""
+    """Return the (4, 4) pose of something flat at `place` (2,), randomly turned."""
     pose = shifted((float(place[0]), float(place[1]), 0.0))
     pose[:3, :3] = turn(random.uniform(-math.pi, math.pi) * _AXES[2])
     return pose
 
 
 def _up_to(random: Random, room: float, usual: float) -> float:
-    """Return a distance, mostly small: touching is as likely as hanging before."""
+    """Return a distance, mostly small: touching is as likely as hanging in front."""
     return float(min(random.uniform(0.0, 1.0) ** 2 * usual, room))
 
 
@@ -166,7 +166,7 @@ KINDS: dict[str, Callable[[Random, Terminal, Array, float], list[Box]]] = {
     "hand": _hand,
     "label": _label,
 }
-"""By name, what draws it."""
+"""Function that draws each kind."""
 
 
 def hidden_share(boxes: Sequence[Box], terminal: Terminal, camera_T_terminal: Array) -> float:  # noqa: N803
@@ -181,7 +181,7 @@ def hidden_share(boxes: Sequence[Box], terminal: Terminal, camera_T_terminal: Ar
         turned, half = box.pose[:3, :3], 0.5 * np.asarray(box.size)
         start = (camera - box.pose[:3, 3]) @ turned
         run = (points - camera) @ turned
-        # Where the line of sight passes between each pair of the box's faces, in shares of the way to the point.
+        # Parameters at which the line of sight crosses each pair of the box's faces, in shares of its length.
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = (-half - start) / run, (half - start) / run
         enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes seen by a pinhole camera, in numpy: every pixel's ray, without a loop over pixels.
+"""Casts boxes into a pinhole camera with numpy: all pixels' rays at once, without a loop over pixels.
 
-With r = (u, v, 1) the ray of a pixel in the optical frame, all that a convex box needs is linear in r. A face
-n·p = h (n outward, h < 0 where the camera sees its front) is met at 1/z = n·r / h, and the box at the smallest such 1/z
-over the faces that are seen. Its outline is bounded by planes through the camera and the edges between a seen and an
-unseen face: e·r ≥ 0 inside, and e·r over its gradient per pixel is the distance to the edge in pixels, from which the
-pixel's covered share follows. So edges lie where they should to a small part of a pixel, and nothing needs clipping.
+With r = (u, v, 1) the ray of a pixel in the optical frame, everything about a convex box is linear in r. The ray meets
+a face n·p = h (n outward, h < 0 if the camera sees its front) at 1/z = n·r / h, and the box at the smallest 1/z of its
+visible faces. Planes through the camera and the edges between a visible and a hidden face bound the outline: e·r ≥ 0 is
+inside, and e·r over its gradient per pixel is the distance to the edge in pixels, which gives the covered share of the
+pixel. Edges are therefore exact to a small part of a pixel, and nothing needs clipping.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FACE_ACROSS = np.array([[(axis + 1) % 3, (axis + 2) % 3] for axis, _ in _FACES]
 _FACE_SIGN = np.array([sign for _, sign in _FACES], dtype=float)
 _EDGE_AXIS = np.array([3 - _FACES[i][0] - _FACES[j][0] for i, j in _EDGES])
 _NEAREST = 1e-3
-"""What is nearer to the camera's plane is taken to fill the image, m."""
+"""A body nearer to the camera's plane fills the image, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,11 @@ class Piece:
     """A box within the image.
 
     Attributes:
-        window: rows and columns of the image that hold it; (h, w) below.
+        window: its rows and columns of the image; (h, w) below.
         covered: (h, w) share of each pixel, 0 to 1.
-        inverse: (h, w) 1/m, 1/z on its surface where a pixel is covered.
-        shares: (h, w) each, of the seen faces: how much of the covered share belongs to it; (F,).
-        faces: (F,) their numbers: axis 0, 1, 2 and −/+ as 2 axis + (0 or 1).
+        inverse: (h, w) 1/m, 1/z on its surface, valid where a pixel is covered.
+        shares: (h, w) each, of the visible faces: each face's part of the covered share; (F,).
+        faces: (F,) numbers of these faces: axis 0, 1, 2 and −/+ as 2 axis + (0 or 1).
         normals: (F, 3) outward, in the optical frame.
     """
 
@@ -65,7 +65,7 @@ class Rays:
             self._u, self._v = (np.ascontiguousarray(ideal[..., i], dtype=np.float32) for i in (0, 1))
         else:
             self._u, self._v = across[None, :].astype(np.float32), down[:, None].astype(np.float32)
-        # The range of u in each column and of v in each row: a window that holds a box whatever the lens does.
+        # The range of u in each column and of v in each row, for windows that hold a box with any lens.
         margin = 4.0
         self._columns = (self._u.min(axis=0) - margin / self.focal[0], self._u.max(axis=0) + margin / self.focal[0])
         self._rows = (self._v.min(axis=1) - margin / self.focal[1], self._v.max(axis=1) + margin / self.focal[1])
@@ -81,7 +81,7 @@ class Rays:
         return np.asarray(u * x + (v * y + z), dtype=np.float32)
 
     def window(self, corners: Array) -> tuple[slice, slice] | None:
-        """Return rows and columns that hold a convex body with corners (N, 3) m; None where it is out of sight."""
+        """Return rows and columns of a convex body with corners (N, 3) m; None if it is out of sight."""
         if corners[:, 2].max() <= _NEAREST:
             return None
         if corners[:, 2].min() <= _NEAREST:
@@ -94,16 +94,16 @@ class Rays:
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
     def per_pixel(self, vector: Array) -> float:
-        """Return by how much vector·(u, v, 1) changes per pixel, in the middle of an undistorted image."""
+        """Return the change of vector·(u, v, 1) per pixel, in the middle of an undistorted image."""
         return float(np.hypot(vector[0] / self.focal[0], vector[1] / self.focal[1])) or 1e-30
 
     def cast(self, pose: Array, size: tuple[float, float, float], edge_width: float) -> Piece | None:
-        """Return what is seen of a box with (4, 4) pose in the optical frame; None where nothing is.
+        """Return the visible part of a box with (4, 4) pose in the optical frame; None if there is none.
 
         Args:
             pose: of its centre.
             size: (3,) m.
-            edge_width: px over which an edge passes from 0 to 1.
+            edge_width: px of an edge's ramp.
         """
         axes, centre, half = pose[:3, :3].T, pose[:3, 3], np.asarray(size) / 2
         window = self.window(centre + (_SIGN * half) @ axes)
@@ -111,7 +111,7 @@ class Rays:
             return None
         normals = _FACE_SIGN[:, None] * axes[_FACE_AXIS]
         heights = normals @ centre + half[_FACE_AXIS]
-        # A face without area has no outline, and its plane would cut off the pixels that an edge half covers.
+        # A face without area has no outline, and its plane would cut off pixels that an edge half covers.
         seen = (heights < -1e-9) & (half[_FACE_ACROSS].prod(axis=1) > 0.0)
         if not seen.any():
             return None
@@ -156,7 +156,7 @@ class Rays:
         return covered
 
     def _shares(self, planes: Array, inverses: list[Array32], edge_width: float) -> tuple[Array32 | float, ...]:
-        """Return how much of a covered pixel each seen face fills: the one with the smallest 1/z, edges blended."""
+        """Return each visible face's share of covered pixels: the smallest 1/z counts, with edges blended."""
         if len(planes) == 1:
             return (1.0,)
         found: list[Array32] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated camera sees: a terminal on its plate, a wall, and boxes behind and before it."""
+"""The simulated camera's scene: a terminal on its plate, a wall, and boxes behind and in front of it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class Box:
     """A box of one material.
 
     Attributes:
-        pose: (4, 4) from the box's frame (origin at its centre) to the terminal's, or the camera's where `in_camera`.
+        pose: (4, 4) from the box's frame (origin at its centre) to the terminal's, or to the camera's with `in_camera`.
         size: (3,) m along its x, y, z.
         color: reflectance of red, green, blue, linear, 0 to 1.
         metal: whether it mirrors the light, brushed along its x.
-        in_camera: whether it moves with the camera, as the charger's own parts do.
+        in_camera: whether it moves with the camera, like the charger's own parts.
 
     Raises:
-        SceneError: the pose is not rigid, a size is negative or infinite, or a colour is out of bounds.
+        RenderingError: the pose is not rigid, a size is negative or infinite, or a colour is out of bounds.
     """
 
     pose: Array
@@ -48,18 +48,18 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class RenderedScene:
-    """A terminal and its surroundings. What it does not have is not computed.
+    """A terminal and its surroundings.
 
     Attributes:
         terminal: geometry of the bars.
         parameters: plate, materials, light.
         light: direction toward the light in the terminal's frame, of any length; −z is the camera's side.
         background: boxes behind the plate.
-        foreground: boxes before it.
-        target: False leaves plate and bars out.
+        foreground: boxes in front of it.
+        target: False omits plate and bars.
 
     Raises:
-        SceneError: the light has no direction.
+        RenderingError: the light has no direction.
     """
 
     terminal: Terminal = field(default_factory=Terminal)
@@ -89,7 +89,7 @@ class RenderedScene:
         return Box(upper, size, color, metal=True), Box(lower, size, color, metal=True)
 
     def painted(self, camera_T_terminal: Array) -> Iterator[tuple[Box, Array]]:  # noqa: N803
-        """Yield every box with its (4, 4) pose in the optical frame, what is behind first as far as centres tell."""
+        """Yield every box with its (4, 4) pose in the optical frame, back to front by centres."""
         groups = [self._placed(self.background, camera_T_terminal)]
         if self.target:
             groups += [self._placed((self.plate(),), camera_T_terminal), self._placed(self.bars(), camera_T_terminal)]
@@ -103,15 +103,15 @@ class RenderedScene:
 
 
 def shifted(position: tuple[float, float, float]) -> Array:
-    """Return the (4, 4) transform that moves by `position` m."""
+    """Return the (4, 4) translation by `position` m."""
     return transform(np.eye(3), position)
 
 
 def check_pose(name: str, pose: Array) -> None:
-    """Refuse what is not a rigid transform (4, 4).
+    """Refuse anything but a rigid transform (4, 4).
 
     Raises:
-        SceneError: it has another shape, holds NaN, scales, shears or mirrors.
+        RenderingError: another shape, NaN, scale, shear or mirroring.
     """
     if np.shape(pose) != (4, 4):
         raise RenderingError(name, f"a pose of shape {np.shape(pose)}; give a (4, 4) transform")

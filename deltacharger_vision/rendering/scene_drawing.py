@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes for tests and campaigns: drawn surroundings, things that resemble electrodes, and what hides them.
+"""Random scenes for tests and campaigns: surroundings, decoys that resemble electrodes, and covers.
 
 The ranges are assumed. Frames: the terminal's (x along the bars, y up, z into the plate) and `charger_base` (+z toward
 the target, +y up, +x to the left when looking along +z).
@@ -23,7 +23,7 @@ from deltacharger_vision.terminal import UPPER, Terminal
 Random = np.random.Generator
 
 REACH = 0.45
-"""Largest |x| and |y| of what stands around a drawn terminal, m."""
+"""Largest |x| and |y| of things around a random terminal, m."""
 _METAL: Color = (0.63, 0.64, 0.65)
 _DARK: Color = (0.05, 0.05, 0.055)
 
@@ -34,16 +34,16 @@ def draw_scene(
     decoys: int = 0,
     target: bool = True,
 ) -> RenderedScene:
-    """Return a scene with drawn light, materials, wall, panel behind the plate and surroundings.
+    """Return a scene with random light, materials, wall, panel behind the plate and surroundings.
 
     Args:
-        random: draws all of it.
-        clutter: boxes around.
-        decoys: things that resemble electrodes and are none.
-        target: False leaves plate and bars out.
+        random: source of all random values.
+        clutter: number of boxes around.
+        decoys: number of things that resemble electrodes.
+        target: False omits plate and bars.
 
     Raises:
-        SceneError: a number is negative.
+        RenderingError: a number is negative.
     """
     if clutter < 0 or decoys < 0:
         raise RenderingError("scene", f"{clutter} boxes and {decoys} decoys; give 0 or more")
@@ -72,8 +72,8 @@ def draw_scene(
 def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:
     """Return one thing that resembles electrodes, at (4, 4) `pose` in the terminal's frame.
 
-    A stripe of light paint, a pipe, a single bar, two bars at another spacing, a grille, or a terminal of the right
-    proportions that is too small or too large: in a colour image alone the last is a terminal at another range.
+    A stripe of light paint, a pipe, a single bar, two bars with another spacing, a grille, or a terminal of the right
+    proportions but wrong size. In a colour image alone, the last is a terminal at another range.
     """
     kinds: tuple[Callable[[Random, Terminal], list[Box]], ...] = (_stripe, _pipe, _bar, _pair, _grille, _scaled)
     boxes = kinds[random.integers(len(kinds))](random, terminal)
@@ -81,10 +81,10 @@ def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:
 
 
 def cover(terminal: Terminal, share: float, bar: int = UPPER, side: int = 1, color: Color = _DARK) -> Box:
-    """Return a box 1 mm before the bars that hides `share` of one bar's length from its end at `side` · x on.
+    """Return a box 1 mm in front of the bars that hides `share` of one bar's length from its end at `side` · x on.
 
     Raises:
-        SceneError: the share is outside 0…1.
+        RenderingError: the share is outside 0…1.
     """
     if not 0.0 <= share <= 1.0:
         raise RenderingError("cover", f"a share of {share}; give 0…1")
@@ -104,7 +104,7 @@ def charger_parts(
     Args:
         charger_base_T_camera: (4, 4).
         platform: (3,) m in charger_base, centre of the platform's front.
-        arm_angles: of the three arms from radially outward toward +z, rad.
+        arm_angles: of the three arms, from radially outward toward +z, rad.
     """
     to_camera = np.linalg.inv(charger_base_T_camera)
     body = _Charger()
@@ -120,7 +120,7 @@ def charger_parts(
 
 @dataclasses.dataclass(frozen=True)
 class _Charger:
-    """Dimensions of the delta, m: those of the kinematics' defaults; the platform's outline is assumed."""
+    """Dimensions of the delta, m: the kinematics' defaults; the platform's outline is assumed."""
 
     base_radius: float = 0.055
     arm: float = 0.100
@@ -141,7 +141,7 @@ def _stick(start: Array, end: Array, width: float) -> Box:
 
 
 def _place(random: Random, near: float, far: float) -> Array:
-    """Return a drawn (4, 4) pose behind the plate, turned about z most of all."""
+    """Return a random (4, 4) pose behind the plate, turned mainly about z."""
     z = random.uniform(near, max(near, far))
     pose = shifted((random.uniform(-REACH, REACH), random.uniform(-REACH, REACH), z))
     pose[:3, :3] = _turn(2, random.uniform(-math.pi, math.pi)) @ _turn(0, random.normal(0.0, 0.3))
@@ -157,7 +157,7 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _panel(random: Random, terminal: Terminal, parameters: SceneParameters) -> Box:
-    """Return the front of the robot that carries the plate."""
+    """Return the front panel of the robot that carries the plate."""
     depth = min(0.2, max(0.01, parameters.wall_distance - 0.1))
     z = terminal.bar_thickness + parameters.plate_thickness + depth / 2
     size = (random.uniform(0.25, 0.6), random.uniform(0.2, 0.5), depth)
@@ -215,6 +215,6 @@ def _grown(box: Box, factor: float) -> Box:
 
 
 def _row(terminal: Terminal, places: tuple[float, ...]) -> list[Box]:
-    """Return metal bars of the terminal's size with their middle lines at y = places (m)."""
+    """Return metal bars of the terminal's size with their centre lines at y = places (m)."""
     size = (terminal.bar_length, terminal.bar_height, terminal.bar_thickness)
     return [Box(shifted((0.0, y, terminal.bar_thickness / 2)), size, _METAL, metal=True) for y in places]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From true depth to what two cameras with block matching report of it."""
+"""From true depth to the depth of two cameras with block matching."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deltacharger_vision.rendering.parameters import CameraParameters
 _LOGISTIC = 1.702
 """1 / (1 + exp(−1.702 x)) is the normal distribution within 0.01."""
 _TOLERANCE = 0.5
-"""A pixel is hidden from a camera when something lies before it by that much, px."""
+"""Distance in front of a pixel, as disparity, from which something hides it, px."""
 
 
 def measured(
@@ -53,7 +53,7 @@ def measured(
 
 
 def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) -> Array32:
-    """Return normal noise (H, W) of variance 1 that is alike over `width` px: white noise averaged over squares."""
+    """Return normal noise (H, W) of variance 1, correlated over `width` px: white noise averaged over squares."""
     rows, columns = shape
     single = white((rows + width - 1, columns + width - 1), random)
     down = single[:rows].copy()
@@ -67,10 +67,10 @@ def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) ->
 
 
 def _hidden(inverse: Array32, per_inverse: float) -> Mask:
-    """Return what one of the two cameras, half a baseline to either side of this image, cannot see.
+    """Return the pixels that one of the two cameras, half a baseline on either side of this image, cannot see.
 
-    A camera to the right sees column x at x − d/2. Something to the right of x hides it when it falls to the left of
-    that place, and mirrored for the camera to the left. What falls out of a camera's image is not seen either.
+    The right camera sees column x at x − d/2. Something further right hides x if it appears left of that place; for the
+    left camera, the reverse. Pixels outside a camera's image are also invisible.
     """
     columns = np.arange(inverse.shape[1], dtype=np.float32)
     half = inverse * np.float32(0.5 * per_inverse)
@@ -83,7 +83,7 @@ def _hidden(inverse: Array32, per_inverse: float) -> Mask:
 
 
 def _fattened(disparity: Array32, reach: int, step: float) -> Array32:
-    """Return disparity with what is near spread by `reach` px over what is farther by more than `step` px."""
+    """Return disparity with near parts spread by `reach` px over parts farther by more than `step` px."""
     largest = disparity
     for axis in (0, 1):
         padded = np.pad(largest, [(reach, reach) if i == axis else (0, 0) for i in (0, 1)], mode="edge")
@@ -96,7 +96,7 @@ def _fattened(disparity: Array32, reach: int, step: float) -> Array32:
 
 
 def _holes(share: Array32, width: int, random: np.random.Generator) -> Mask:
-    """Return blobs of about `width` px that make up the given share (H, W), drawn at half the resolution."""
+    """Return blobs of about `width` px that cover the given share (H, W), drawn at half the resolution."""
     rows, columns = share.shape
     coarse = blotches(((rows + 1) // 2, (columns + 1) // 2), max(1, width // 2), random)
     even = 1.0 / (1.0 + np.exp(np.float32(-_LOGISTIC) * coarse))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of vision its nodes and those who hear them share of ROS."""
+"""ROS helpers shared by the vision nodes and their clients."""

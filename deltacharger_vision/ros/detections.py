@@ -13,10 +13,10 @@ from deltacharger_vision.placed import Placed
 def detection_message(
     placed: Placed, stamp: Time, confidence: float, distance: float, frame_id: str = FRAME
 ) -> ElectrodeDetection:
-    """Return electrodes as their message.
+    """Convert electrodes to a message.
 
     Args:
-        placed: where they are.
+        placed: their pose.
         stamp: of the image.
         confidence: 0 to 1.
         distance: m from the camera.

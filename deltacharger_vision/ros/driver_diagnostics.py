@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver of a camera says of itself on /diagnostics, whoever wrote it."""
+"""Reads a camera driver's reports on /diagnostics, for any driver."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import threading
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-_SPOKEN_MAX = 300  # characters of a message that are passed on
+_QUOTED_MAX = 300  # characters of a quoted message
 _KEPT_MAX = 200  # names: a robot has many nodes, and a broken one could invent more
 
 
 class DriverDiagnostics:
-    """The last words of each node on /diagnostics that are neither OK nor withdrawn.
+    """The latest report of each node on /diagnostics, unless OK.
 
     Args:
-        node: subscribes.
-        lock: held while it is told and asked.
+        node: that subscribes.
+        lock: held by callbacks; hold it while calling `of_publisher`.
     """
 
     def __init__(self, node: Node, lock: threading.Condition) -> None:
@@ -27,16 +27,16 @@ class DriverDiagnostics:
         self._subscription = node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         self._node.destroy_subscription(self._subscription)
 
     def of_publisher(self, topic: str) -> str:
-        """Return who publishes a topic and what ails it, as "NODE: PART says MESSAGE", or ''."""
+        """Return the publisher of a topic and its problem, as "NODE: PART reports: MESSAGE", or ''."""
         for end in self._node.get_publishers_info_by_topic(topic):
             name = f"{end.node_namespace.rstrip('/')}/{end.node_name}".lstrip("/")
-            for told, message in self._problems.items():
-                if told == name or told.startswith(f"{name}:"):
-                    return f"{told} says: {message[:_SPOKEN_MAX]}"
+            for reporter, message in self._problems.items():
+                if reporter == name or reporter.startswith(f"{name}:"):
+                    return f"{reporter} reports: {message[:_QUOTED_MAX]}"
         return ""
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between arrays and the messages that every RGB-D driver publishes: sensor_msgs/Image and sensor_msgs/CameraInfo."""
+"""Conversion between arrays and the messages of RGB-D drivers: sensor_msgs/Image and sensor_msgs/CameraInfo."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def stamp_ns(message: Any) -> int:
 
 
 def intrinsics_of(info: CameraInfo, source: str) -> Intrinsics:
-    """Return what a CameraInfo says; CameraInfoError, which names `source`, where it cannot be used."""
+    """Convert a CameraInfo; raises CameraInfoError, which names `source`, if it is unusable."""
     return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source)
 
 
 def rgbd_of(color: Image, depth: Image | None, intrinsics: Intrinsics) -> RgbdImage:
-    """Return two messages as one image, without depth where there is none.
+    """Convert two messages to one image, without depth if that is missing.
 
     Raises:
-        ImageError: an encoding is unknown, or the images do not fit together.
+        ImageError: an encoding is unknown, or the images do not match.
     """
     pixels = color_array(color)
     metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
@@ -46,7 +46,7 @@ def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRA
 
 
 def depth_message(depth: NDArray[np.float32], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
-    """Return (H, W) m, NaN = unknown, as 16UC1: whole mm, 0 = unknown; what is beyond 65.5 m is unknown."""
+    """Return (H, W) m, NaN = unknown, as 16UC1: whole mm, 0 = unknown, including values beyond 65.5 m."""
     millimetres = np.nan_to_num(depth * np.float32(1e3), nan=0.0, posinf=0.0, neginf=0.0) + np.float32(0.5)
     millimetres[millimetres >= 65536.0] = 0.0
     return _message(millimetres.astype(np.uint16), "16UC1", 2, stamp, frame)
@@ -72,7 +72,7 @@ def _message(pixels: NDArray[Any], encoding: str, bytes_per_pixel: int, stamp: T
     message.height, message.width = pixels.shape[:2]
     message.encoding, message.is_bigendian = encoding, int(sys.byteorder == "big")
     message.step = message.width * bytes_per_pixel
-    data = array("B")  # the one type that rclpy takes without looking at each element
+    data = array("B")  # the only type that rclpy takes without checking each element
     data.frombytes(np.ascontiguousarray(pixels).tobytes())
     message.data = data
     return message

@@ -20,11 +20,11 @@ class CameraPublishers:
     """The three topics of an RGB-D camera.
 
     Args:
-        node: publishes.
+        node: that publishes.
         frame_id: full name of the camera's optical frame.
 
     Attributes:
-        published: number of colour images, of those that somebody wanted.
+        published: number of colour images published.
     """
 
     def __init__(self, node: Node, frame_id: str) -> None:
@@ -39,7 +39,7 @@ class CameraPublishers:
         self.published = 0
 
     def wanted(self, *kinds: str) -> bool:
-        """Return whether somebody subscribes to one of these kinds, or to any."""
+        """Return whether one of these kinds, or any, has subscribers."""
         return any(self._publishers[kind].get_subscription_count() for kind in kinds or self._publishers)
 
     def now(self) -> int:
@@ -47,7 +47,7 @@ class CameraPublishers:
         return int(self._clock.now().nanoseconds)
 
     def image(self, image: RgbdImage, taken: float, has_depth: bool = True) -> None:
-        """Publish what somebody wants of an image, taken at `taken` (s by time.monotonic), with one stamp for all."""
+        """Publish the parts of an image that have subscribers; `taken` is its time (s, time.monotonic)."""
         stamp = _time(self.now() - round(1e9 * (time.monotonic() - taken)))
         if self.wanted(INFO):
             self._publish(INFO, camera_info_message(image.intrinsics, stamp, self._frame_id))
@@ -61,7 +61,7 @@ class CameraPublishers:
         self._publish(INFO, camera_info_message(intrinsics, _time(self.now()), self._frame_id))
 
     def recorded(self, kind: str, message: Any, stamp: int) -> None:
-        """Publish a message anew at another time, ns."""
+        """Publish a message again with another stamp, ns."""
         message.header.stamp, message.header.frame_id = _time(stamp), self._frame_id
         self._publish(kind, message)
 

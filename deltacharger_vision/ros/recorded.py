@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded messages of a camera as messages; apart, since who only publishes or hears images needs no recordings."""
+"""Decodes a camera's recorded messages; separate, because publishers and subscribers of images need no recordings."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from deltacharger_vision.images import INFO
 
 
 def decoded(recording: CameraRecording, each: Recorded) -> Any:
-    """Return a recorded message.
+    """Decode a recorded message.
 
     Raises:
-        RecordingError: it is none of its topic's type.
+        RecordingError: the data are not of its topic's type.
     """
     kind = CameraInfo if each.kind == INFO else Image
     try:
         return deserialize_message(each.data, kind)
-    except Exception as error:  # rclpy raises its own private kinds
+    except Exception as error:  # rclpy's own private classes
         raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error

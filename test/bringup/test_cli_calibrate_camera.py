@@ -275,7 +275,7 @@ def test_images_and_intrinsics_must_be_of_one_size(capsys: pytest.CaptureFixture
     (views / "view_002.png").write_bytes(b"no image")
     code, _, err = run(capsys, "--views", views, *offset(rig))
     assert code == WRONG_INPUT
-    assert "is no image" in err
+    assert "is not an image" in err
 
 
 def test_missing_files_are_named(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path, tmp_path: Path) -> None:

@@ -224,7 +224,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
         ("--color a.png --camera-info none.yaml", "none.yaml: there is no such file"),
         ("--color none.png --camera-info k.yaml", "none.png: there is no such file"),
         ("--color a.png --depth none.npy --camera-info k.yaml", "none.npy: there is no such file"),
-        ("--color k.yaml --camera-info k.yaml", "k.yaml: is no image"),
+        ("--color k.yaml --camera-info k.yaml", "k.yaml: is not an image"),
         ("--color empty.png --camera-info k.yaml", "empty.png: is empty"),
         ("--color . --camera-info k.yaml", "it is a folder"),
         ("--color a.png --camera-info a.png", "a.png: not valid YAML"),
@@ -278,7 +278,7 @@ def test_broken_images_do_not_stop_a_folder(files: Path, tmp_path: Path, run: Ru
     assert set(results["a"]) == set(results["b"]) == KEYS
     near(results["a"])
     assert (results["alone"]["source"], results["b"]["found"]) == ("pnp", False)
-    assert "broken.color.png: is no image, or damaged" in results["broken"]["error"]
+    assert "broken.color.png: is not an image, or damaged" in results["broken"]["error"]
     assert "no colour image" in results["colorless"]["error"]
     times = [results[name]["detection_time"] for name in ("a", "alone", "b")]
     assert found["detection_time"]["median"] == sorted(times)[1]

@@ -58,7 +58,7 @@ def second(**family: Any) -> dict[str, Any]:
         (
             second(foundation={"base_stiffness": [1e9, 2e9], "modulus": [1e5, 2e6], "thickness": [5e-4, 2e-3]}),
             "second.foundation.base_stiffness",
-            "give more",
+            "increase it",
         ),
         ({"estimator": {"model": "2N"}}, "estimator.model", "not one of packaged, 1N"),
         ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "if estimator.paper is true"),

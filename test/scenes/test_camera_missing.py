@@ -90,7 +90,7 @@ def test_camera_node_runs_without_depthai_and_finds_it_once_installed(
     [
         (["camera_node"], "depthai", "camera_node: camera", "depthai is not installed"),
         (["camera_node"], "cv2", "electrode_detector_node: detector", "OpenCV is not installed"),
-        ([], "", "electrode_detector_node: detector", "nobody publishes"),
+        ([], "", "electrode_detector_node: detector", "no publisher"),
     ],
     ids=["depthai", "opencv", "no driver"],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's classifiers and one more: what they learn, how they are kept, and when their answer may be acted on."""
+"""The paper's classifiers and one more: training, files, and when an answer may be used."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def trained(name: str, rows: Examples, target: str = "angle") -> tuple[Classifie
 
 
 @pytest.mark.parametrize("name", [slow(name) if NEEDS.get(name) == "torch" else name for name in NAMES])
-def test_what_runs_on_numpy_is_what_was_trained(name: str, angle: Examples, tmp_path: Path) -> None:
+def test_numpy_export_matches_the_trained_model(name: str, angle: Examples, tmp_path: Path) -> None:
     model, rows = trained(name, angle)
     found = model.predict_proba(rows.frames)
     np.testing.assert_allclose(found, model.trainer_proba(rows.frames), atol=1e-6)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-9)
-    assert np.mean(found.argmax(axis=1) == rows.labels) > 0.5  # one in six would be chance
+    assert np.mean(found.argmax(axis=1) == rows.labels) > 0.5  # chance is one in six
     model.save(tmp_path / "model.npz")
     again = Classifier.load(tmp_path / "model.npz")
     np.testing.assert_allclose(again.predict_proba(rows.frames), found, atol=1e-12)
@@ -54,13 +54,13 @@ def test_what_runs_on_numpy_is_what_was_trained(name: str, angle: Examples, tmp_
 
 
 @pytest.mark.parametrize("name", ["forest", slow("cnn")])
-def test_the_same_seed_learns_the_same(name: str, angle: Examples) -> None:
+def test_same_seed_gives_the_same_model(name: str, angle: Examples) -> None:
     one, rows = trained(name, angle)
     two, _ = trained(name, angle)
     np.testing.assert_allclose(one.predict_proba(rows.frames), two.predict_proba(rows.frames), atol=1e-5)
 
 
-def test_a_dead_taxel_counts_as_nothing_felt(angle: Examples) -> None:
+def test_a_dead_taxel_counts_as_zero(angle: Examples) -> None:
     model, rows = trained("logistic", angle)
     dead, nothing = rows.frames.copy(), rows.frames.copy()
     dead[:, 0, 4, 4], nothing[:, 0, 4, 4] = np.nan, 0.0
@@ -68,7 +68,7 @@ def test_a_dead_taxel_counts_as_nothing_felt(angle: Examples) -> None:
 
 
 @pytest.mark.parametrize("target", labels.TARGETS)
-def test_sets_hold_the_truth_as_often_as_they_say(target: str, data: Dataset) -> None:
+def test_conformal_sets_reach_their_nominal_coverage(target: str, data: Dataset) -> None:
     covered = []
     for seed in range(8):
         pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
@@ -82,7 +82,7 @@ def test_sets_hold_the_truth_as_often_as_they_say(target: str, data: Dataset) ->
     assert np.mean(covered) >= reliability.NOMINAL - 0.03
 
 
-def test_frames_unlike_those_of_training_are_noticed(angle: Examples) -> None:
+def test_frames_unlike_training_are_detected(angle: Examples) -> None:
     model, rows = trained(SIMPLE, angle)
     model.calibrate(rows.frames, rows.labels)
     assert model.reliability is not None
@@ -91,7 +91,7 @@ def test_frames_unlike_those_of_training_are_noticed(angle: Examples) -> None:
         assert model.reliability.familiar.strange(strange, model.threshold).mean() > 0.9
 
 
-def test_what_is_not_calibrated_says_so_by_nan(angle: Examples) -> None:
+def test_uncalibrated_metrics_are_nan(angle: Examples) -> None:
     model, rows = trained(SIMPLE, angle)
     found = evaluate(model, rows)
     assert np.isnan([found["coverage"], found["act_rate"], found["drift_rate"]]).all()
@@ -99,13 +99,13 @@ def test_what_is_not_calibrated_says_so_by_nan(angle: Examples) -> None:
         model.calibrate(rows.frames[:5], rows.labels[:5])
 
 
-def test_classes_are_those_of_the_paper() -> None:
+def test_classes_match_the_paper() -> None:
     degrees = np.radians([0.0, 0.49, 0.51, 4.6, 5.5, 5.6])
     assert labels.label(degrees, "angle").tolist() == [0, 0, 1, 5, 5, -1]
     assert labels.label(np.array([-0.010, -0.0124, 0.0024, 0.0026, 0.0126]), "horizontal").tolist() == [0, 0, 2, 3, -1]
 
 
-def test_rows_of_a_target_are_those_that_vary_it(data: Dataset) -> None:
+def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:
     assert [len(examples(data, target)) for target in labels.TARGETS] == [600, 500, 500]
     assert np.bincount(examples(data, "angle").labels).tolist() == [100] * 6
     assert np.bincount(examples(data, "horizontal").labels).tolist() == [100] * 5
@@ -113,7 +113,7 @@ def test_rows_of_a_target_are_those_that_vary_it(data: Dataset) -> None:
     assert (examples(continuous, "angle").values <= np.radians(5.5)).all()
 
 
-def test_a_docking_lies_on_one_side_of_a_split(angle: Examples) -> None:
+def test_a_split_never_separates_a_docking(angle: Examples) -> None:
     double = Examples(*(np.repeat(getattr(angle, name), 2, axis=0) for name in Examples.__dataclass_fields__))
     learns, judges = splits.by_docking(double, seed=3)
     assert not set(double.groups[learns]) & set(double.groups[judges])
@@ -134,7 +134,7 @@ def test_each_rig_is_left_out_once() -> None:
 
 
 @pytest.mark.parametrize(("name", "target"), [("cnn2", "angle"), ("cnn", "pose")])
-def test_what_does_not_exist_is_named(name: str, target: str) -> None:
+def test_unknown_classifiers_and_targets_are_refused(name: str, target: str) -> None:
     with pytest.raises(ModelError, match="known are"):
         Classifier(name, target)
 

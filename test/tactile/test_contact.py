@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the contact model: nothing of the force is lost, symmetry, signs, misses."""
+"""Laws of the contact model: no force is lost, symmetry, signs, misses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def centre(pad: np.ndarray, axis: int) -> float:
     return float(line @ V / line.sum())
 
 
-def test_the_pads_carry_the_whole_force() -> None:
+def test_the_pads_carry_the_entire_force() -> None:
     force = np.linspace(5.0, 120.0, 200)
     contact = MODEL.solve(poses(200), force, (0.001, 0.002))
     assert np.array_equal(contact.touching, contact.taxels.sum(axis=(1, 2, 3)) > 0)
@@ -53,9 +53,9 @@ def test_mirroring_the_pose_mirrors_the_pads() -> None:
 
 
 def test_signs_follow_the_target() -> None:
-    """Where the ridge's own points end up, by plain trigonometry, is where the pads feel them."""
+    """The pads read pressure where trigonometry puts the ridge's points."""
     up = MODEL.solve((0.0, 0.005, 0.0), 60.0).taxels[0]
-    assert centre(up[0], 0) == pytest.approx(0.005, abs=4e-4)  # the target is higher: both pads feel it higher
+    assert centre(up[0], 0) == pytest.approx(0.005, abs=4e-4)  # a higher target presses higher on both pads
     assert centre(up[1], 0) == pytest.approx(0.005, abs=4e-4)
     angle = np.radians(6.0)
     turned = MODEL.solve((0.0, 0.0, angle), 60.0).taxels[0]
@@ -65,16 +65,16 @@ def test_signs_follow_the_target() -> None:
     # Within a pad the ridge rises toward +x, which is toward column 0.
     toward_x, toward_minus_x = turned[0][:, :3], turned[0][:, 7:]
     assert centre(toward_x, 0) > centre(toward_minus_x, 0) + 1e-3
-    # A target that is shifted far to +x leaves the −x end of the left pad.
+    # A target far to +x leaves the −x end of the left pad.
     aside = MODEL.solve((0.016, 0.0, 0.0), 60.0).taxels[0]
     assert centre(aside[0], 1) > 1e-3
-    # Tilts press what the docstring says they press.
+    # Tilts press the sides that the docstring states.
     tilted = MODEL.solve((0.0, 0.0, 0.0), 60.0, (0.0, 0.001)).taxels[0]
     assert tilted[0].sum() > tilted[1].sum() + 5.0
     assert centre(MODEL.solve((0.0, 0.0, 0.0), 60.0, (0.005, 0.0)).taxels[0, 0], 0) > 1e-5
 
 
-def test_a_missed_ridge_presses_nothing() -> None:
+def test_a_missed_ridge_exerts_no_force() -> None:
     both = MODEL.solve((0.0, 0.020, 0.0), 60.0)
     assert not both.touching[0]
     assert not both.taxels.any()

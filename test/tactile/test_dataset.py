@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data files of others: what may be missing, and what each kind of mistake is answered with."""
+"""Data files of other programs: optional arrays, and the error for each kind of mistake."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def written(path: Path, arrays: Arrays) -> Path:
     return path
 
 
-def test_what_others_need_not_write_is_unknown(arrays: Arrays, tmp_path: Path) -> None:
+def test_missing_optional_arrays_are_unknown(arrays: Arrays, tmp_path: Path) -> None:
     needed = {name: value for name, value in arrays.items() if name not in ("dead", "contact_pose", "force")}
     needed["meta"] = np.array("{}")
     data = Dataset.load(written(tmp_path / "other.npz", needed))
@@ -76,7 +76,7 @@ def spoil(name: str, value: float) -> Callable[[Arrays], None]:
         (put("left", lambda left: left.reshape(-1, 100)), "has shape"),
         (put("right", lambda right: right[:-1]), "has shape"),
         (put("angle", lambda angle: np.zeros(0)), "no rows"),
-        (put("rig", lambda rig: rig.astype(float)), "whole numbers"),
+        (put("rig", lambda rig: rig.astype(float)), "integers"),
         (put("current", lambda current: current.astype(str)), "must hold numbers"),
         (spoil("left", np.nan), "row 3 of left"),
         (spoil("angle", np.inf), "row 3 of angle"),
@@ -109,14 +109,14 @@ def test_damaged_files_are_refused(arrays: Arrays, tmp_path: Path, monkeypatch: 
         Dataset.load(tmp_path / "good.npz")
 
 
-def test_a_shape_that_lies_is_refused(arrays: Arrays, tmp_path: Path) -> None:
+def test_a_false_shape_is_refused(arrays: Arrays, tmp_path: Path) -> None:
     path = written(tmp_path / "good.npz", arrays)
-    lying = tmp_path / "lying.npz"
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(lying, "w") as target:
+    false_shape = tmp_path / "false_shape.npz"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(false_shape, "w") as target:
         for name in source.namelist():
             content = source.read(name)
             if name == "tare.npy":
                 content = content.replace(b"(20, 2, 10, 10)", b"(9**15, 2,10,9)")
             target.writestr(name, content)
     with pytest.raises(DatasetError):
-        Dataset.load(lying)
+        Dataset.load(false_shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packaged model on rigs that training did not see: precise, honest, and silent where it does not know."""
+"""The packaged model on unseen rigs: precise, with true uncertainties, and out of range if unsure."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_three_standard_deviations_hold(wide: Any, name: str, axis: int) -> None
     _, _, pose, estimate = wide
     truth = np.column_stack([pose, across(pose)])
     z = ((getattr(estimate, name) - truth[:, axis]) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
-    # Faces of these rigs are level: what is told of places includes the lean that training has and nobody knows.
+    # Faces of these rigs are level, but the estimated spread includes the unknown leans of training.
     assert (0.6 if name == "angle" else 0.45) < z.std() < 1.1
     assert np.mean(np.abs(z) > 3) < 0.01
     assert np.abs(z).max() < 7.0
@@ -85,7 +85,7 @@ def test_never_energises_beyond_twelve_degrees() -> None:
 
 
 def test_signs_by_the_contact_model_alone() -> None:
-    """A clean contact, no sensor: the estimate must be the pose that pressed the pads."""
+    """Without sensor errors, the estimate must be the pose in contact."""
     contact = ContactModel()
     for pose in (
         (0.0, 0.004, 0.0),
@@ -119,7 +119,7 @@ def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
     assert np.allclose(over_x.vertical, estimate.vertical[rows], atol=1e-7)
 
 
-def test_out_of_range_where_a_pad_does_not_tell() -> None:
+def test_out_of_range_without_both_pads() -> None:
     left, right, _ = dockings(40, 0.003, 6.0, range(340, 342), 5)
     good = MODEL.predict(left, right)
     assert good.in_range.mean() > 0.95
@@ -171,7 +171,7 @@ def test_class_probabilities() -> None:
     assert np.mean(best == true) > 0.85
 
 
-def test_a_dead_taxel_takes_the_value_of_its_row() -> None:
+def test_a_dead_taxel_is_filled_from_its_row() -> None:
     frames = np.zeros((1, 2, 10, 10))
     frames[0, 0, 4] = 2.0
     frames[0, 0, 4, 5] = np.nan
@@ -199,7 +199,7 @@ def test_training_saving_and_loading(tmp_path: Path) -> None:
     assert loaded.about == model.about
 
 
-def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
+def test_files_that_are_not_models_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "data.npz", left=np.zeros(3))
     with pytest.raises(ModelError, match=r"data\.npz"):
         PoseEstimator.load(tmp_path / "data.npz")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tactile frames an estimate may be made of: those sampled after the question, whatever the clocks do."""
+"""Estimates use only frames sampled after the request, even if clocks are set."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def frame(sampled: float) -> Frame:
 
 
 def ask(window: FrameWindow, wanted: int, then: list[Frame]) -> list[Frame]:
-    """Ask for `wanted` fresh frames and let `then` arrive while it waits."""
+    """Request `wanted` fresh frames; `then` arrives during the wait."""
     sender = threading.Timer(0.05, lambda: [window.add(each) for each in then])
     sender.start()
     try:
@@ -38,7 +38,7 @@ def ask(window: FrameWindow, wanted: int, then: list[Frame]) -> list[Frame]:
 
 
 @pytest.mark.parametrize("jump", [0.0, -1.0, -3600.0])
-def test_frames_of_before_the_question_never_count(jump: float) -> None:
+def test_frames_from_before_the_request_never_count(jump: float) -> None:
     clock = Clock()
     window = FrameWindow(clock)
     for index in range(50):
@@ -56,7 +56,7 @@ def test_frames_that_arrive_late_do_not_count() -> None:
 
 
 @pytest.mark.parametrize(("stamp", "problem"), [(-0.3, "0.300 s old"), (0.3, "0.300 s ahead of this node")])
-def test_an_average_is_of_now(stamp: float, problem: str) -> None:
+def test_an_average_must_be_current(stamp: float, problem: str) -> None:
     clock = Clock()
     with pytest.raises(Refused, match=problem):
         FrameWindow(clock).average([frame(clock.time + stamp)], 0.25)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several dockings, and reference dockings, are worth."""
+"""Accuracy of combined dockings, and of reference dockings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def accuracy(model: Classifier, frames: np.ndarray, wanted: np.ndarray) -> float
     return float(np.mean(model.predict(frames) == wanted))
 
 
-def test_independent_dockings_multiply() -> None:
+def test_probabilities_of_independent_dockings_multiply() -> None:
     one = np.array([[0.6, 0.3, 0.1]])
     np.testing.assert_allclose(together([one]), one)
     np.testing.assert_allclose(together([one, one]), one**2 / np.sum(one**2))
@@ -32,12 +32,12 @@ def test_independent_dockings_multiply() -> None:
     np.testing.assert_allclose(together([one, even]), one)
 
 
-def test_a_strange_docking_rules_nothing_out() -> None:
+def test_an_outlier_does_not_rule_out_a_class() -> None:
     strange, usual = np.array([[0.0, 1.0]]), np.array([[0.999, 0.001]])
     assert together([strange, usual, usual, usual]).argmax() == 0
 
 
-def test_three_dockings_tell_more_than_one() -> None:
+def test_three_dockings_are_more_accurate_than_one() -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     rows = examples(generate_paper(rigs=(310, 311), seed=5, threshold=THRESHOLD), "horizontal")
     learns, judges = splits.by_docking(rows, seed=1)
@@ -57,7 +57,7 @@ def test_three_dockings_tell_more_than_one() -> None:
 
 
 @pytest.mark.parametrize("name", ["lda", DEFAULT])
-def test_reference_dockings_take_a_constant_tilt_off(name: str) -> None:
+def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     rows = examples(generate_paper(rigs=(312,), seed=5, threshold=THRESHOLD), "horizontal")
     model = Classifier(name, "horizontal", THRESHOLD).fit(rows.frames, rows.labels)
@@ -66,9 +66,9 @@ def test_reference_dockings_take_a_constant_tilt_off(name: str) -> None:
 
     def dockings(device: Rig, places: np.ndarray, seed: int) -> np.ndarray:
         pose = np.column_stack([places, np.zeros((len(places), 2))])
-        felt = measure(TactileParameters(), device, pose, np.random.default_rng(seed), 1, THRESHOLD)
-        frames = np.stack([felt["left"], felt["right"]], axis=1)
-        frames[felt["dead"]] = np.nan
+        readings = measure(TactileParameters(), device, pose, np.random.default_rng(seed), 1, THRESHOLD)
+        frames = np.stack([readings["left"], readings["right"]], axis=1)
+        frames[readings["dead"]] = np.nan
         return frames
 
     wanted = np.repeat(np.arange(5), 60)
@@ -76,12 +76,12 @@ def test_reference_dockings_take_a_constant_tilt_off(name: str) -> None:
     before, as_trained = accuracy(model, new, wanted), accuracy(model, usual, wanted)
     ten = np.full(10, 2)
     model.refer(dockings(rig, np.zeros(10), 4), ten)
-    assert accuracy(model, usual, wanted) > as_trained - 0.04, "costs little where nothing has changed"
+    assert accuracy(model, usual, wanted) > as_trained - 0.04, "little loss without a change"
     model.refer(dockings(tilted, np.zeros(10), 5), ten)
     assert accuracy(model, new, wanted) > before + 0.1
 
 
-def test_who_cannot_learn_from_references_says_so() -> None:
+def test_classifiers_without_references_refuse_them() -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     rows = examples(generate_paper(rigs=(313,), seed=5), "vertical")
     with pytest.raises(ModelError, match="train lda or pose"):

@@ -21,11 +21,11 @@ from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.parameters import TactileParameters
 
-# Data sets and models name this digest: a changed default needs a new model and new figures in docs/tactile.md.
+# Data sets and models store this digest: a changed default needs a new model and new figures in docs/tactile.md.
 FROZEN_DEFAULTS = "a9414fdef7f55adb"
 
 
-def test_the_defaults_are_the_frozen_ones() -> None:
+def test_the_defaults_match_the_frozen_parameters() -> None:
     frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
     assert TactileParameters().digest() == frozen["digest"] == FROZEN_DEFAULTS
     assert json.loads(TactileParameters().to_json()) == frozen["parameters"]
@@ -33,7 +33,7 @@ def test_the_defaults_are_the_frozen_ones() -> None:
 
 
 @pytest.mark.slow
-def test_the_papers_networks_land_near_the_paper_on_rigs_that_fitted_nothing() -> None:
+def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
     pytest.importorskip("torch", reason="trains with deltacharger[train]")
     frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
     sets = [generate_paper(rigs=(rig,), seed=4) for rig in (341, 342, 343)]
@@ -47,18 +47,18 @@ def test_the_papers_networks_land_near_the_paper_on_rigs_that_fitted_nothing() -
             right.append(np.mean(model.predict(rows.frames[judges]) == rows.labels[judges]))
         assert abs(100.0 * np.mean(right) - accuracy["paper"]) < 1.5 + 4.0, (
             case
-        )  # 4: three rigs and 500 dockings by chance
+        )  # 4 allows for chance with three rigs and 500 dockings
 
 
-def test_docking_believes_what_the_generator_was_fitted_to() -> None:
+def test_docking_and_generator_use_the_same_jitter() -> None:
     assert DockingParameters().docking_jitter == TactileParameters().docking.position_jitter
 
 
-def test_sessions_say_nothing_about_poses() -> None:
+def test_sessions_do_not_depend_on_poses() -> None:
     data = generate_paper(rigs=(3,), seed=5)
     for value in (data.angle, data.horizontal, data.vertical):
         means = [value[data.session == session].mean() for session in np.unique(data.session)]
-        assert np.ptp(means) < 5.0 * value.std() / np.sqrt(len(data) / 5), "as of dockings in any order"
+        assert np.ptp(means) < 5.0 * value.std() / np.sqrt(len(data) / 5), "like dockings in random order"
 
 
 def test_the_papers_protocol() -> None:
@@ -95,7 +95,7 @@ def test_the_continuous_protocol_is_signed_and_jittered() -> None:
     assert np.array_equal(np.isnan(right), data.dead[:, 1])
 
 
-def test_one_seed_is_one_data_set(tmp_path: Path) -> None:
+def test_a_seed_determines_the_data_set(tmp_path: Path) -> None:
     data, again = (generate_continuous(rigs=(2, 3), count=20, seed=8) for _ in range(2))
     other = generate_continuous(rigs=(2, 3), count=20, seed=9)
     assert np.array_equal(data.left, again.left)
@@ -108,7 +108,7 @@ def test_one_seed_is_one_data_set(tmp_path: Path) -> None:
         assert np.array_equal(getattr(loaded, name), getattr(data, name))
 
 
-def test_rows_of_a_docking_share_its_draws_and_its_number() -> None:
+def test_rows_of_a_docking_share_random_values_and_number() -> None:
     data = generate_paper(rigs=(2,), seed=1, rows=4)
     assert len(data) == 4 * 1100
     assert np.array_equal(data.attempt, np.repeat(np.arange(1100), 4))
@@ -117,7 +117,7 @@ def test_rows_of_a_docking_share_its_draws_and_its_number() -> None:
     assert np.median(loads.std(axis=1)) < 0.1 * loads.mean(axis=1).std()
 
 
-def test_a_hole_is_felt_as_a_gap_in_the_ridge() -> None:
+def test_a_hole_appears_as_a_gap_in_the_ridge() -> None:
     base = TactileParameters()
     holed = dataclasses.replace(base, contact=dataclasses.replace(base.contact, hole=0.004))
     plain, gap = (generate_paper(family, rigs=(2,), seed=1) for family in (base, holed))
@@ -127,7 +127,7 @@ def test_a_hole_is_felt_as_a_gap_in_the_ridge() -> None:
     assert gap.left[centred].sum() == pytest.approx(plain.left[centred].sum(), rel=0.1)
 
 
-def test_what_cannot_be_generated_is_refused() -> None:
+def test_empty_requests_are_refused() -> None:
     with pytest.raises(DatasetError, match="0 rigs"):
         generate_continuous(rigs=())
     with pytest.raises(DatasetError, match="0 frames"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""misalignment_node seen by a real ROS client that publishes tactile frames."""
+"""misalignment_node with a real ROS client that publishes tactile frames."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUTH = (0.001, 0.003, 0.08)
 
 
 class Pads(Node):
-    """What tactile_node is to misalignment_node: 120 Hz of one simulated docking."""
+    """Replaces tactile_node: 120 Hz of one simulated docking."""
 
     def __init__(self, context: Any) -> None:
         super().__init__("pads", **options(context))
@@ -47,8 +47,8 @@ class Pads(Node):
         self.client = self.create_client(PredictMisalignment, "predict_misalignment")
         self.setter = self.create_client(SetParameters, "misalignment_node/set_parameters")
         self.atomic = self.create_client(SetParametersAtomically, "misalignment_node/set_parameters_atomically")
-        self.heard: list[Misalignment] = []
-        self.create_subscription(Misalignment, "misalignment", self.heard.append, 1)
+        self.received: list[Misalignment] = []
+        self.create_subscription(Misalignment, "misalignment", self.received.append, 1)
         self.tared, self.delay, self.streaming = True, 0.0, False
         source = ContactSource(rig_seed=21, seed=3)
         tare = np.mean([source.sample(i / 120, None, 0.0) for i in range(60)], axis=0)
@@ -100,13 +100,13 @@ def pads(context: Any, spin: Spin) -> Pads:
     return client
 
 
-def test_an_answer_names_the_frames_behind_it_and_a_refusal_none(pads: Pads) -> None:
+def test_an_answer_lists_its_frames_and_a_refusal_lists_none(pads: Pads) -> None:
     assert list(pads.ask(4).sequences) == []
     pads.streaming = True
     first = list(pads.ask(12).sequences)
     second = list(pads.ask(12).sequences)
     assert len(first) == len(second) == 12
-    assert sorted({*first, *second}) == first + second, "each once and rising, the second's all later"
+    assert sorted({*first, *second}) == first + second, "each once, increasing, the second's all later"
 
 
 def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
@@ -131,8 +131,8 @@ def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
     assert len(found.angle_probability) == 6
     assert found.model.startswith("pose")
     assert found.left_force > 10
-    wait_until(lambda: pads.heard)
-    assert pads.heard[-1].in_range
+    wait_until(lambda: pads.received)
+    assert pads.received[-1].in_range
 
 
 def test_refuses_without_frames_untared_and_stale(pads: Pads) -> None:
@@ -143,11 +143,11 @@ def test_refuses_without_frames_untared_and_stale(pads: Pads) -> None:
     untared = pads.ask(4)
     assert not untared.success
     assert "tare" in untared.message
-    pads.tared, pads.delay = True, 2.0  # every stamp lies before the request now
+    pads.tared, pads.delay = True, 2.0  # every stamp is now before the request
     stale = pads.ask(4)
     assert not stale.success
     assert "old" in stale.message
-    assert not pads.heard
+    assert not pads.received
     too_many = pads.ask(1000)
     assert not too_many.success
     assert "240" in too_many.message
@@ -164,8 +164,8 @@ def test_models_change_while_the_node_runs(pads: Pads, tmp_path: Path) -> None:
     before = pads.ask().misalignment.model
     assert pads.set(model=str(tmp_path / "other.npz")).successful
     assert pads.ask().misalignment.model == "pose-other"
-    pads.heard.clear()
-    wait_until(lambda: any(message.model == "pose-other" for message in pads.heard))
+    pads.received.clear()
+    wait_until(lambda: any(message.model == "pose-other" for message in pads.received))
     assert pads.set(model="").successful
     assert pads.ask().misalignment.model == before
 
@@ -174,15 +174,15 @@ def test_no_answer_mixes_two_models_while_they_change(pads: Pads, tmp_path: Path
     TactileCalibration(rig=9, bias=np.array([0.0, 0.004, 0.0])).save(tmp_path / "pads.yaml")
     pads.frames, pads.streaming = pads.frames[:1], True
     plain = pads.ask().misalignment.vertical
-    pads.heard.clear()
+    pads.received.clear()
     for turn in range(10):
         assert pads.set(calibration=str(tmp_path / "pads.yaml") if turn % 2 else "").successful
-        count = len(pads.heard)
-        wait_until(lambda count=count: len(pads.heard) > count + 1)
-    for message in pads.heard:
+        count = len(pads.received)
+        wait_until(lambda count=count: len(pads.received) > count + 1)
+    for message in pads.received:
         moved = 0.004 if message.model.endswith("+rig9") else 0.0
         assert message.vertical == pytest.approx(plain - moved, abs=1e-6)
-    assert {message.model.endswith("+rig9") for message in pads.heard} == {True, False}
+    assert {message.model.endswith("+rig9") for message in pads.received} == {True, False}
 
 
 def test_a_calibration_changes_the_estimate(pads: Pads, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_calibration_changes_the_estimate(pads: Pads, tmp_path: Path) -> None:
     bias = np.array([0.002, 0.0005, 0.01])
     TactileCalibration(rig=4, bias=bias, bias_stddev=np.full(3, 1e-4)).save(tmp_path / "biased.yaml")
     TactileCalibration(rig=4, dead=dead).save(tmp_path / "dead.yaml")
-    pads.frames, pads.streaming = pads.frames[:1], True  # the same frame again and again: no noise between answers
+    pads.frames, pads.streaming = pads.frames[:1], True  # one repeated frame: no noise between answers
     raw = pads.ask().misalignment
     assert pads.set(calibration=str(tmp_path / "biased.yaml")).successful
     got = pads.ask().misalignment
@@ -203,7 +203,7 @@ def test_a_calibration_changes_the_estimate(pads: Pads, tmp_path: Path) -> None:
 
 
 def always(path: Path, target: str, favoured: int, count: int) -> str:
-    """Write a classifier that knows one answer."""
+    """Write a classifier with a constant answer."""
     bias = np.zeros(count)
     bias[favoured] = 9.0
     about = {"name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
@@ -229,27 +229,27 @@ def test_classifiers_replace_the_probabilities_of_their_target(pads: Pads, tmp_p
     assert np.argmax(pads.ask().misalignment.angle_probability) == np.argmax(raw.angle_probability)
 
 
-def test_a_request_names_whose_classes_it_wants(pads: Pads) -> None:
+def test_a_request_selects_the_classifier(pads: Pads) -> None:
     pads.frames, pads.streaming = pads.frames[:1], True
     usual = pads.ask().misalignment
     answers = {name: pads.ask(model=name).misalignment for name in packaged.MODELS}
     frame = np.stack(pads.frames[0])[None]
     for name, found in answers.items():
         assert found.model == f"{usual.model}+{name}"
-        assert found.angle == pytest.approx(usual.angle, abs=1e-6), "the continuous estimate stays what decides"
+        assert found.angle == pytest.approx(usual.angle, abs=1e-6), "the continuous estimate must not change"
         for target, model in packaged.load(name).items():
             np.testing.assert_allclose(
                 getattr(found, f"{target}_probability"), model.predict_proba(frame)[0], atol=1e-5
             )
     assert pads.set(classifiers=["forest"]).successful
-    told = pads.ask().misalignment
-    assert told.model == answers["forest"].model
-    assert list(told.angle_probability) == list(answers["forest"].angle_probability)
+    result = pads.ask().misalignment
+    assert result.model == answers["forest"].model
+    assert list(result.angle_probability) == list(answers["forest"].angle_probability)
     assert pads.ask(model="cnn").misalignment.model == answers["cnn"].model
 
 
 @pytest.mark.parametrize("name", ["resnet", "../models/cnn", str(packaged.path("cnn", "angle")), "x" * 100_000])
-def test_a_model_that_is_not_in_the_list_is_answered_with_the_list(pads: Pads, name: str) -> None:
+def test_an_unknown_model_is_answered_with_the_known_ones(pads: Pads, name: str) -> None:
     pads.streaming = True
     refused = pads.ask(model=name)
     assert not refused.success
@@ -259,7 +259,7 @@ def test_a_model_that_is_not_in_the_list_is_answered_with_the_list(pads: Pads, n
     assert pads.ask().success
 
 
-def test_packaged_files_of_another_generator_are_refused_and_the_node_goes_on(
+def test_damaged_packaged_files_are_refused_and_the_node_continues(
     pads: Pads, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = Path(shutil.copytree(packaged.FOLDER, tmp_path / "models"))
@@ -271,15 +271,15 @@ def test_packaged_files_of_another_generator_are_refused_and_the_node_goes_on(
     refused = pads.ask(model="svm")
     assert not refused.success
     assert "svm-angle.npz" in refused.message
-    told = pads.set(classifiers=["svm"])
-    assert not told.successful
-    assert before in told.reason
+    result = pads.set(classifiers=["svm"])
+    assert not result.successful
+    assert before in result.reason
     assert pads.ask().misalignment.model == before
     assert pads.ask(model="tree").success
 
 
 def broken_files(folder: Path) -> dict[str, list[str]]:
-    """Write what must be refused, by parameter; all else that a file can have is in the tests of its reader."""
+    """Write files to refuse, by parameter; other faults are in the tests of each reader."""
     model = folder / "model.npz"
     default_model().save(model)
     (folder / "cut.npz").write_bytes(model.read_bytes()[:5000])
@@ -288,7 +288,7 @@ def broken_files(folder: Path) -> dict[str, list[str]]:
     (folder / "zero").symlink_to("/dev/zero")
     os.mkfifo(folder / "pipe")
     with zipfile.ZipFile(model) as good, zipfile.ZipFile(folder / "header.npz", "w") as bad:
-        for name in good.namelist():  # as nobody can evaluate it, in an archive that is whole
+        for name in good.namelist():  # unparsable header in a valid archive
             bad.writestr(name, good.read(name).replace(b"'descr'", b"'" + b"(" * 6))
     (folder / "laughs.yaml").write_text("a: &a [1]\n" + "".join(f"b{n}: *a\n" for n in range(9)))
     common = ["missing", "data.npz", ".", "zero", "pipe"]
@@ -306,11 +306,11 @@ def test_unusable_files_are_refused_with_a_reason_and_change_nothing(pads: Pads,
     for parameter, names in wrong.items():
         for name in names:
             path = str(tmp_path / name)
-            told = pads.set(**{parameter: [path] if parameter == "classifiers" else path})
-            assert not told.successful, (parameter, name)
-            assert parameter in told.reason
-            assert before.model in told.reason
-            assert len(told.reason) > len(path) + 40
+            result = pads.set(**{parameter: [path] if parameter == "classifiers" else path})
+            assert not result.successful, (parameter, name)
+            assert parameter in result.reason
+            assert before.model in result.reason
+            assert len(result.reason) > len(path) + 40
     together = pads.set_together(calibration=str(tmp_path / "pads.yaml"), model=str(tmp_path / "cut.npz"))
     assert not together.successful
     after = pads.ask().misalignment
@@ -318,15 +318,15 @@ def test_unusable_files_are_refused_with_a_reason_and_change_nothing(pads: Pads,
     assert pads.set(calibration=str(tmp_path / "pads.yaml")).successful
 
 
-def test_what_is_set_with_something_wrong_changes_nothing(pads: Pads, tmp_path: Path) -> None:
+def test_one_wrong_parameter_rejects_all_set_with_it(pads: Pads, tmp_path: Path) -> None:
     TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
     pads.streaming = True
-    told = pads.set_together(calibration=str(tmp_path / "pads.yaml"), rate=500.0)
-    assert not told.successful
-    assert "rate" in told.reason
-    told = pads.set_together(frames=3, calibration=str(tmp_path / "none.yaml"))
-    assert not told.successful
-    assert "none.yaml" in told.reason
+    result = pads.set_together(calibration=str(tmp_path / "pads.yaml"), rate=500.0)
+    assert not result.successful
+    assert "rate" in result.reason
+    result = pads.set_together(frames=3, calibration=str(tmp_path / "none.yaml"))
+    assert not result.successful
+    assert "none.yaml" in result.reason
     answer = pads.ask()
     assert not answer.misalignment.model.endswith("+rig8")
     assert len(answer.sequences) == 12
@@ -334,26 +334,26 @@ def test_what_is_set_with_something_wrong_changes_nothing(pads: Pads, tmp_path: 
 
 def test_rate_and_limits_change_while_the_node_runs(pads: Pads) -> None:
     pads.streaming = True
-    wait_until(lambda: pads.heard, "an estimate at the rate of the start")
+    wait_until(lambda: pads.received, "an estimate at the initial rate")
     assert pads.set_together(rate=0.0, frames=3).successful
     assert len(pads.ask().sequences) == 3
-    pads.heard.clear()
+    pads.received.clear()
     assert pads.ask(60).success
-    assert not pads.heard, "ten would have come meanwhile"
+    assert not pads.received, "ten would have arrived at the old rate"
     assert pads.set(rate=50.0).successful
-    wait_until(lambda: len(pads.heard) > 3, "estimates at another rate")
+    wait_until(lambda: len(pads.received) > 3, "estimates at another rate")
     pads.streaming = False
     assert pads.set(timeout=1.0).successful
     began = time.monotonic()
     assert not pads.ask().success
-    assert time.monotonic() - began > 1.0, "longer than the 0.4 s of the start"
-    told = pads.set(max_age=1.0)
-    assert not told.successful
-    assert "read-only parameter: max_age" in told.reason
+    assert time.monotonic() - began > 1.0, "longer than the initial 0.4 s"
+    result = pads.set(max_age=1.0)
+    assert not result.successful
+    assert "read-only parameter: max_age" in result.reason
 
 
 def bad(kind: str, pad: Any) -> Any:
-    """Return a pad of a docking as a broken one would read it."""
+    """Return a pad's readings with a fault."""
     wrong = np.array(pad)
     if kind == "half dead":
         wrong[:, :5] = np.nan
@@ -384,7 +384,7 @@ def bad(kind: str, pad: Any) -> Any:
         ("a row at full scale", True),
     ],
 )
-def test_bad_frames_get_a_clear_answer(pads: Pads, tmp_path: Path, kind: str, contact: bool) -> None:
+def test_faulty_frames_are_out_of_range(pads: Pads, tmp_path: Path, kind: str, contact: bool) -> None:
     TactileCalibration(rig=3, load_shift=8.0, bias=np.full(3, 1e-3), bias_stddev=np.full(3, 1e-4)).save(
         tmp_path / "pads.yaml"
     )
@@ -404,7 +404,7 @@ def test_bad_frames_get_a_clear_answer(pads: Pads, tmp_path: Path, kind: str, co
                 assert np.isnan([found.angle, found.vertical, found.horizontal]).all()
 
 
-def test_a_frame_of_another_shape_is_left_out(pads: Pads) -> None:
+def test_a_frame_of_another_shape_is_ignored(pads: Pads) -> None:
     message = TactileFrame(rows=5, columns=20, pitch=0.0024, tared=True)
     message.left = message.right = array("f", [1.0] * 100)
     for _ in range(5):

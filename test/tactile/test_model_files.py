@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model files of others: truncated, of another kind or version, hostile; each is refused with a reason."""
+"""Foreign model files: truncated, of another kind or version, hostile; each is refused with a reason."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def saved(name: str, data: Dataset, path: Path) -> Arrays:
         return {key: file[key] for key in file.files}
 
 
-def test_what_is_no_model_is_refused_by_both_kinds(data: Dataset, tmp_path: Path) -> None:
+def test_both_loaders_refuse_files_that_are_not_models(data: Dataset, tmp_path: Path) -> None:
     whole = MODEL_PATH.read_bytes()
     data.save(tmp_path / "data.npz")
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
@@ -54,7 +54,7 @@ def test_what_is_no_model_is_refused_by_both_kinds(data: Dataset, tmp_path: Path
             load(tmp_path)
 
 
-def test_one_kind_is_not_the_other(data: Dataset, tmp_path: Path) -> None:
+def test_each_loader_refuses_the_other_kind(data: Dataset, tmp_path: Path) -> None:
     saved("lda", data, tmp_path / "class.npz")
     with pytest.raises(ModelError):
         PoseEstimator.load(tmp_path / "class.npz")
@@ -63,7 +63,7 @@ def test_one_kind_is_not_the_other(data: Dataset, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lda", "pose", "tree"])
-def test_arrays_that_do_not_fit_are_refused(name: str, data: Dataset, tmp_path: Path) -> None:
+def test_mismatched_arrays_are_refused(name: str, data: Dataset, tmp_path: Path) -> None:
     good = saved(name, data, tmp_path / "good.npz")
     for key in [key for key in good if key not in ("about", "means", "usual")]:
         for wrong in (None, good[key][..., :-1] if good[key].ndim else None, np.array(["a"])):
@@ -79,7 +79,7 @@ def test_arrays_that_do_not_fit_are_refused(name: str, data: Dataset, tmp_path: 
                 Classifier.load(tmp_path / "bad.npz")
 
 
-def test_a_tree_without_an_end_is_refused(data: Dataset, tmp_path: Path) -> None:
+def test_an_endless_tree_is_refused(data: Dataset, tmp_path: Path) -> None:
     good = saved("forest", data, tmp_path / "good.npz")
     for key, value in (("left", 0), ("right", 10**9), ("root", -1)):
         array = good[key].copy()
@@ -100,7 +100,7 @@ def test_a_tree_without_an_end_is_refused(data: Dataset, tmp_path: Path) -> None
         {"reliability": {"a": 1}},
     ],
 )
-def test_a_description_that_does_not_fit_is_refused(data: Dataset, tmp_path: Path, change: dict[str, Any]) -> None:
+def test_a_wrong_description_is_refused(data: Dataset, tmp_path: Path, change: dict[str, Any]) -> None:
     good = saved("lda", data, tmp_path / "good.npz")
     about = json.loads(str(good["about"])) | change
     np.savez(tmp_path / "bad.npz", **{**good, "about": np.array(json.dumps(about))})
@@ -121,7 +121,7 @@ def test_a_classifier_trained_on_packaged_models_of_an_earlier_version_is_refuse
             Classifier.load(tmp_path / "bad.npz")
 
 
-def test_a_pose_model_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_pose_model_is_refused(tmp_path: Path) -> None:
     with np.load(MODEL_PATH) as file:
         good = {name: file[name] for name in file.files}
     for key in ("both_0_weight1", "support_whitening", "one_centre", "both_factor"):
@@ -134,7 +134,7 @@ def test_a_pose_model_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ModelError, match=r"lean\.npz.*format 2, and this version reads 3.*train one or use the packaged"
     ):
-        PoseEstimator.load(tmp_path / "lean.npz")  # of before leans were learnt: its seats mean another thing
+        PoseEstimator.load(tmp_path / "lean.npz")  # made before leans were learnt: its seats mean something else
     for change in ({"format": 1}, {"members": "two"}, {"interval": [1]}, {"support": None}):
         np.savez(tmp_path / "bad.npz", **{**good, "meta": np.array(json.dumps(meta | change))})
         with pytest.raises(ModelError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's nine models as they are shipped: what they weigh, what they tell, and which files are refused."""
+"""The packaged nine models of the paper: size, accuracy, and refused files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deltacharger_tactile.errors import ModelError, UnknownModelError
 from deltacharger_tactile.generator import generate_paper
 
 LARGEST = 12e6  # bytes of all files together
-MEMORY = 60e6  # bytes of a process that has loaded all
+MEMORY = 60e6  # bytes of memory for all
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,14 @@ def data() -> Dataset:
 
 
 @pytest.mark.parametrize("name", packaged.MODELS)
-def test_each_tells_every_target_nearly_as_well_as_it_says(name: str, data: Dataset) -> None:
+def test_each_reaches_its_stated_accuracy(name: str, data: Dataset) -> None:
     for target, model in packaged.load(name).items():
         rows = examples(data, target)
         shares = model.predict_proba(rows.frames)
         assert shares.shape == (len(rows), labels.classes(target))
         np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
         right = float(np.mean(shares.argmax(axis=1) == rows.labels))
-        assert right > model.about[packaged.ACCURACY] - 0.08, "another two rigs than it was judged on"
+        assert right > model.about[packaged.ACCURACY] - 0.08, "two other rigs than in its test"
 
 
 def test_all_are_small_enough_to_ship() -> None:
@@ -46,7 +46,7 @@ def test_all_are_small_enough_to_ship() -> None:
     assert sum(file.stat().st_size for file in files) < LARGEST
 
 
-def test_a_robot_loads_all_without_any_trainer_in_little_memory() -> None:
+def test_loading_all_needs_no_trainer_and_little_memory() -> None:
     program = (
         "import sys, psutil\n"
         "from deltacharger_tactile.classifiers import packaged\n"
@@ -63,24 +63,22 @@ def test_a_robot_loads_all_without_any_trainer_in_little_memory() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "CNN", "cnn.npz", "../cnn", "/etc/passwd", "pose", "x" * 5_000_000])
-def test_a_name_that_is_not_in_the_list_is_answered_with_the_list(name: str) -> None:
-    with pytest.raises(UnknownModelError, match="logistic, svm, knn, tree, gbdt, forest, xgboost, nn, cnn") as told:
+def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
+    with pytest.raises(UnknownModelError, match="logistic, svm, knn, tree, gbdt, forest, xgboost, nn, cnn") as found:
         packaged.load(name)
-    assert len(str(told.value)) < 300
+    assert len(str(found.value)) < 300
 
 
 def changed(file: Path, **about: str) -> None:
-    """Give a file another description."""
+    """Change a file's description."""
     with np.load(file) as content:
         arrays: Mapping[str, np.ndarray] = {key: content[key] for key in content.files}
-    told = json.loads(str(arrays["about"])) | about
-    np.savez(file, **{**arrays, "about": np.array(json.dumps(told))})
+    found = json.loads(str(arrays["about"])) | about
+    np.savez(file, **{**arrays, "about": np.array(json.dumps(found))})
 
 
 @pytest.mark.parametrize("harm", ["generator", "empty", "cut", "another", "missing"])
-def test_a_file_that_is_not_what_it_should_be_is_named(
-    harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unusable_file_is_named(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = Path(shutil.copytree(packaged.FOLDER, tmp_path / "models"))
     monkeypatch.setattr(packaged, "FOLDER", folder)
     file = packaged.path("tree", "angle")
@@ -91,14 +89,14 @@ def test_a_file_that_is_not_what_it_should_be_is_named(
     else:
         other = packaged.path("tree", "vertical").read_bytes()
         file.write_bytes({"empty": b"", "cut": file.read_bytes()[:999], "another": other}[harm])
-    with pytest.raises(ModelError, match=file.name) as told:
+    with pytest.raises(ModelError, match=file.name) as found:
         packaged.load("tree")
-    assert harm != "generator" or "0123456789abcdef" in str(told.value)
+    assert harm != "generator" or "0123456789abcdef" in str(found.value)
     packaged.load("svm")
 
 
 @pytest.mark.parametrize("name", ["logistic", "knn", "forest"])
-def test_a_shrunk_model_tells_the_same_and_its_file_is_smaller(name: str, data: Dataset, tmp_path: Path) -> None:
+def test_a_shrunk_model_predicts_the_same_from_a_smaller_file(name: str, data: Dataset, tmp_path: Path) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     rows = examples(data, "vertical")
     model = Classifier(name, "vertical").fit(rows.frames[::2], rows.labels[::2])

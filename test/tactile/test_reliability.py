@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What looks familiar and what does not: single frames, and slow changes that only a window of dockings shows."""
+"""Detection of unfamiliar frames: single ones, and slow changes that only a window of dockings shows."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_gross_changes_show_in_each_frame(known: Known) -> None:
         assert learnt.strange(strange, THRESHOLD).mean() > 0.9
 
 
-def test_a_pad_that_lost_rows_is_noticed(known: Known) -> None:
+def test_a_pad_that_lost_rows_is_detected(known: Known) -> None:
     target, learnt = known
     frames = docked(target, 2)
     frames[:, 0, 4:6] = 0.0
@@ -87,7 +87,7 @@ def test_one_strange_docking_does_not_decide_for_a_window(known: Known) -> None:
     assert not learnt.strange_together(window, THRESHOLD)
 
 
-def test_what_is_written_is_what_was_learnt(known: Known) -> None:
+def test_saving_and_loading_preserve_the_statistics(known: Known) -> None:
     target, learnt = known
     kept = Reliability(0.3, learnt)
     again = Reliability.from_dict(json.loads(json.dumps(kept.to_dict())))
@@ -105,7 +105,7 @@ def test_a_window_needs_enough_dockings(known: Known) -> None:
         Reliability(0.3, learnt).drifted_together(frames, THRESHOLD)
 
 
-def test_sets_hold_the_truth_of_held_out_frames_as_often_as_nominal() -> None:
+def test_sets_of_held_out_frames_reach_nominal_coverage() -> None:
     random = np.random.default_rng(5)
     frames = docked("angle", 1)[:200]
     odds = random.gumbel(size=(200, 6))

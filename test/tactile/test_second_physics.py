@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the second contact physics: balance, symmetry, what bars bear, convergence, extremes; its parameters."""
+"""Laws of the second contact physics: balance, symmetry, force on bars, convergence, extremes; its parameters."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_lower_layer_spreads_without_loss_and_solves_its_equation() -> None:
     pads = PadFoundation(SecondParameters().dimensions, parameters)
     pressure = np.random.default_rng(0).uniform(0.0, 1e5, (3, len(pads.x)))
     assert np.allclose(pads.taxels(pressure).sum(axis=(1, 2, 3)), pressure.sum(axis=1) * pads.area)
-    # k (w − ℓ² ∇²w) = p inside the grid, by differences of what was found
+    # k (w − ℓ² ∇²w) = p inside the grid, by finite differences
     w = pads.deflect(pressure).reshape(3, 2, 60, 30)
     dy, dx = (SecondParameters().dimensions.pad_side / n for n in w.shape[2:])
     inner = (..., slice(1, -1), slice(1, -1))
@@ -102,17 +102,17 @@ def test_pressure_and_slope_are_derivatives_of_the_energy(law: str) -> None:
     assert np.all(np.diff(force) >= 0.0)
     assert not force[depth < 0.0].any()
     if law == "pads":
-        smooth = np.abs(depth) > 5e-6  # it begins with a bend
+        smooth = np.abs(depth) > 5e-6  # the curve starts with a kink
         assert np.allclose(np.gradient(force, depth)[smooth], slope[smooth], rtol=1e-2)
 
 
-def test_bars_bear_their_share_where_they_overlap() -> None:
+def test_overlapping_bars_carry_part_of_the_force() -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.010, 0.0, 0.0], [0.0, 0.009, 0.0]])
     rest = MODEL.solve(places, 70.0)
     share = rest.bars.sum(axis=1) / 70.0
     assert 0.05 < share[0] < 0.25
     assert share[1] < share[0]  # shorter overlap
-    assert rest.bars[2, 0] != pytest.approx(rest.bars[2, 1], rel=0.01)  # the upper bar meets half of what it met
+    assert rest.bars[2, 0] != pytest.approx(rest.bars[2, 1], rel=0.01)  # the upper bar overlaps half as much
     without = Equilibrium(SecondParameters(bars=BarParameters(rate=0.0, preload=0.0))).solve(places, 70.0)
     assert without.taxels.sum(axis=(1, 2, 3)) == pytest.approx([70.0] * 3, rel=1e-6)
 
@@ -124,7 +124,7 @@ def test_load_follows_the_line_of_action_and_the_lean() -> None:
     assert left > right + 0.5
 
 
-def test_it_disagrees_with_the_first() -> None:
+def test_it_differs_from_the_first_physics() -> None:
     many = poses(100, 5) * [0.6, 0.6, 0.6]
     docking = TactileParameters().docking
     tilt = np.array([docking.tilt_per_y, docking.tilt_per_x]) * many[:, 1::-1]
@@ -132,7 +132,7 @@ def test_it_disagrees_with_the_first() -> None:
     second = MODEL.solve(many, 70.0, 0.5 * many[:, :2]).taxels
     apart = np.abs(first - second).sum(axis=(1, 2, 3)) / 70.0
     assert apart.min() > 0.1, "of the force, at least"
-    assert np.median(apart) < 1.0, "the same ridges on the same pads nevertheless"
+    assert np.median(apart) < 1.0, "but it models the same ridges on the same pads"
 
 
 def test_extremes_are_finite_and_balanced() -> None:
@@ -193,14 +193,14 @@ def test_contradictions_are_refused_by_key(values: dict[str, dict[str, float]], 
     assert caught.value.key == key
 
 
-def test_every_number_says_where_it_is_from() -> None:
+def test_every_parameter_states_its_source() -> None:
     sources = ("assumed", "data sheet", "handbook", "paper", "σ", "first physics", "Gent", "board", "points")
     for cls in (FoundationParameters, BarParameters, PlatformRestParameters, SheetParameters):
         for item in declared(cls):
             assert any(word in item.text for word in sources), item.name
 
 
-def test_who_does_not_ask_for_it_does_not_import_it() -> None:
+def test_it_is_imported_only_on_demand() -> None:
     program = (
         "import sys, deltacharger_tactile, deltacharger_tactile.source, deltacharger_tactile.generator\n"
         "deltacharger_tactile.source.ContactSource().begin_docking()\n"

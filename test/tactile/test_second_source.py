@@ -35,12 +35,12 @@ def even(force: float) -> np.ndarray:
     return np.full((1, 2, 10, 10), force)
 
 
-def told(sensor: SheetSensor, force: float | None, pad: int = 0) -> float:
+def reading(sensor: SheetSensor, force: float | None, pad: int = 0) -> float:
     raw = sensor.read(None if force is None else even(force))
     return float(raw[0, 0, pad, 5, 5]) - PLAIN.pedestal
 
 
-def test_a_plain_sheet_tells_the_force_within_one_code() -> None:
+def test_a_plain_sheet_reads_the_force_within_one_code() -> None:
     force = np.random.default_rng(0).uniform(0.0, 9.0, (1, 2, 10, 10))
     assert np.abs(sheet().read(force)[0] - force - PLAIN.pedestal).max() <= 0.5 * 9.5 / (2**16 - 1) + 1e-12
 
@@ -48,34 +48,34 @@ def test_a_plain_sheet_tells_the_force_within_one_code() -> None:
 def test_the_loop_closes_and_loses_energy() -> None:
     sensor = sheet(hysteresis=0.045)
     way = np.concatenate([np.linspace(2, 8, 61), np.linspace(8, 2, 61)[1:]])
-    rounds = [[told(sensor, force) for force in way] for _ in range(3)]
+    rounds = [[reading(sensor, force) for force in way] for _ in range(3)]
     second, third = rounds[1:]
     assert np.allclose(second, third, atol=1e-9), "a loop between the same ends"
     assert third[0] == pytest.approx(third[-1], abs=1e-3)
     loading, unloading = np.array(third[:61]), np.array(third[60:])[::-1]
-    assert np.all(unloading >= loading - 1e-9), "unloading tells more"
+    assert np.all(unloading >= loading - 1e-9), "unloading reads more"
     assert 0.3 * 0.045 * 9.0 < (unloading - loading).max() <= 0.045 * 9.0 + 1e-3
     assert np.sum(unloading - loading) * 0.1 > 0.2, "N², the loop's area"
 
 
-def test_creep_grows_by_its_share_a_decade_and_shifts_the_zero_until_it_has_recovered() -> None:
+def test_creep_grows_per_decade_and_shifts_the_zero_until_it_recovers() -> None:
     sensor = sheet(creep=0.05, residual=0.3)
     course = []
     for step in (0.0, 0.1, 0.9, 9.0, 90.0):
         sensor.pass_time(step, even(5.0))
-        course.append(told(sensor, 5.0))
+        course.append(reading(sensor, 5.0))
     assert np.all(np.diff(course) > 0.0)
     assert 0.8 * 0.05 < (course[3] - course[2]) / 5.0 < 1.2 * 0.05
-    after = [told(sensor, None)]
+    after = [reading(sensor, None)]
     for step in (1.0, 10.0, 100.0, 1e4):
         sensor.pass_time(step)
-        after.append(told(sensor, None))
-    assert after[0] > 0.1, "a tare sees it"
+        after.append(reading(sensor, None))
+    assert after[0] > 0.1, "visible in a tare"
     assert np.all(np.diff(after) < 0.0)
     assert after[-1] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_time_may_pass_in_any_steps_under_one_force() -> None:
+def test_the_step_size_does_not_matter_under_one_force() -> None:
     whole, parts = sheet(creep=0.05), sheet(creep=0.05)
     whole.pass_time(7.0, even(4.0))
     for step in (0.0, 0.001, 3.0, 3.999):
@@ -88,7 +88,7 @@ def test_time_may_pass_in_any_steps_under_one_force() -> None:
         single.pass_time(0.5, even(4.0))
 
 
-def test_nothing_is_told_between_zero_and_the_dead_band() -> None:
+def test_no_reading_lies_between_zero_and_the_dead_band() -> None:
     parameters = dataclasses.replace(PLAIN, dead_band=1.0, dead_band_spread=0.1, noise=0.02, noise_gain=0.015)
     random = np.random.default_rng(1)
     sensor = SheetSensor(parameters, Sheets.draw(parameters, random), random)
@@ -100,7 +100,7 @@ def test_nothing_is_told_between_zero_and_the_dead_band() -> None:
     assert np.mean(np.abs(tared) <= 0.15) > 0.3
 
 
-def test_drift_is_nothing_at_the_tare_and_grows() -> None:
+def test_drift_is_zero_at_the_tare_and_grows() -> None:
     sensor = sheet(offset_drift=0.06, gain_drift=0.03)
     tare, apart = sensor.read(None)[0], []
     for step in (0.0, 10.0, 100.0, 1000.0, 10000.0):
@@ -114,11 +114,11 @@ def test_drift_is_nothing_at_the_tare_and_grows() -> None:
 def test_neighbours_rows_columns_and_the_rim() -> None:
     point = np.zeros((1, 2, 10, 10))
     point[0, 0, 5, 5] = 4.0
-    felt = sheet(neighbour=0.04, matrix=0.01).read(point)[0, 0, 0] - PLAIN.pedestal
-    assert felt[5, 4] == pytest.approx(0.04 * 4.0, rel=0.2)
-    assert felt[5, 0] > 0.0
-    assert felt[0, 5] > 0.0
-    assert felt[1, 1] == pytest.approx(0.0, abs=1e-3)
+    readings = sheet(neighbour=0.04, matrix=0.01).read(point)[0, 0, 0] - PLAIN.pedestal
+    assert readings[5, 4] == pytest.approx(0.04 * 4.0, rel=0.2)
+    assert readings[5, 0] > 0.0
+    assert readings[0, 5] > 0.0
+    assert readings[1, 1] == pytest.approx(0.0, abs=1e-3)
     rim = sheet(edge_loss=0.2).read(even(5.0))[0, 0, 0] - PLAIN.pedestal
     assert rim[0, 3] == pytest.approx(4.0, abs=1e-3)
     assert rim[4, 4] == pytest.approx(5.0, abs=1e-3)
@@ -131,7 +131,7 @@ def run(rig: int, seed: int) -> list[np.ndarray]:
     return [free, source.frames(1.0, jitter, 60.0, 5, 1 / 120), source.frames(9.0, None, 0.0, 2, 1 / 120)]
 
 
-def test_the_same_seeds_give_the_same_bits_and_others_do_not() -> None:
+def test_seeds_determine_the_readings() -> None:
     first, again, other, device = (np.concatenate(run(*seeds)) for seeds in ((1, 2), (1, 2), (1, 3), (2, 2)))
     assert np.array_equal(first, again, equal_nan=True)
     assert not np.array_equal(first, other, equal_nan=True)
@@ -143,13 +143,13 @@ def test_the_same_seeds_give_the_same_bits_and_others_do_not() -> None:
     assert 0.0 < np.nanmax(after.mean(axis=0) - free.mean(axis=0)) < 0.7
 
 
-def test_jitter_is_the_arms() -> None:
+def test_jitter_has_the_arms_size() -> None:
     source = SecondSource(rig_seed=1)
     drawn = np.array([source.begin_docking() for _ in range(400)])
     assert np.allclose(drawn.std(axis=0), [1e-3, 1e-3, np.radians(0.19)], rtol=0.15)
 
 
-def test_frames_that_nobody_read_change_nothing_at_rest() -> None:
+def test_skipped_frames_change_nothing_at_rest() -> None:
     quiet = dataclasses.replace(SecondParameters(), sheet=SheetParameters(noise=0.0, noise_gain=0.0))
     read = []
     for extra in (0, 40):
@@ -178,13 +178,13 @@ def test_a_source_stays_finite_and_bounded(force: float) -> None:
         source.sample(time, None, 0.0)
 
 
-def test_a_world_takes_it_in_place_of_the_first() -> None:
+def test_a_world_accepts_it() -> None:
     world = World(WorldParameters(), SecondSource(rig_seed=4))
     left, right = world.taxels()
     assert left.shape == right.shape == (10, 10)
 
 
-def test_a_data_set_has_the_poses_of_the_first_and_its_own_readings() -> None:
+def test_a_data_set_has_the_first_poses_and_new_readings() -> None:
     known = generate_continuous(rigs=(3, 4), count=30, seed=1, threshold=0.0)
     fresh, again = (dock_anew(known, 5, 2) for _ in range(2))
     for name in ("angle", "vertical", "horizontal", "rig", "attempt", "subset"):

@@ -64,7 +64,7 @@ def test_noise_has_the_stated_size_and_memory() -> None:
     assert abs(memory - 0.3 * np.exp(-step / 120 / 0.25)) < 0.05
 
 
-def test_a_source_feels_contact_only_in_contact() -> None:
+def test_a_source_reads_force_only_in_contact() -> None:
     source = ContactSource(rig_seed=4, seed=9)
     free = np.mean([source.sample(i / 120, None, 0.0) for i in range(60)], axis=0)
     assert abs(np.nanmean(free) - 0.5) < 0.05
@@ -72,13 +72,13 @@ def test_a_source_feels_contact_only_in_contact() -> None:
     assert abs(dx) < 0.005
     assert abs(dy) < 0.005
     assert abs(turn) < 0.02
-    felt = source.sample(1.0, (dx, dy, turn), 70.0) - free
-    assert 60.0 < np.nansum(felt) < 90.0
+    readings = source.sample(1.0, (dx, dy, turn), 70.0) - free
+    assert 60.0 < np.nansum(readings) < 90.0
     after = source.sample(2.0, None, 0.0) - free
     assert np.nanmax(np.abs(after)) < 0.6
 
 
-def test_the_same_seeds_give_the_same_run_and_others_do_not() -> None:
+def test_seeds_determine_the_run() -> None:
     def run(rig: int, seed: int) -> list[np.ndarray]:
         source = ContactSource(rig_seed=rig, seed=seed)
         jitter = source.begin_docking()
@@ -89,7 +89,7 @@ def test_the_same_seeds_give_the_same_run_and_others_do_not() -> None:
     assert not np.array_equal(run(1, 2), run(2, 2), equal_nan=True)
 
 
-def test_frames_at_rest_share_one_solution_and_feel_what_solving_each_would(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_at_rest_share_one_solution_with_equal_readings(monkeypatch: pytest.MonkeyPatch) -> None:
     solved = []
     solve = ContactModel.solve
 
@@ -100,14 +100,14 @@ def test_frames_at_rest_share_one_solution_and_feel_what_solving_each_would(monk
     monkeypatch.setattr(ContactModel, "solve", counted)
 
     def run(forget: bool) -> list[Any]:
-        source, felt = ContactSource(rig_seed=4, seed=9), []
+        source, readings = ContactSource(rig_seed=4, seed=9), []
         for contact in range(2):
             x, y, turn = source.begin_docking()
             for index, force in enumerate((50.0, 50.0, 50.0, 60.0, 50.0)):
                 source._pressed = None if forget else source._pressed
-                felt.append(source.sample(contact + index / 120, (x, y, turn), force))
+                readings.append(source.sample(contact + index / 120, (x, y, turn), force))
             source.sample(contact + 0.5, None, 0.0)
-        return felt
+        return readings
 
     shared, each = run(False), run(True)
     assert np.array_equal(shared, each, equal_nan=True)

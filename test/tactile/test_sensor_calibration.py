@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of a rig's pads: what it finds, what it leaves alone, and that it helps where it was not made."""
+"""Calibration of a rig's pads: detected errors, unchanged sound parts, and benefit on other dockings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def dock(
     family: TactileParameters = FAMILY,
     off: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> KnownDockings:
-    """Dock at random poses; the pads sit `off` from where they should."""
+    """Dock at random poses; the pads are mounted with the error `off`."""
     random = np.random.default_rng([seed, RIG])
     pose = random.uniform(-REACH, REACH, (count, 3))
     got = measure(family, rig or Rig.draw(family, RIG), pose + off, random, 12, 0.0)
@@ -82,7 +82,7 @@ def test_a_tilt_is_found_by_ten_dockings(model: PoseEstimator) -> None:
     assert after[2] < 1.1 * before[2]
 
 
-def test_pads_that_sit_elsewhere_are_found(model: PoseEstimator) -> None:
+def test_a_mounting_error_of_the_pads_is_found(model: PoseEstimator) -> None:
     off = (0.0, 0.0015, math.radians(0.8))
     made = fit(dock(100, off=off), model).calibration
     assert made.bias[1] == pytest.approx(off[1], abs=4e-4)
@@ -101,10 +101,10 @@ def test_jitter_of_few_dockings_is_not_taken_for_an_error(model: PoseEstimator) 
         assert np.all(np.abs(found.calibration.bias) <= np.abs(found.bias))
         kept.append(found.calibration.bias)
     spread = np.sqrt(np.mean(np.square(kept), axis=0))
-    assert np.all(spread < 0.5 * JITTER / math.sqrt(12))  # what taking every mean at its word would leave
+    assert np.all(spread < 0.5 * JITTER / math.sqrt(12))  # the error of using every mean unshrunk
 
 
-def test_another_ridge_is_noticed_and_nothing_is_bent_to_it(model: PoseEstimator) -> None:
+def test_another_ridge_is_detected_and_not_fitted(model: PoseEstimator) -> None:
     other = dataclasses.replace(FAMILY, contact=dataclasses.replace(FAMILY.contact, ridge_height=0.008))
     found = fit(dock(family=other), model)
     assert found.misfit > MISFIT_LIMIT
@@ -113,20 +113,20 @@ def test_another_ridge_is_noticed_and_nothing_is_bent_to_it(model: PoseEstimator
     assert fit(dock(), model).misfit < MISFIT_LIMIT
 
 
-def test_worth_is_told_on_dockings_left_out(model: PoseEstimator) -> None:
+def test_the_benefit_is_measured_on_held_out_dockings(model: PoseEstimator) -> None:
     rig = dataclasses.replace(Rig.draw(FAMILY, RIG), tilt=np.array([0.0, math.radians(0.06)]))
     tilted = judge(dock(60, rig=rig), model)
     assert tilted.after[0] < 0.75 * tilted.before[0]
     assert tilted.known
     assert not tilted.worse.any()
     blind = dataclasses.replace(dock(60, rig=rig), truth=np.full((60, 3), np.nan))
-    told = judge(blind, model)
-    assert not told.known
-    assert told.before[1] > tilted.before[1]  # the jitter counts with it
+    unknown_truth = judge(blind, model)
+    assert not unknown_truth.known
+    assert unknown_truth.before[1] > tilted.before[1]  # includes the jitter
 
 
 @pytest.mark.parametrize("count", [30, 200])
-def test_a_sound_rig_has_only_the_dead_taxels_that_the_board_told(count: int) -> None:
+def test_a_sound_rig_has_only_the_dead_taxels_that_the_board_reports(count: int) -> None:
     faults = find(dock(count))
     assert np.array_equal(faults.dead, Rig.draw(FAMILY, RIG).dead)
     assert np.array_equal(faults.dead, faults.told)
@@ -139,7 +139,7 @@ def test_faulty_taxels_are_found() -> None:
     frames[:, 0, 4, 3] = 0.0
     frames[:, 1, 5, 6] = 1.2
     frames[:, 0, 7, 7] = np.maximum(frames[:, 0, 7, 7] + random.normal(0.0, 0.8, 100), 0.0)
-    frames[:, 1, 2, :] += 1.5  # the whole row
+    frames[:, 1, 2, :] += 1.5  # the entire row
     frames[::10, 1, 8, 1] = np.nan
     faults = find(dataclasses.replace(sound, frames=frames))
     assert faults.silent[0, 4, 3]
@@ -151,7 +151,7 @@ def test_faulty_taxels_are_found() -> None:
     assert faults.dead.sum() == 4 + 10 + Rig.draw(FAMILY, RIG).dead.sum()
 
 
-def test_tares_that_differ_are_told() -> None:
+def test_differing_tares_are_detected() -> None:
     tares = np.tile(np.random.default_rng(0).normal(0.5, 0.1, SHAPE), (3, 1, 1, 1))
     tares[2, 0, 1, 1] += 0.4
     tares[:, 1, 9, 9] += 1.0
@@ -215,10 +215,10 @@ def test_applying_undoes_gain_and_load_shift() -> None:
     assert np.nansum(right) == pytest.approx(loads[1] + 3.0)
 
 
-def test_a_light_pad_is_never_made_heavy() -> None:
+def test_a_light_pad_stays_light() -> None:
     shifting = TactileCalibration(load_shift=20.0)
     heavy, light = np.ones(SHAPE[1:]), np.zeros(SHAPE[1:])
-    light[4] = 0.25  # 2.5 N: too little to hold the ridge
+    light[4] = 0.25  # 2.5 N: too little for a pad that holds the ridge
     assert np.array_equal(shifting.apply(heavy, light)[1], light)
     light[4] = 1.0
     assert shifting.apply(heavy, light)[1].sum() <= 1.3 * light.sum() + 1e-9
@@ -226,7 +226,7 @@ def test_a_light_pad_is_never_made_heavy() -> None:
         shifting.apply(heavy, light[:9])
 
 
-def test_correcting_moves_the_estimate_and_what_follows_from_it(model: PoseEstimator) -> None:
+def test_correction_moves_the_estimate_and_derived_values(model: PoseEstimator) -> None:
     frames = dock(40).frames
     raw = model.predict(frames[:, 0], frames[:, 1])
     made = full()
@@ -245,7 +245,7 @@ def test_correcting_moves_the_estimate_and_what_follows_from_it(model: PoseEstim
     vague = dataclasses.replace(made, bias_stddev=np.array([0.0, 0.01, 0.0])).correct(raw)
     assert vague.in_range.any()
     assert not vague.sure.any()
-    # What is vague along x reaches the offset across the bars by their roll alone.
+    # An error along x affects the offset across the bars only through roll.
     vague = dataclasses.replace(made, bias_stddev=np.array([0.01, 0.0, 0.0])).correct(raw)
     assert vague.sure.any()
     assert not np.any(vague.sure & (0.01 * np.abs(np.sin(raw.angle)) > Limits().across_stddev))
@@ -262,7 +262,7 @@ def test_correcting_moves_the_estimate_and_what_follows_from_it(model: PoseEstim
     assert TactileCalibration().correct(raw) is raw
 
 
-def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
+def test_a_saved_file_loads_unchanged(tmp_path: Path) -> None:
     made, path = full(), tmp_path / "pads.yaml"
     made.save(path, "first line\nsecond")
     assert path.read_text(encoding="utf-8").startswith("# first line\n# second\n")
@@ -317,7 +317,7 @@ def test_a_damaged_file_is_refused_by_its_key(tmp_path: Path, change: dict[str, 
 @pytest.mark.parametrize(
     "text", ["", "5", "[1, 2]", "a: [", "!!python/object/apply:os.system [ls]", "\x00", "[" * 5000, "version: 1"]
 )
-def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
+def test_files_that_are_not_calibrations_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "pads.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SensorCalibrationError):

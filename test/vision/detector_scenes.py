@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random views of a terminal for the detector's tests, as far as the docked and the approaching robot are."""
+"""Random views of a terminal for the detector's tests, from the docked to the approaching robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def turned(axis: int, angle: float) -> Array:
 def pose_at(
     away: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, x: float = 0.0, y: float = 0.0
 ) -> Array:
-    """camera_T_terminal of a terminal before the camera: x and y in tangents of the line of sight."""
+    """camera_T_terminal of a terminal in front of the camera: x and y as tangents of the line of sight."""
     pose = np.eye(4)
     pose[:3, :3] = turned(0, pitch) @ turned(1, yaw) @ turned(2, roll) @ np.diag([-1.0, -1.0, 1.0])
     pose[:3, 3] = away * np.array([x, y, 1.0]) / math.sqrt(1.0 + x * x + y * y)
@@ -58,7 +58,7 @@ def scaled(terminal: Terminal, scale: float) -> Terminal:
 
 
 def half_hidden(scene: RenderedScene, bar: float, end: float) -> RenderedScene:
-    """A grey plate just before one half (end ±1 along x) of one bar (±1 along y)."""
+    """A grey plate just in front of one half (end ±1 along x) of one bar (±1 along y)."""
     pose = np.eye(4)
     pose[:3, 3] = [end * 0.03, bar * 0.0107, -0.002]
     return dataclasses.replace(scene, foreground=(Box(pose, (0.06, 0.0164, 0.001), (0.2, 0.2, 0.2)),))

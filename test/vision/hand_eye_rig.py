@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drawn charger whose platform carries a board, as numbers and as images: what hand-eye tests know the truth of."""
+"""A random charger with a board on its platform, as numbers and images, for hand-eye tests with known truth."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Rig:
     """One charger.
 
     Args:
-        seed: draws all of it.
+        seed: of all random values.
         board: on the platform.
         joints, offset: standard deviations of the arm angles' errors (rad) and of the ruler (m).
-        true_size: of the board, in units of what is stated.
+        true_size: of the board, relative to the stated size.
         intrinsics: of the camera.
     """
 
@@ -72,7 +72,7 @@ class Rig:
             yield place, ARM.inverse(*place)
 
     def platform(self, angles: Vector) -> Vector:
-        """Return where the platform truly is, m."""
+        """Return the platform's true position, m."""
         first, second, third = np.array(angles) + self.joints
         return ARM.forward(float(first), float(second), float(third))
 
@@ -107,7 +107,7 @@ class Rig:
         return folder
 
     def error(self, found: Mount) -> np.ndarray:
-        """Return the error (6,) of a mount as its covariance has it: m and rad."""
+        """Return the error (6,) of a mount in the order of its covariance: m and rad."""
         turned = found.pose[:3, :3] @ self.mount[:3, :3].T
         rotation = 0.5 * np.array(
             [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
@@ -115,7 +115,7 @@ class Rig:
         return np.append(found.pose[:3, 3] - self.mount[:3, 3], rotation)
 
     def dock_error(self, found: Mount) -> np.ndarray:
-        """Return the error (3,) m of a point that is seen at the dock."""
+        """Return the error (3,) m of a point observed at the dock."""
         error = self.error(found)
         return error[:3] - cross_matrix(DOCK - found.pose[:3, 3]) @ error[3:]
 

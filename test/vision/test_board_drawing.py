@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drawn board is the printed one: same bits, same size, edges where they should be."""
+"""The drawn board matches the print: same bits, same size, correct edges."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def render(scene: RenderedScene) -> np.ndarray:
 def test_each_cell_has_the_printed_colour(board: Board) -> None:
     pose, black = facing(0.15), board.cells()
     light = linear(render(with_board(BACKGROUND, board, pose, in_camera=True)))
-    # A ChArUco board has many fine cells: some of them are looked at, and a few lie on an edge.
+    # A ChArUco board has many fine cells: only some are tested, and a few lie on an edge.
     rows, columns = (np.arange(count)[:: max(1, count // 31)] for count in black.shape)
     width, height = board.pattern
     x = width * ((columns + 0.5) / black.shape[1] - 0.5)
@@ -49,7 +49,7 @@ def test_each_cell_has_the_printed_colour(board: Board) -> None:
     assert np.mean(seen == black[np.ix_(rows, columns)]) > 0.95
 
 
-def test_the_tag_covers_as_much_as_its_size_says() -> None:
+def test_the_tag_has_its_stated_size() -> None:
     pose = facing(0.2)
     light = linear(render(with_board(BACKGROUND, AprilTag(), pose, in_camera=True)))
     white, dark = light[OAK_D.height // 2 - 49, OAK_D.width // 2], light[OAK_D.height // 2 - 40, OAK_D.width // 2]
@@ -60,7 +60,7 @@ def test_the_tag_covers_as_much_as_its_size_says() -> None:
     assert covered == pytest.approx(441.0 * 0.040 / 0.2, abs=0.15)
 
 
-def test_edges_of_a_tilted_board_are_half_covered_where_they_lie() -> None:
+def test_edges_of_a_tilted_board_are_exact() -> None:
     pose = shifted((0.0, 0.0, 0.2))
     c, s = np.cos(0.6), np.sin(0.6)
     pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ np.array([(1, 0, 0), (0, c, -s), (0, s, c)])
@@ -86,7 +86,7 @@ def test_a_board_in_the_terminals_frame_moves_with_it() -> None:
     assert board.detect(images[0]) is not None
 
 
-def test_what_stands_before_the_board_hides_it() -> None:
+def test_things_in_front_of_the_board_hide_it() -> None:
     board, pose = AprilTag(), facing(0.2)
     scene = with_board(BACKGROUND, board, pose, in_camera=True)
     assert board.detect(render(scene)) is not None
@@ -122,6 +122,6 @@ def test_the_print_is_the_board_in_true_size(board: Board) -> None:
     assert board.name in "".join(drawing.itertext())
 
 
-def test_a_pose_that_is_none_is_refused() -> None:
+def test_an_invalid_pose_is_refused() -> None:
     with pytest.raises(RenderingError):
         board_boxes(AprilTag(), np.diag([2.0, 1.0, 1.0, 1.0]))

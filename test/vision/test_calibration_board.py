@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards by name, and how exactly a rendered image shows their corners."""
+"""Boards by name, and accuracy of their corners in rendered images."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BACKGROUND = RenderedScene(target=False, parameters=SceneParameters.even())
 
 
 def drawn_pose(seed: int) -> np.ndarray:
-    """Return camera_T_board of a board that faces the camera within 40°, wholly in the picture."""
+    """Return camera_T_board of a board that faces the camera within 40°, fully inside the image."""
     random = np.random.default_rng(seed)
     pose = shifted((random.uniform(-0.05, 0.05), random.uniform(-0.02, 0.02), random.uniform(0.14, 0.20)))
     tilt = np.append(random.uniform(-0.5, 0.5, 2), random.uniform(-math.pi, math.pi))
@@ -48,7 +48,7 @@ def image(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL, seed:
 
 
 def errors(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL) -> np.ndarray:
-    """Return (K, 2) px of the corners that are found."""
+    """Return the errors (K, 2) px of the detected corners."""
     found = board.detect(image(board, pose, camera))
     assert found is not None
     points = found.corners @ pose[:3, :3].T + pose[:3, 3]
@@ -65,21 +65,21 @@ def test_corners_are_found_to_a_small_part_of_a_pixel(board: Board) -> None:
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS[1:], ids=["plumb_bob", "rational"])
-def test_a_lens_bends_lines_and_leaves_corners_where_they_are(distortion: tuple[float, ...]) -> None:
+def test_lens_distortion_does_not_displace_corners(distortion: tuple[float, ...]) -> None:
     camera = SimulatedCamera(Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5, distortion), CameraParameters.ideal())
     for board in BOARDS[:3:2]:
         found = np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(4)])
         assert np.sqrt(np.mean(found**2)) < 0.12
 
 
-def test_a_dark_image_moves_no_corner() -> None:
+def test_a_dark_image_does_not_displace_corners() -> None:
     camera = SimulatedCamera(parameters=CameraParameters(exposure=0.3))
     for board in (AprilTag(), Charuco()):
         found = np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(6)])
         assert np.sqrt(np.mean(found**2)) < 0.10
 
 
-def test_over_exposure_shrinks_a_tag_but_not_a_chessboard_and_is_told() -> None:
+def test_over_exposure_is_detected_and_shrinks_a_tag_but_not_a_chessboard() -> None:
     camera = SimulatedCamera(parameters=CameraParameters(exposure=2.5))
     tag, chess = (
         np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(6)])
@@ -95,7 +95,7 @@ def test_over_exposure_shrinks_a_tag_but_not_a_chessboard_and_is_told() -> None:
     assert whites[0] < 240 < 250 < whites[1]
 
 
-def test_corner_numbers_are_those_of_the_print() -> None:
+def test_corner_numbers_match_the_print() -> None:
     for board in (AprilTag(), Charuco()):
         pose = shifted((0.0, 0.0, 0.2))
         pose[:3, :3] = np.diag([1.0, -1.0, -1.0])  # upright, straight ahead
@@ -107,7 +107,7 @@ def test_corner_numbers_are_those_of_the_print() -> None:
         assert first[1] < OAK_D.cy < last[1]
 
 
-def test_what_is_cut_off_or_turned_away_is_not_seen() -> None:
+def test_a_cut_off_or_averted_board_is_not_detected() -> None:
     upright = shifted((0.0, 0.0, 0.2))
     upright[:3, :3] = np.diag([1.0, -1.0, -1.0])
     away = upright @ np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -117,7 +117,7 @@ def test_what_is_cut_off_or_turned_away_is_not_seen() -> None:
         assert board.detect(np.zeros((400, 640), dtype=np.uint8)) is None
 
 
-def test_a_charuco_board_is_seen_in_part() -> None:
+def test_a_charuco_board_is_detected_in_part() -> None:
     upright = shifted((0.135, 0.0, 0.2))
     upright[:3, :3] = np.diag([1.0, -1.0, -1.0])
     board = Charuco()
@@ -127,7 +127,7 @@ def test_a_charuco_board_is_seen_in_part() -> None:
     assert np.abs(errors(board, upright)).max() < 0.3
 
 
-def test_other_boards_are_not_taken_for_this_one_and_are_named() -> None:
+def test_other_boards_are_rejected_and_named() -> None:
     pose = drawn_pose(1)
     seen = image(AprilTag(tag=7), pose)
     assert AprilTag(tag=0).detect(seen) is None
@@ -138,7 +138,7 @@ def test_other_boards_are_not_taken_for_this_one_and_are_named() -> None:
     assert markers_in(np.zeros((400, 640), dtype=np.uint8)) == ()
 
 
-def test_a_tag_that_is_seen_twice_is_none() -> None:
+def test_a_duplicate_tag_is_rejected() -> None:
     left, right = (drawn_pose(2) for _ in range(2))
     left[:3, 3], right[:3, 3] = (-0.06, 0.0, 0.2), (0.06, 0.0, 0.2)
     board = AprilTag()
@@ -148,7 +148,7 @@ def test_a_tag_that_is_seen_twice_is_none() -> None:
     assert board.detect(image(board, left)) is not None
 
 
-def test_gray_and_colour_are_alike() -> None:
+def test_gray_and_colour_give_the_same_corners() -> None:
     seen = image(AprilTag(), drawn_pose(3))
     color, gray = AprilTag().detect(seen), AprilTag().detect(np.ascontiguousarray(seen[:, :, 1]))
     assert color is not None
@@ -159,7 +159,7 @@ def test_gray_and_colour_are_alike() -> None:
             AprilTag().detect(wrong)
 
 
-def test_names_are_read_back() -> None:
+def test_names_can_be_parsed() -> None:
     for board in BOARDS:
         marker = board.marker if isinstance(board, Charuco) else None
         assert parse_board(board.name, board.length, marker) == board
@@ -173,24 +173,24 @@ def test_names_are_read_back() -> None:
 @pytest.mark.parametrize(
     ("text", "size", "marker", "what"),
     [
-        ("", 0.04, None, "names no board"),
-        ("apriltag", 0.04, None, "names no board"),
-        ("apriltag:36h11", 0.04, None, "names no board"),
-        ("apriltag:36h11:x", 0.04, None, "names no board"),
+        ("", 0.04, None, "is not a board"),
+        ("apriltag", 0.04, None, "is not a board"),
+        ("apriltag:36h11", 0.04, None, "is not a board"),
+        ("apriltag:36h11:x", 0.04, None, "is not a board"),
         ("apriltag:36h11:587", 0.04, None, "tags 0…586"),
-        ("apriltag:36h11:-1", 0.04, None, "no -1"),
+        ("apriltag:36h11:-1", 0.04, None, "-1 is not in"),
         ("apriltag:36h9:0", 0.04, None, "36h11"),
         ("apriltag:36h11:0", 40.0, None, "outside 2…1000 mm"),
         ("apriltag:36h11:0", math.nan, None, "outside"),
         ("apriltag:36h11:0", 0.04, 0.03, "one size"),
-        ("charuco:4x4_50:5", 0.012, None, "names no board"),
+        ("charuco:4x4_50:5", 0.012, None, "is not a board"),
         ("charuco:4x4_50:2x4", 0.012, None, "give 3…30"),
         ("charuco:4x4_50:12x12", 0.012, None, "too few"),
         ("charuco:9x9_50:5x4", 0.012, None, "none of"),
         ("charuco:4x4_50:5x4", 0.012, 0.012, "0.3…0.95"),
-        ("checkerboard:5x4", 0.012, None, "names no board"),
+        ("checkerboard:5x4", 0.012, None, "is not a board"),
     ],
 )
-def test_what_names_no_board_says_why(text: str, size: float, marker: float | None, what: str) -> None:
+def test_invalid_board_names_are_refused_with_a_reason(text: str, size: float, marker: float | None, what: str) -> None:
     with pytest.raises(BoardError, match=what):
         parse_board(text, size, marker)

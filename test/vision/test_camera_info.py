@@ -57,7 +57,7 @@ def load(folder: Path, text: str) -> Intrinsics:
 
 
 @pytest.mark.parametrize("text", [CALIBRATION, ECHOED], ids=["calibration", "echoed"])
-def test_both_forms_mean_the_same(tmp_path: Path, text: str) -> None:
+def test_both_formats_give_the_same_intrinsics(tmp_path: Path, text: str) -> None:
     assert load(tmp_path, text) == EXPECTED
 
 
@@ -67,7 +67,7 @@ def test_a_camera_without_distortion_has_none() -> None:
         assert from_camera_info(640, 400, K, d, model) == plain
 
 
-def test_missing_coefficients_are_zero_and_more_than_the_model_has_may_be() -> None:
+def test_missing_and_extra_coefficients_are_zero() -> None:
     four = from_camera_info(640, 400, K, [-0.1, 0.02, 0.001, -0.002], "plumb_bob")
     assert four.distortion == (-0.1, 0.02, 0.001, -0.002, 0.0)
     eight = [1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 5.0, 6.0]
@@ -97,7 +97,7 @@ def test_missing_coefficients_are_zero_and_more_than_the_model_has_may_be() -> N
         ("camera_matrix:", "camera_matrix: [", "YAML"),
     ],
 )
-def test_a_bad_file_says_what_to_do(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert old in CALIBRATION
     with pytest.raises(CameraInfoError, match=words) as caught:
         load(tmp_path, CALIBRATION.replace(old, new))
@@ -105,7 +105,7 @@ def test_a_bad_file_says_what_to_do(tmp_path: Path, old: str, new: str, words: s
 
 
 @pytest.mark.parametrize("text", ["", "- 1", "4", "camera_matrix: 4\nimage_width: 640\nimage_height: 400\n"])
-def test_another_file_is_no_calibration(tmp_path: Path, text: str) -> None:
+def test_other_files_are_not_calibrations(tmp_path: Path, text: str) -> None:
     with pytest.raises(CameraInfoError):
         load(tmp_path, text)
 

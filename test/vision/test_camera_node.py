@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""camera_node on real topics: images of a camera that comes and goes, and of a recording; what it says without one."""
+"""camera_node on real topics: images of a camera that is plugged and unplugged, and of a recording; its errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def picture(number: int) -> RgbdImage:
 
 
 class Camera:
-    """An open camera that takes image after image, every 20 ms, until it is unplugged."""
+    """An open camera that takes an image every 20 ms until unplugged."""
 
     def __init__(self, name: str, wanted: Callable[[], bool], take: Callable[[OakImage], None]) -> None:
         self.name, self.taken, self.refused, self._trouble = name, 0, 0, ""
@@ -77,7 +77,7 @@ class Camera:
 
 
 class Socket:
-    """Where a camera is plugged in, or not."""
+    """A port that may have a camera."""
 
     def __init__(self) -> None:
         self.plugged = ""
@@ -91,15 +91,15 @@ class Socket:
 
 
 class Client(Node):
-    """Subscribes to what it is told to, and to diagnostics."""
+    """Subscribes to given topics and to diagnostics."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("client", **options(context, namespace))
         self.color: list[Image] = []
         self.depth: list[Image] = []
         self.info: list[CameraInfo] = []
-        self.said: list[DiagnosticStatus] = []
-        self.create_subscription(DiagnosticArray, "/diagnostics", lambda each: self.said.extend(each.status), 10)
+        self.statuses: list[DiagnosticStatus] = []
+        self.create_subscription(DiagnosticArray, "/diagnostics", lambda each: self.statuses.extend(each.status), 10)
 
     def listen(self, *kinds: str) -> list[Any]:
         topics = {
@@ -112,9 +112,9 @@ class Client(Node):
             for kind, topic, into in (topics[each] for each in kinds or topics)
         ]
 
-    def hears(self, level: bytes, text: str) -> None:
-        """Wait for a status that says so, since the list was cleared."""
-        wait_until(lambda: any(each.level == level and text in each.message for each in list(self.said)), text)
+    def wait_for_status(self, level: bytes, text: str) -> None:
+        """Wait for a status with this text, since the list was cleared."""
+        wait_until(lambda: any(each.level == level and text in each.message for each in list(self.statuses)), text)
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def depth_of(message: Image) -> int:
     return int(message.data[2]) + 256 * int(message.data[3])
 
 
-def test_images_of_a_camera_reach_the_topics_as_they_are(start: Start, client: Client) -> None:
+def test_camera_images_are_published_unchanged(start: Start, client: Client) -> None:
     socket = Socket()
     socket.plugged = "14442C10"
     client.listen()
@@ -165,58 +165,58 @@ def test_images_of_a_camera_reach_the_topics_as_they_are(start: Start, client: C
         assert from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model) == LENS
 
 
-def test_nothing_is_converted_while_nobody_subscribes(start: Start, client: Client) -> None:
+def test_nothing_is_converted_without_subscribers(start: Start, client: Client) -> None:
     socket = Socket()
     socket.plugged = "14442C10"
     start(socket.open)
-    client.hears(DiagnosticStatus.OK, "nobody subscribes")
+    client.wait_for_status(DiagnosticStatus.OK, "no subscribers")
     camera = socket.opened[0]
-    wait_until(lambda: camera.refused > 5, "images that nobody wants")
+    wait_until(lambda: camera.refused > 5, "unwanted images")
     assert camera.taken == 0
     subscriptions = client.listen("depth")
     wait_until(lambda: client.depth, "depth")
     assert not client.color
-    client.said.clear()
-    client.hears(DiagnosticStatus.OK, "OK")
+    client.statuses.clear()
+    client.wait_for_status(DiagnosticStatus.OK, "OK")
     for each in subscriptions:
         client.destroy_subscription(each)
     refused = camera.refused
-    wait_until(lambda: camera.refused > refused + 5, "images that nobody wants")
+    wait_until(lambda: camera.refused > refused + 5, "unwanted images")
 
 
-def test_a_camera_that_is_absent_or_unplugged_is_named_and_waited_for(start: Start, client: Client) -> None:
+def test_an_absent_or_unplugged_camera_is_reported_and_reconnected(start: Start, client: Client) -> None:
     socket = Socket()
     client.listen("color")
     node = start(socket.open, device_id="14442C10")
-    client.hears(DiagnosticStatus.ERROR, "no OAK camera found")
-    assert client.said[-1].hardware_id == "14442C10"
+    client.wait_for_status(DiagnosticStatus.ERROR, "no OAK camera found")
+    assert client.statuses[-1].hardware_id == "14442C10"
     socket.plugged = "14442C10"
     wait_until(lambda: client.color, "the first image")
-    client.hears(DiagnosticStatus.OK, "OK")
-    client.said.clear()
+    client.wait_for_status(DiagnosticStatus.OK, "OK")
+    client.statuses.clear()
     socket.plugged = ""
     socket.opened[0].unplug()
-    client.hears(DiagnosticStatus.ERROR, "OAK camera 14442C10 is gone")
-    client.hears(DiagnosticStatus.ERROR, "no OAK camera found")
+    client.wait_for_status(DiagnosticStatus.ERROR, "OAK camera 14442C10 is gone")
+    client.wait_for_status(DiagnosticStatus.ERROR, "no OAK camera found")
     client.color.clear()
     socket.plugged = "14442C10"
     wait_until(lambda: client.color, "the camera again")
     assert len(socket.opened) == 2
     node.close()
     taken = socket.opened[1].taken
-    client.said.clear()
-    client.hears(DiagnosticStatus.OK, "OK")
+    client.statuses.clear()
+    client.wait_for_status(DiagnosticStatus.OK, "OK")
     assert socket.opened[1].taken == taken
 
 
-def test_without_a_device_it_says_so_and_lives(start: Start, client: Client) -> None:
+def test_without_a_device_it_reports_the_error_and_keeps_running(start: Start, client: Client) -> None:
     depthai = pytest.importorskip("depthai", reason="drives an OAK-D with deltacharger[oak]")
     if depthai.Device.getAllAvailableDevices():
         pytest.skip("an OAK camera is connected")
     start()
     for _ in range(2):
-        client.said.clear()
-        client.hears(DiagnosticStatus.ERROR, "no OAK camera found: plug it in")
+        client.statuses.clear()
+        client.wait_for_status(DiagnosticStatus.ERROR, "no OAK camera found: plug it in")
 
 
 @pytest.fixture
@@ -240,9 +240,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_replay_publishes_what_was_recorded_at_its_pace_with_fresh_stamps(
-    start: Start, client: Client, recording: Path
-) -> None:
+def test_a_replay_keeps_pace_and_content_with_new_stamps(start: Start, client: Client, recording: Path) -> None:
     client.listen()
     before = client.get_clock().now().nanoseconds
     start(replay=str(recording), replay_loop=True)
@@ -272,19 +270,17 @@ def test_a_replay_publishes_what_was_recorded_at_its_pace_with_fresh_stamps(
     assert {stamp_ns(each) for each in infos} & set(starts)
 
 
-def test_a_replay_waits_for_a_listener_and_says_when_it_has_ended(
-    start: Start, client: Client, recording: Path
-) -> None:
+def test_a_replay_waits_for_a_subscriber_and_reports_its_end(start: Start, client: Client, recording: Path) -> None:
     start(replay=str(recording))
-    client.hears(DiagnosticStatus.OK, "nobody subscribes")
+    client.wait_for_status(DiagnosticStatus.OK, "no subscribers")
     client.listen("color")
-    client.hears(DiagnosticStatus.ERROR, "the recording has ended")
-    assert client.said[-1].hardware_id == str(recording)
+    client.wait_for_status(DiagnosticStatus.ERROR, "the recording has ended")
+    assert client.statuses[-1].hardware_id == str(recording)
     assert colors(client.color) == sorted(set(colors(client.color)))
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "expected"),
     [
         ({"replay": "none.mcap"}, "none.mcap: there is no such file"),
         ({"replay": __file__}, "no MCAP file"),
@@ -295,7 +291,7 @@ def test_a_replay_waits_for_a_listener_and_says_when_it_has_ended(
         ({"exposure": 5}, "did you mean 'exposure_us'"),
     ],
 )
-def test_wrong_parameters_stop_it_at_start(start: Start, tmp_path: Path, values: dict[str, Any], says: str) -> None:
+def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, values: dict[str, Any], expected: str) -> None:
     if values.get("replay"):
         pytest.importorskip("mcap", reason="replays with deltacharger[record]")
         if values["replay"] == "empty":
@@ -304,24 +300,24 @@ def test_wrong_parameters_stop_it_at_start(start: Start, tmp_path: Path, values:
             values = {"replay": str(tmp_path / "empty.mcap")}
             with McapWriter(Path(values["replay"]), {"/color/image_raw": Image}):
                 pass
-    with pytest.raises(StartupError, match=says):
+    with pytest.raises(StartupError, match=expected):
         start(Socket().open, **values)
 
 
 def test_the_executable_takes_a_recording_and_ros_arguments() -> None:
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
     words = [sys.executable, "-m", "deltacharger_vision.cameras.camera_node"]
-    for more, says in (
+    for more, expected in (
         (["--replay", "none.mcap", "--ros-args", "-r", "__ns:=/a"], "none.mcap: there is no such file"),
         (["--ros-args", "-p", "replay:=other.mcap"], "other.mcap: there is no such file"),
         (["--reply", "none.mcap"], "unrecognized arguments"),
         (["--ros-args", "-p", "rate"], "ROS refuses"),
     ):
         ended = subprocess.run([*words, *more], capture_output=True, text=True, timeout=DEADLINE, check=False)
-        assert (ended.returncode, says in ended.stderr) == (2, True), ended
+        assert (ended.returncode, expected in ended.stderr) == (2, True), ended
 
 
-def test_the_settings_are_the_parameters(start: Start) -> None:
+def test_every_setting_is_a_parameter(start: Start) -> None:
     node = start(Socket().open, width=320, rate=30.0)
     for item in dataclasses.fields(OakSettings):
         wanted = {"width": 320, "rate": 30.0}.get(item.name, item.default)

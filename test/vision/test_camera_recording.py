@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a recording are the camera's, and what is left of a recording that was cut off."""
+"""Topics of the camera in a recording, and reading of truncated recordings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OURS = {"/color/image_raw": IMAGE, "/depth/image_raw": IMAGE, "/color/camera_inf
 
 
 def recorded(path: Path, types: dict[str, str], rounds: int = 3, chunk: int = 200, finish: bool = True) -> Path:
-    """`rounds` messages of each topic in turn, 60 bytes each, that tell their topic and number."""
+    """`rounds` messages of each topic in turn, 60 bytes each, with their topic and number."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=chunk, compression=CompressionType.NONE)
         writer.start(profile="ros2", library="test")
@@ -56,7 +56,7 @@ def refusal(tmp_path: Path, types: dict[str, str], asked: CameraTopics | None = 
     return str(refused.value)
 
 
-def test_messages_come_in_order_with_their_kind(tmp_path: Path) -> None:
+def test_messages_have_their_order_and_kind(tmp_path: Path) -> None:
     recording = CameraRecording(recorded(tmp_path / "rec.mcap", {**OURS, "/chatter": "std_msgs/msg/String"}))
     assert recording.images == 3
     found = [(each.kind, each.time, each.data.decode().strip()) for each in recording.messages()]
@@ -82,7 +82,7 @@ def test_depth_aligned_by_another_driver_is_found(tmp_path: Path) -> None:
     assert topics(tmp_path, types)[1] == "/cam/aligned_depth_to_color/image_raw"
 
 
-def test_other_names_are_taken_as_told_and_the_info_stands_beside_the_color(tmp_path: Path) -> None:
+def test_other_names_can_be_given_and_the_info_is_next_to_the_color(tmp_path: Path) -> None:
     types = {"/oak/rgb/image_raw": IMAGE, "/oak/stereo/image_raw": IMAGE, "/oak/rgb/camera_info": CAMERA_INFO}
     named = CameraTopics("oak/rgb/image_raw", "/oak/stereo/image_raw")
     assert topics(tmp_path, types, named) == ("/oak/rgb/image_raw", "/oak/stereo/image_raw", "/oak/rgb/camera_info")
@@ -98,7 +98,7 @@ def test_color_alone_is_a_recording(tmp_path: Path) -> None:
     assert topics(tmp_path, {"/color/image_raw": IMAGE}) == ("/color/image_raw", "", "")
 
 
-def test_what_is_not_clear_is_refused_with_the_choices(tmp_path: Path) -> None:
+def test_ambiguous_topics_are_refused_with_the_choices(tmp_path: Path) -> None:
     two = {f"{prefix}{topic}": kind for prefix in ("/a", "/b") for topic, kind in OURS.items()}
     assert "name one of /a/color/image_raw, /b/color/image_raw" in refusal(tmp_path, two)
     assert topics(tmp_path, two, CameraTopics("/b/color/image_raw")) == tuple(f"/b{topic}" for topic in OURS)
@@ -107,10 +107,10 @@ def test_what_is_not_clear_is_refused_with_the_choices(tmp_path: Path) -> None:
     assert "several depth topics" in refusal(tmp_path, depths)
     assert "no topic /c" in refusal(tmp_path, OURS, CameraTopics("c"))
     assert "must be sensor_msgs/msg/Image" in refusal(tmp_path, OURS, CameraTopics(depth="/color/camera_info"))
-    assert "holds no images, but /chatter" in refusal(tmp_path, {"/chatter": "std_msgs/msg/String"})
+    assert "holds no images, only /chatter" in refusal(tmp_path, {"/chatter": "std_msgs/msg/String"})
 
 
-def test_compressed_images_are_told_what_to_record_instead(tmp_path: Path) -> None:
+def test_errors_for_compressed_images_name_the_topic_to_record(tmp_path: Path) -> None:
     types = {"/depth/image_raw": IMAGE, "/color/image_raw/compressed": COMPRESSED}
     assert "record /color/image_raw instead" in refusal(tmp_path, types)
     assert "record /rgb instead" in refusal(tmp_path, {"/rgb/compressed": COMPRESSED})
@@ -118,7 +118,7 @@ def test_compressed_images_are_told_what_to_record_instead(tmp_path: Path) -> No
     assert "record /color/image_raw instead" in refusal(tmp_path, types, asked)
 
 
-def test_a_recording_that_was_cut_off_gives_what_it_has(tmp_path: Path) -> None:
+def test_a_truncated_recording_is_read_to_its_end(tmp_path: Path) -> None:
     path = recorded(tmp_path / "rec.mcap", OURS, rounds=50, finish=False)
     recording = CameraRecording(path)
     assert 40 < recording.images <= 50  # the last chunk was not written yet
@@ -130,7 +130,7 @@ def test_a_recording_that_was_cut_off_gives_what_it_has(tmp_path: Path) -> None:
         next(messages)
 
 
-def test_a_damaged_part_ends_the_messages_not_silently(tmp_path: Path) -> None:
+def test_a_damaged_part_raises_an_error(tmp_path: Path) -> None:
     path = recorded(tmp_path / "rec.mcap", OURS, rounds=50)
     data = bytearray(path.read_bytes())
     data[data.index(b"/color/image_raw 25") + 5] ^= 0xFF

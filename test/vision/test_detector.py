@@ -47,7 +47,7 @@ def one_thread() -> None:
 
 
 @pytest.mark.slow
-def test_errors_are_as_large_as_the_covariance_says() -> None:
+def test_errors_match_the_covariance() -> None:
     squares, across, along, rolls = [], [], [], []
     frames = 200
     for seed in range(frames):
@@ -70,7 +70,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     assert np.percentile(rolls, 95) < math.radians(1.0)
 
 
-def test_same_image_gives_same_answer_and_is_left_alone() -> None:
+def test_detection_is_deterministic_and_does_not_change_the_image() -> None:
     random = np.random.default_rng(1)
     image = render(*random_view(random, 0.25, 0.35), random)
     color, depth = image.color.copy(), image.depth.copy()
@@ -83,7 +83,7 @@ def test_same_image_gives_same_answer_and_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_turning_or_mirroring_the_picture_turns_or_mirrors_the_answer(seed: int) -> None:
+def test_the_result_turns_and_mirrors_with_the_image(seed: int) -> None:
     random = np.random.default_rng(20_300 + seed)
     image = render(*random_view(random, 0.2, 0.5), random)
     plain, turned, flipped = (DETECTOR.detect(each) for each in (image, quarter_turn(image), mirrored(image)))
@@ -108,7 +108,7 @@ def test_roll_of_any_size_is_found_with_its_sign(roll: float) -> None:
     assert abs(math.remainder(found.roll - roll, math.pi)) < math.radians(1.0)
 
 
-def test_normal_points_to_the_camera_where_it_is_known() -> None:
+def test_a_known_normal_points_to_the_camera() -> None:
     random = np.random.default_rng(4)
     pose = pose_at(0.3, pitch=0.4, yaw=-0.2)
     found = DETECTOR.detect(render(RenderedScene(), pose, random))
@@ -141,7 +141,7 @@ def test_bars_of_another_size_are_refused_by_depth(scale: float) -> None:
         other = dataclasses.replace(scene, terminal=scaled(Terminal(), scale))
         image = render(other, pose, random)
         assert DETECTOR.detect(image) is None
-        # Whoever knows their size finds them: they were refused for their size alone.
+        # With the right size they are found, so only the size was refused.
         refused += ElectrodeDetector(scaled(Terminal(), scale)).detect(image) is not None
     assert refused >= 7
 
@@ -170,7 +170,7 @@ def test_below_the_stereo_range_the_image_alone_gives_the_pose() -> None:
     assert np.linalg.norm(error(found, pose)) < 0.002
 
 
-def test_noise_for_depth_below_the_stereo_range_is_not_believed() -> None:
+def test_noisy_depth_below_the_stereo_range_is_ignored() -> None:
     random = np.random.default_rng(5)
     pose = pose_at(0.15, roll=0.1, pitch=0.3)
     image = render(RenderedScene(), pose, random)
@@ -181,7 +181,7 @@ def test_noise_for_depth_below_the_stereo_range_is_not_believed() -> None:
     assert np.linalg.norm(error(found, pose)) < 0.002
 
 
-def test_plane_that_contradicts_the_image_is_no_terminal_at_any_range() -> None:
+def test_a_plane_that_contradicts_the_image_is_refused_at_any_range() -> None:
     for away in (0.15, 0.3):
         random = np.random.default_rng(5)
         image = render(RenderedScene(), pose_at(away, roll=0.1, pitch=0.3), random)
@@ -205,7 +205,7 @@ def test_without_depth_the_covariance_grows_and_holds() -> None:
     assert np.median(squares) < 5.0
 
 
-def test_distorted_lens_is_allowed_for() -> None:
+def test_lens_distortion_is_corrected() -> None:
     lens = Intrinsics(640, 400, 441.0, 441.0, 322.0, 197.0, (-0.25, 0.08, 0.001, -0.001, 0.0))
     camera = SimulatedCamera(lens)
     pose = pose_at(0.3, roll=0.2, x=0.35, y=0.15)
@@ -227,7 +227,7 @@ def test_distorted_lens_is_allowed_for() -> None:
         (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6),
     ],
 )
-def test_a_lens_that_bends_the_bars_hides_none_of_their_sides(distortion: tuple[float, ...]) -> None:
+def test_lens_distortion_hides_no_sides_of_the_bars(distortion: tuple[float, ...]) -> None:
     camera = SimulatedCamera(dataclasses.replace(OAK_D, distortion=distortion))
     for seed in range(12):
         random = np.random.default_rng(seed)
@@ -238,15 +238,15 @@ def test_a_lens_that_bends_the_bars_hides_none_of_their_sides(distortion: tuple[
 
 
 @pytest.mark.parametrize("percent", [-2.0, slow(-1.0), slow(1.0), 2.0])
-def test_a_focal_length_that_is_a_little_off_is_found_out_by_depth(percent: float) -> None:
+def test_depth_corrects_a_slightly_wrong_focal_length(percent: float) -> None:
     factor = 1.0 + percent / 100.0
-    told = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+    wrong_lens = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
     errors = []
     for seed in range(12):
         random = np.random.default_rng(seed)
         scene, pose = random_view(random, 0.2, 0.35)
         image = render(scene, pose, random)
-        found = DETECTOR.detect(RgbdImage(image.color, image.depth, told))
+        found = DETECTOR.detect(RgbdImage(image.color, image.depth, wrong_lens))
         if found is not None:
             errors.append(float(np.linalg.norm(error(found, pose))))
     assert len(errors) >= 11
@@ -264,14 +264,14 @@ def test_wide_lens_may_show_the_terminal_at_the_border() -> None:
         assert found is None or np.linalg.norm(error(found, pose)) < 0.003
 
 
-def test_lens_that_folds_the_picture_is_refused() -> None:
+def test_a_lens_that_folds_the_image_is_refused() -> None:
     lens = Intrinsics(640, 400, 300.0, 300.0, 319.5, 199.5, (-2.0, 0.0, 0.0, 0.0, 0.0))
     color = np.zeros((400, 640, 3), dtype=np.uint8)
     with pytest.raises(CameraInfoError, match="calibrate"):
         DETECTOR.detect(RgbdImage.make(color, np.full((400, 640), 0.3), lens))
 
 
-def test_terminal_partly_outside_the_picture_is_right_or_none() -> None:
+def test_a_terminal_partly_outside_the_image_is_right_or_none() -> None:
     for seed, x in enumerate(np.linspace(0.55, 0.8, 8)):
         random = np.random.default_rng(20_800 + seed)
         pose = pose_at(0.3, x=float(x))

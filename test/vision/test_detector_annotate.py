@@ -15,7 +15,7 @@ from .detector_scenes import pose_at, render
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 
-def test_picture_is_a_copy_that_shows_what_was_found() -> None:
+def test_the_picture_is_an_annotated_copy() -> None:
     image = render(RenderedScene(), pose_at(0.3, roll=0.2), np.random.default_rng(7))
     before = image.color.copy()
     found = ElectrodeDetector().detect(image)
@@ -30,6 +30,6 @@ def test_picture_is_a_copy_that_shows_what_was_found() -> None:
         assert near.any()
 
 
-def test_picture_without_electrodes_says_so() -> None:
+def test_a_picture_without_electrodes_is_annotated() -> None:
     image = render(RenderedScene(target=False), pose_at(0.3), np.random.default_rng(8))
     assert np.any(annotated(image, None) != image.color)

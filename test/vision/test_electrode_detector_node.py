@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""electrode_detector_node on real topics: what it answers, when it looks, and what it says where no image comes."""
+"""electrode_detector_node on real topics: answers, times of detection, and errors without images."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def detector(context: Any, namespace: str, driver: Driver, spin: Spin) -> Callab
     return start
 
 
-def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
+def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     detector()
@@ -66,7 +66,7 @@ def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
     covariance = np.reshape(found.pose.covariance, (6, 6))
     assert np.linalg.norm(off) < 0.001
     assert off @ np.linalg.solve(covariance[:3, :3], off) < 9.0
-    assert covariance[5, 5] == pytest.approx(math.radians(0.5) ** 2, rel=0.2)  # the mount's error leads
+    assert covariance[5, 5] == pytest.approx(math.radians(0.5) ** 2, rel=0.2)  # the mount's error dominates
     assert found.roll == pytest.approx(TARGET[3], abs=0.005)
     turn = found.pose.pose.orientation
     axes = np.array(rotation(turn.x, turn.y, turn.z, turn.w))
@@ -78,7 +78,7 @@ def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
     assert 0.5 < found.confidence <= 1.0
 
 
-def test_the_camera_is_where_tf_says_if_that_is_asked_for(
+def test_the_camera_pose_can_come_from_tf(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver, context: Any, spin: Spin
 ) -> None:
     robot = spin(Robot(context))
@@ -92,7 +92,7 @@ def test_the_camera_is_where_tf_says_if_that_is_asked_for(
 
 
 @pytest.mark.parametrize("timeout", [0.2, 10.0])
-def test_a_request_ends_with_its_time_where_each_look_is_slower_than_images_come(
+def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver, timeout: float
 ) -> None:
     transforms()
@@ -101,15 +101,15 @@ def test_a_request_ends_with_its_time_where_each_look_is_slower_than_images_come
     answer = driver.ask(1.0)
     assert time.monotonic() - began < 5.0
     assert not answer.success
-    assert "not where the camera is: tf does not know the frame" in answer.message
+    assert "camera's pose is unknown: tf does not know the frame" in answer.message
 
 
-def test_two_words_on_where_the_camera_is_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
+def test_two_sources_of_the_camera_pose_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
     with pytest.raises(StartupError, match="mount_from_tf and mount_file both"):
         ElectrodeDetectorNode(**options(context, namespace, mount_from_tf=True, mount_file=str(tmp_path / "m.yaml")))
 
 
-def test_where_depth_should_be_and_is_not_no_normal_is_published(
+def test_without_expected_depth_no_normal_is_published(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     driver.image = without_depth(driver.image)
@@ -124,14 +124,14 @@ def test_where_depth_should_be_and_is_not_no_normal_is_published(
     assert unknown.sum() == 20, "position and roll have their errors"
 
 
-def test_it_listens_only_while_it_looks(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+def test_it_subscribes_only_while_it_detects(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
     detector()
     assert driver.listeners == 0
     assert driver.ask(5.0).success
     wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
 
 
-def test_a_simulated_camera_renders_nothing_while_nobody_looks(
+def test_a_simulated_camera_renders_nothing_without_subscribers(
     context: Any, namespace: str, detector: Callable[..., ElectrodeDetectorNode], driver: Driver, spin: Spin
 ) -> None:
     driver.silent = True
@@ -146,10 +146,10 @@ def test_a_simulated_camera_renders_nothing_while_nobody_looks(
     assert rendered >= 1
     looks = camera.looks
     wait_until(lambda: camera.looks > looks + 5, "the camera to look for subscribers")
-    assert camera.rendered <= rendered + 1  # the image under way when the last listener left
+    assert camera.rendered <= rendered + 1  # the pending image when the last subscriber left
 
 
-def test_an_empty_scene_is_told_after_the_time_that_was_given(
+def test_an_empty_scene_is_reported_after_the_timeout(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     driver.image = picture(target=False)
@@ -177,31 +177,31 @@ def test_without_a_camera_it_names_the_topics_and_diagnoses_them(
     wait_until(lambda: any(each.level == DiagnosticStatus.WARN for each in driver.said), "a warning while idle")
 
 
-def test_images_that_stop_are_an_error_that_names_the_camera(
+def test_missing_images_are_an_error_that_names_the_camera(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver, namespace: str
 ) -> None:
     detector(rate=20.0)
-    heard: list[ElectrodeDetection] = []
-    driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
-    wait_until(lambda: len(heard) > 2, "detections at a rate")
+    received: list[ElectrodeDetection] = []
+    driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
+    wait_until(lambda: len(received) > 2, "detections at a rate")
     driver.silent = True
     wait_until(lambda: driver.said and driver.said[-1].level == DiagnosticStatus.ERROR, "an error once images stopped")
     assert f"/{namespace}/color/image_raw" in driver.said[-1].message
     assert "cable" in driver.said[-1].message
     assert driver.said[-1].hardware_id == f"/{namespace}/color/image_raw"
     driver.silent = False
-    count = len(heard)
-    wait_until(lambda: len(heard) > count, "detections once images came back")
+    count = len(received)
+    wait_until(lambda: len(received) > count, "detections once images came back")
     wait_until(lambda: driver.said[-1].level == DiagnosticStatus.OK, "the error to end")
 
 
-def test_at_a_rate_it_looks_only_while_somebody_subscribes(
+def test_at_a_rate_it_detects_only_with_subscribers(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     detector(rate=20.0)
-    heard: list[ElectrodeDetection] = []
-    subscription = driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
-    wait_until(lambda: heard, "a detection")
+    received: list[ElectrodeDetection] = []
+    subscription = driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
+    wait_until(lambda: received, "a detection")
     driver.destroy_subscription(subscription)
     wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
 
@@ -209,15 +209,15 @@ def test_at_a_rate_it_looks_only_while_somebody_subscribes(
 def test_rate_and_limits_change_while_the_node_runs(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
-    node, heard = detector(), []
-    driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
+    node, received = detector(), []
+    driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
 
     def put(**values: float) -> bool:
         given = [Parameter(name, value=value) for name, value in values.items()]
         return bool(node.set_parameters_atomically(given).successful)
 
     assert put(rate=20.0)
-    wait_until(lambda: len(heard) > 1, "detections at a rate")
+    wait_until(lambda: len(received) > 1, "detections at a rate")
     assert put(rate=0.0)
     wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
     driver.age = 3.0
@@ -229,7 +229,7 @@ def test_rate_and_limits_change_while_the_node_runs(
     assert node.get_parameter("image_age_max").value == 10.0
 
 
-def test_what_it_saw_is_shown_annotated_to_who_wants_it(
+def test_annotated_images_are_published_to_subscribers(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     detector()
@@ -247,7 +247,7 @@ def test_what_it_saw_is_shown_annotated_to_who_wants_it(
 
 
 @pytest.mark.parametrize(("age", "words"), [(3.0, "3."), (-3.0, "in the future")])
-def test_a_stamp_that_is_not_now_is_refused(
+def test_an_old_or_future_stamp_is_refused(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver, age: float, words: str
 ) -> None:
     driver.age = age
@@ -258,7 +258,7 @@ def test_a_stamp_that_is_not_now_is_refused(
     assert "clocks" in answer.message
 
 
-def test_late_images_do_not_hide_what_the_others_show(
+def test_late_images_do_not_hide_the_result_of_others(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     driver.image = picture(target=False)
@@ -277,15 +277,15 @@ def test_late_images_do_not_hide_what_the_others_show(
     assert " 0 of them too old" not in answer.message
 
 
-def test_depth_of_another_instant_is_no_depth(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
-    driver.apart = 0.024  # half a period: nothing nearer ever comes
+def test_depth_of_another_time_is_not_used(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+    driver.apart = 0.024  # half a period: no nearer stamp ever arrives
     detector()
     answer = driver.ask(2.5)
     assert not answer.success
     assert "stamp_tolerance" in answer.message
 
 
-def test_what_a_driver_does_wrong_is_told(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+def test_faults_of_a_driver_are_reported(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
     def halve_depth(color: Image, depth: Image, info: CameraInfo) -> None:
         depth.height //= 2
         depth.data = depth.data[: depth.height * depth.step]
@@ -302,7 +302,7 @@ def test_a_negative_timeout_is_refused(detector: Callable[..., ElectrodeDetector
     assert "timeout" in driver.ask(-1.0).message
 
 
-def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver) -> None:
+def test_closing_releases_waiting_requests(context: Any, namespace: str, driver: Driver) -> None:
     driver.silent = True
     spinner = Spinner(ElectrodeDetectorNode(**options(context, namespace)))
     assert driver.client.wait_for_service(DEADLINE)
@@ -324,9 +324,7 @@ def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver
         ({"mount_flie": "x"}, "did you mean 'mount_file'"),
     ],
 )
-def test_what_cannot_be_right_stops_the_node_at_start(
-    context: Any, namespace: str, values: dict[str, Any], words: str
-) -> None:
+def test_wrong_parameters_stop_the_start(context: Any, namespace: str, values: dict[str, Any], words: str) -> None:
     with pytest.raises(StartupError, match=words):
         ElectrodeDetectorNode(**options(context, namespace, **values))
 

@@ -27,7 +27,7 @@ from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 ALL = 1000
-"""Holds no view out, where that is not asked about."""
+"""Holds out no view."""
 LENS = Intrinsics(640, 400, 441.0, 439.0, 317.0, 203.0, (-0.12, 0.03, 0.001, -0.0005, 0.0))
 
 
@@ -36,7 +36,7 @@ def names(views: Sequence[View]) -> list[str]:
 
 
 def moved(view: View, by: Sequence[float]) -> View:
-    """Return a view whose position was noted wrongly (m)."""
+    """Return a view with a wrong position (m)."""
     return View(view.position + by, view.sighting, view.slope)
 
 
@@ -58,7 +58,7 @@ def test_exact_data_give_the_exact_mount(board: Board, intrinsics: Intrinsics) -
     assert found.decided
 
 
-def test_the_offset_alone_is_not_seen_and_goes_into_place_and_covariance() -> None:
+def test_the_offset_is_unobservable_and_enters_position_and_covariance() -> None:
     rig = Rig(2, joints=0.0, offset=0.0)
     views = rig.views(12, pixel=0.0, arm=0.0)
     right = calibrate(views, OAK_D, rig.beliefs)
@@ -70,7 +70,7 @@ def test_the_offset_alone_is_not_seen_and_goes_into_place_and_covariance() -> No
     np.testing.assert_allclose(difference, np.diag([4e-6] * 3 + [0.0] * 3), atol=1e-12)
 
 
-def test_the_derivatives_are_those_of_the_residuals() -> None:
+def test_the_derivatives_match_the_residuals() -> None:
     rig = Rig(3, Charuco())
     corners = Corners.of(rig.views(6), OAK_D)
     first = start(corners)
@@ -89,7 +89,7 @@ def test_the_derivatives_are_those_of_the_residuals() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "pixel", "arm"), [(5, 0.05, 1e-4), (12, 0.3, 1e-5), (12, 0.05, 4e-4)])
-def test_errors_are_as_large_as_the_covariance_says(count: int, pixel: float, arm: float) -> None:
+def test_errors_match_the_covariance(count: int, pixel: float, arm: float) -> None:
     pose, point, dock = [], [], []
     for seed in range(50):
         rig = Rig(100 + seed)
@@ -109,7 +109,7 @@ def test_the_spreads_come_from_the_views() -> None:
     assert np.mean([spread.arm for spread in found]) == pytest.approx(3e-4, rel=0.15)
 
 
-def test_more_views_help_until_the_ruler_decides() -> None:
+def test_more_views_help_until_the_ruler_dominates() -> None:
     spreads = []
     for count in (5, 20):
         rig = Rig(4)
@@ -124,7 +124,7 @@ def test_held_out_views_judge_a_fit_that_did_not_see_them() -> None:
     found = calibrate(views, OAK_D, rig.beliefs)
     assert found.held_out == (4, 9, 14, 19)
     assert 5e-5 < held_out_rms(found) < 5e-4
-    # A view with a wrong position shows as such, and as no error of the others.
+    # Only the view with the wrong position shows an error.
     views[9] = moved(views[9], (0.004, 0.0, 0.0))
     again = calibrate(views, OAK_D, rig.beliefs)
     errors = np.linalg.norm(again.held_out_errors, axis=1)
@@ -142,9 +142,9 @@ def test_wrong_views_are_left_out_and_named() -> None:
     pixels = views[15].sighting.pixels.copy()
     pixels[0] += (6.0, -4.0)
     views[15] = View(views[15].position, Sighting(views[15].sighting.corners, pixels), views[15].slope)
-    found, said = judged(rig, views)
+    found, reasons = judged(rig, views)
     assert sorted(np.flatnonzero(~found.fit.kept)) == [3, 11, 15]
-    assert not said
+    assert not reasons
     assert any("view_3.png, view_11.png, view_15.png" in text for text in notes(found, names(views)))
     assert np.linalg.norm(rig.dock_error(found.mount) - rig.dock_error(clean.mount)) < 2e-4
 
@@ -154,31 +154,31 @@ def test_a_third_of_wrong_views_is_a_doubt() -> None:
     views = rig.views(20)
     for index in (1, 4, 8, 9, 13, 17):
         views[index] = moved(views[index], rig.random.normal(scale=0.01, size=3))
-    found, said = judged(rig, views)
-    assert len(said) == 1
-    assert "6 of 20 views contradict" in said[0]
+    found, reasons = judged(rig, views)
+    assert len(reasons) == 1
+    assert "6 of 20 views contradict" in reasons[0]
     assert np.linalg.norm(rig.dock_error(found.mount)) < 0.002
 
 
 @pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, slow(1.5)])
-def test_a_wrong_size_is_told_with_the_likely_one(true_size: float) -> None:
+def test_a_wrong_size_is_reported_with_the_likely_one(true_size: float) -> None:
     rig = Rig(8, true_size=true_size)
-    _, said = judged(rig, rig.views(15))
-    assert len(said) == 1
-    assert "measure the print" in said[0]
-    assert float(said[0].split("size is ")[1].split()[0]) == pytest.approx(40.0 * true_size, rel=0.005)
+    _, reasons = judged(rig, rig.views(15))
+    assert len(reasons) == 1
+    assert "measure the print" in reasons[0]
+    assert float(reasons[0].split("size is ")[1].split()[0]) == pytest.approx(40.0 * true_size, rel=0.005)
 
 
 def test_a_right_size_is_not_doubted() -> None:
     for seed in range(10):
         rig = Rig(300 + seed, Charuco() if seed % 2 else AprilTag())
-        found, said = judged(rig, rig.views(10))
-        assert not said
+        found, reasons = judged(rig, rig.views(10))
+        assert not reasons
         assert abs(found.size - 1.0) < 5.0 * found.size_stddev
 
 
 @pytest.mark.slow
-def test_joints_that_err_by_more_than_was_stated_are_told() -> None:
+def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
     wrong, right, surprise = 0, 0, []
     for seed in range(12):
         rig = Rig(500 + seed, joints=math.radians(1.0))
@@ -187,11 +187,11 @@ def test_joints_that_err_by_more_than_was_stated_are_told() -> None:
         for beliefs in (stated, rig.beliefs):
             found = calibrate(views, OAK_D, beliefs, every=ALL)
             texts = doubts(found, rig.board.length, names(views))
-            said = any("angles are off" in text or "arm's geometry is wrong" in text for text in texts)
+            reasons = any("angles are off" in text or "arm's geometry is wrong" in text for text in texts)
             if beliefs is stated:
-                wrong += said
+                wrong += reasons
             else:
-                right += said
+                right += reasons
                 surprise.append(found.joint_surprise)
                 assert squared(rig.dock_error(found.mount), found.point_covariance(DOCK)) < 25.0
     assert wrong >= 6
@@ -200,7 +200,7 @@ def test_joints_that_err_by_more_than_was_stated_are_told() -> None:
 
 
 @pytest.mark.parametrize("degrees", [0.3, 1.0, 3.0])
-def test_a_camera_that_was_pushed_is_told_with_the_moment(degrees: float) -> None:
+def test_a_pushed_camera_is_reported_with_the_moment(degrees: float) -> None:
     rig = Rig(9)
     views = rig.views(20)
     for index in range(12, 20):
@@ -208,25 +208,25 @@ def test_a_camera_that_was_pushed_is_told_with_the_moment(degrees: float) -> Non
         ray = np.append(rays(view.sighting.pixels, OAK_D), np.ones((4, 1)), axis=1)
         pixels = project(ray @ turn(np.array([0.0, math.radians(degrees), 0.0])).T, OAK_D)
         views[index] = View(view.position, Sighting(view.sighting.corners, pixels), view.slope)
-    _, said = judged(rig, views)
-    assert any("from view_12.png on" in text and "moved" in text for text in said)
+    _, reasons = judged(rig, views)
+    assert any("from view_12.png on" in text and "moved" in text for text in reasons)
 
 
 def test_scatter_alone_is_no_drift() -> None:
     random = np.random.default_rng(0)
-    told = [drift(random.normal(scale=2e-4, size=(20, 3)))[2] < 0.002 for _ in range(60)]
-    assert sum(told) <= 1
+    alarms = [drift(random.normal(scale=2e-4, size=(20, 3)))[2] < 0.002 for _ in range(60)]
+    assert sum(alarms) <= 1
     first, shift, chance = drift(np.repeat([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], 10, axis=0))
     assert (first, chance < 0.002) == (10, True)
     assert shift == pytest.approx(1e-3)
 
 
-def test_of_the_two_tilts_that_fit_an_image_the_one_is_taken_that_fits_all() -> None:
+def test_the_tilt_that_fits_all_images_is_chosen() -> None:
     import cv2
 
     wrong = 0
     for seed in range(12):
-        rig = Rig(400 + seed, AprilTag(size=0.010))  # small, so that perspective hardly tells the tilt
+        rig = Rig(400 + seed, AprilTag(size=0.010))  # small, so that perspective hardly shows the tilt
         views = rig.views(15, pixel=0.8)
         corners = Corners.of(views, OAK_D)
         true = rig.mount[:3, :3].T @ rig.place[:3, :3]
@@ -238,7 +238,7 @@ def test_of_the_two_tilts_that_fit_an_image_the_one_is_taken_that_fits_all() -> 
             wrong += np.sum(turned * true) < 1.0 + 2.0 * math.cos(math.radians(15.0))
         first = start(corners)
         assert np.sum((first.camera.T @ first.board) * true) > 1.0 + 2.0 * math.cos(math.radians(5.0))
-    assert wrong > 30  # single images would have chosen the other
+    assert wrong > 30  # single images would choose the other
 
 
 def test_moves_along_a_line_are_refused_with_the_direction() -> None:
@@ -253,18 +253,18 @@ def test_moves_in_a_plane_are_enough_and_noted() -> None:
     rig = Rig(11)
     flat = [view for view in rig.views(80) if abs(view.position[2] - 0.03) < 0.005][:12]
     assert len(flat) == 12
-    found, said = judged(rig, flat)
+    found, reasons = judged(rig, flat)
     assert squared(rig.error(found.mount), found.mount.covariance) < 25.0
     assert any("along z" in text for text in notes(found, names(flat)))
-    assert not said
+    assert not reasons
 
 
-def test_short_moves_leave_the_rotation_uncertain_and_say_so() -> None:
+def test_short_moves_leave_the_rotation_uncertain_with_a_doubt() -> None:
     rig = Rig(12)
     near = [view for view in rig.views(600) if np.linalg.norm(view.position - (0.0, 0.0, 0.03)) < 0.013][:10]
     assert len(near) == 10
-    found, said = judged(rig, near)
-    assert any("rotation is known to" in text for text in said)
+    found, reasons = judged(rig, near)
+    assert any("rotation is known to" in text for text in reasons)
     assert squared(rig.error(found.mount), found.mount.covariance) < 25.0
 
 
@@ -288,11 +288,11 @@ def test_positions_of_other_images_are_doubted() -> None:
     rig = Rig(14)
     views = rig.views(20)
     mixed = [View(other.position, view.sighting, other.slope) for view, other in zip(views, views[::-1], strict=True)]
-    _, said = judged(rig, mixed)
-    assert said
+    _, reasons = judged(rig, mixed)
+    assert reasons
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_values_are_refused() -> None:
     view = Rig(15).views(1)[0]
     with pytest.raises(HandEyeError, match="finite"):
         View(np.array([0.0, math.nan, 0.0]), view.sighting, view.slope)

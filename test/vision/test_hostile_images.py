@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images and calibrations as a stranger sends them, by dice: a detection, none, or a named refusal; no other end."""
+"""Random invalid images and calibrations: a detection, none, or a named error; nothing else."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def calibration(dice: random.Random) -> CameraInfo:
 
 
 @pytest.mark.parametrize(("seed", "count"), [(1, 200), slow(2, 5000)])
-def test_no_image_ends_otherwise_than_by_a_name(seed: int, count: int) -> None:
+def test_no_image_raises_an_unnamed_error(seed: int, count: int) -> None:
     dice, detector = random.Random(seed), ElectrodeDetector(Terminal())
     read, refused = 0, list[str]()
     for number in range(count):

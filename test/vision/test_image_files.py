@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images from files: what is read is what was taken, and what cannot be is named."""
+"""Images from files: content is preserved, and errors are named."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def noise(kind: type, *shape: int) -> Array:
 
 
 def encoded(pixels: Array, suffix: str = ".png") -> bytes:
-    """RGB or RGBA as OpenCV writes files."""
+    """Encode RGB or RGBA with OpenCV."""
     order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.ndim == 3 else None
     return bytes(cv2.imencode(suffix, pixels if order is None else np.ascontiguousarray(pixels[:, :, order]))[1])
 
@@ -47,15 +47,15 @@ def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, ki
     np.testing.assert_array_equal(found, pixels)
 
 
-def test_a_jpeg_is_nearly_what_it_was(tmp_path: Path) -> None:
+def test_a_jpeg_is_almost_unchanged(tmp_path: Path) -> None:
     pixels = np.zeros((40, 64, 3), dtype=np.uint8)
     pixels[:] = 200, 100, 20
     found = read_color(stored(tmp_path / "a.jpg", pixels))
     assert np.abs(found.astype(int) - pixels).max() < 5
 
 
-def test_a_photograph_lies_as_it_was_taken_whatever_viewers_are_told(tmp_path: Path) -> None:
-    """EXIF 6: turn by 90° to look at."""
+def test_the_rotation_flag_of_a_photograph_is_ignored(tmp_path: Path) -> None:
+    """EXIF 6: rotate by 90° for viewing."""
     exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
     plain = encoded(noise(np.uint8, 40, 64, 3), ".jpg")
     path = tmp_path / "a.jpg"
@@ -90,49 +90,49 @@ def save_array(path: Path, array: Any) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "message"),
     [
         ("d.png", encoded(noise(np.uint8, 40, 64)), "1 × 8 bits"),
         ("d.png", encoded(noise(np.uint16, 40, 64, 3)), "3 × 16 bits"),
         ("d.png", b"", "is empty"),
-        ("d.png", b"no image", "is no image"),
-        ("d.png", encoded(noise(np.uint16, 40, 64))[:500], "is no image, or damaged"),
+        ("d.png", b"no image", "is not an image"),
+        ("d.png", encoded(noise(np.uint16, 40, 64))[:500], "is not an image, or damaged"),
         ("d.png", encoded(noise(np.uint16, 20, 64)), "64 × 20 is not the colour's 64 × 40"),
-        ("d.npy", b"no array", "is no NPY file"),
-        ("d.npy", b"", "is no NPY file"),
-        ("d.npy", [{}], "is no NPY file"),
+        ("d.npy", b"no array", "is not an NPY file"),
+        ("d.npy", b"", "is not an NPY file"),
+        ("d.npy", [{}], "is not an NPY file"),
         ("d.npy", np.full((40, 64), 300.0), "in metres"),
         ("d.npy", np.full((40, 64), -0.3), "negative"),
         ("d.npy", np.full((40, 64), 300), "type int64"),
     ],
 )
-def test_wrong_depth_is_named(tmp_path: Path, name: str, content: Any, says: str) -> None:
+def test_wrong_depth_is_named(tmp_path: Path, name: str, content: Any, message: str) -> None:
     color, depth = stored(tmp_path / "a.png", noise(np.uint8, 40, 64, 3)), tmp_path / name
     depth.write_bytes(content if isinstance(content, bytes) else save_array(depth, content))
-    with pytest.raises(ImageError, match=says) as refused:
+    with pytest.raises(ImageError, match=message) as refused:
         read_rgbd(color, depth, CAMERA)
     assert str(depth) in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "message"),
     [
         (b"", "is empty"),
-        (b"\x89PNG\r\n", "is no image"),
+        (b"\x89PNG\r\n", "is not an image"),
         (encoded(noise(np.uint8, 10, 64)), "10 px"),
         (encoded(noise(np.uint8, 64, 64)), "another aspect"),
     ],
 )
-def test_wrong_color_is_named(tmp_path: Path, content: bytes, says: str) -> None:
+def test_wrong_color_is_named(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(content)
-    with pytest.raises(ImageError, match=says) as refused:
+    with pytest.raises(ImageError, match=message) as refused:
         read_rgbd(path, None, CAMERA)
     assert str(path) in str(refused.value)
 
 
 @given(st.binary(max_size=300), st.sampled_from((".png", ".npy")), st.booleans())
-def test_no_bytes_do_worse_than_an_error(
+def test_random_bytes_raise_only_known_errors(
     tmp_path_factory: pytest.TempPathFactory, data: bytes, suffix: str, signed: bool
 ) -> None:
     signature = {".png": encoded(noise(np.uint16, 4, 4))[:33], ".npy": b"\x93NUMPY\x01\x00"}[suffix]
@@ -142,7 +142,7 @@ def test_no_bytes_do_worse_than_an_error(
         read_depth(path)
 
 
-def test_a_picture_that_was_written_reads_the_same(tmp_path: Path) -> None:
+def test_a_written_picture_reads_back_unchanged(tmp_path: Path) -> None:
     picture = noise(np.uint8, 40, 64, 3)
     write_picture(tmp_path / "out.PNG", picture)
     np.testing.assert_array_equal(read_color(tmp_path / "out.PNG"), picture)
@@ -188,7 +188,7 @@ def test_folders_without_images_or_with_one_twice_are_refused(tmp_path: Path) ->
         images_in(touch(tmp_path / "depth", "a.depth.png"))[0].read(CAMERA)
 
 
-def test_without_opencv_it_says_what_to_install(tmp_path: Path) -> None:
+def test_without_opencv_the_error_states_what_to_install(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['cv2'] = None\n"
         "from pathlib import Path\n"
@@ -196,6 +196,6 @@ def test_without_opencv_it_says_what_to_install(tmp_path: Path) -> None:
         "try: read_color(Path('a.png'))\n"
         "except ModuleNotFoundError as error: print(error.name, error)\n"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.startswith("cv2 ")
-    assert "pip install 'deltacharger[vision]'" in said
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert printed.startswith("cv2 ")
+    assert "pip install 'deltacharger[vision]'" in printed

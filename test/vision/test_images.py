@@ -44,7 +44,7 @@ def test_all_depth_may_be_unknown() -> None:
         assert np.isnan(RgbdImage.make(COLOR, nothing, CAMERA).depth).all()
 
 
-def test_what_is_given_stays_as_it_was() -> None:
+def test_the_input_is_not_changed() -> None:
     depth = np.zeros((40, 64), dtype=np.float32)
     RgbdImage.make(COLOR, depth, CAMERA)
     assert (depth == 0).all()
@@ -73,7 +73,7 @@ def test_intrinsics_follow_the_size_of_the_image() -> None:
         (COLOR[:8, :8], DEPTH[:8, :8], "color", "16"),
     ],
 )
-def test_what_is_no_image_is_refused(color: Any, depth: Any, name: str, words: str) -> None:
+def test_invalid_arrays_are_refused(color: Any, depth: Any, name: str, words: str) -> None:
     with pytest.raises(ImageError, match=words) as caught:
         RgbdImage.make(color, depth, CAMERA)
     assert caught.value.source == name
@@ -81,7 +81,7 @@ def test_what_is_no_image_is_refused(color: Any, depth: Any, name: str, words: s
 
 def test_a_scaled_camera_shows_the_same_point_at_the_same_place() -> None:
     twice = CAMERA.scaled(128, 80)
-    # The corner of the image, half a pixel before the first centre, is the one place that stays.
+    # The corner of the image, half a pixel before the first centre, is the only fixed place.
     for camera in (CAMERA, twice):
         direction = np.linalg.inv(camera.matrix()) @ [-0.5, -0.5, 1.0]
         np.testing.assert_allclose(direction, [-32.0 / 44.0, -20.0 / 44.0, 1.0])

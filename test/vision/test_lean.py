@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the plate's lean as the detector finds it: as wrong as it tells, and not bent by steps of depth."""
+"""Laws of the detector's lean of the plate: errors match their uncertainty, and steps of depth do not bias it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DETECTOR = ElectrodeDetector()
 
 
 def lean_errors(seeds: range, nearest: float, farthest: float) -> np.ndarray:
-    """Errors of yaw and pitch (N, 2) in charger_base over their told standard deviations, by an exact mount."""
+    """Errors of yaw and pitch (N, 2) in charger_base over their standard deviations, with an exact mount."""
     mount = Mount(Mount.default().pose, np.zeros((6, 6)))
     found = []
     for seed in seeds:
@@ -38,7 +38,7 @@ def lean_errors(seeds: range, nearest: float, farthest: float) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("nearest", "farthest"), [(0.18, 0.22), (0.22, 0.28), (0.28, 0.35), (0.35, 0.7)])
-def test_the_lean_is_off_by_as_much_as_is_told(nearest: float, farthest: float) -> None:
+def test_errors_of_the_lean_match_its_uncertainty(nearest: float, farthest: float) -> None:
     sigmas = lean_errors(range(21_000, 21_200), nearest, farthest)
     assert len(sigmas) >= 150
     assert np.all(np.sqrt(np.mean(sigmas**2, axis=0)) > 0.7)
@@ -46,14 +46,14 @@ def test_the_lean_is_off_by_as_much_as_is_told(nearest: float, farthest: float) 
     assert np.all(np.mean(np.abs(sigmas) < 1.96, axis=0) > 0.9)
 
 
-def test_a_few_leans_are_off_by_no_more_than_is_told() -> None:
+def test_errors_of_a_few_leans_stay_within_their_uncertainty() -> None:
     sigmas = lean_errors(range(21_200, 21_230), 0.2, 0.35)
     assert len(sigmas) >= 27
     assert np.abs(sigmas).max() < 4.0
     assert np.all(np.sqrt(np.mean(sigmas**2, axis=0)) > 0.5)
 
 
-def test_where_depth_should_be_and_is_not_no_normal_is_told() -> None:
+def test_without_expected_depth_no_normal_is_reported() -> None:
     random = np.random.default_rng(4)
     image = render(RenderedScene(), pose_at(0.3, pitch=0.4, yaw=-0.2), random)
     found = DETECTOR.detect(without_depth(image))
@@ -66,7 +66,7 @@ def test_where_depth_should_be_and_is_not_no_normal_is_told() -> None:
 
 
 def fitted(away: float, lean: float, seed: int) -> Plane:
-    """Plane of a plate 9 cm wide, yawed before a camera whose depth has 0.2 mm of noise and comes in millimetres."""
+    """Plane of a plate 9 cm wide, yawed in front of a camera whose depth has 0.2 mm of noise and whole millimetres."""
     random = np.random.default_rng(seed)
     ray = np.ones((1500, 3))
     ray[:, :2] = random.uniform(-0.045 / away, 0.045 / away, size=(1500, 2))
@@ -80,11 +80,11 @@ def fitted(away: float, lean: float, seed: int) -> Plane:
 
 @pytest.mark.parametrize("lean", [0.002, 0.006, 0.012, 0.02, 0.03])
 @pytest.mark.parametrize("away", [0.18, 0.23, 0.35])
-def test_depth_in_whole_millimetres_does_not_draw_the_plane_onto_one_step(away: float, lean: float) -> None:
+def test_rounded_depth_does_not_pull_the_plane_onto_one_step(away: float, lean: float) -> None:
     for seed in range(10):
         plane = fitted(away, lean, seed)
         slope = plane.coefficients[:2] * away - [lean, 0.0]
-        told = away * np.sqrt(np.diag(np.linalg.inv(plane.precision))[:2])
-        assert np.all(np.abs(slope) < 3.0 * told)
-        # Below about two steps of depth over the plate little is seen of the lean.
+        stddev = away * np.sqrt(np.diag(np.linalg.inv(plane.precision))[:2])
+        assert np.all(np.abs(slope) < 3.0 * stddev)
+        # Below about two steps of depth over the plate the lean is hardly visible.
         assert np.abs(slope).max() < (0.003 if lean >= 0.02 else 0.010)

@@ -13,13 +13,13 @@ GRID = np.stack(np.meshgrid(np.linspace(-0.73, 0.73, 21), np.linspace(-0.46, 0.4
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
-def test_there_and_back(distortion: tuple[float, ...]) -> None:
+def test_distorting_and_undistorting_cancel(distortion: tuple[float, ...]) -> None:
     np.testing.assert_allclose(distort(undistort(GRID, distortion), distortion), GRID, atol=1e-9)
     np.testing.assert_allclose(undistort(distort(GRID, distortion), distortion), GRID, atol=1e-8)
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS[1:])
-def test_it_is_the_distortion_of_opencv(distortion: tuple[float, ...]) -> None:
+def test_the_distortion_matches_opencv(distortion: tuple[float, ...]) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     points = np.concatenate([GRID, np.ones((*GRID.shape[:2], 1))], axis=-1).reshape(-1, 1, 3)
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the hand-eye transform: where a detection lies in charger_base, and how sure that is."""
+"""Laws of the hand-eye transform: a detection's pose in charger_base and its uncertainty."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def seen(rotation: np.ndarray, position: np.ndarray, covariance: np.ndarray | No
 
 
 def through(mount: Mount, position: np.ndarray, roll: float) -> Detection:
-    """What the camera sees of a terminal that stands in charger_base at `position`, rolled about z."""
+    """Detection of a terminal in charger_base at `position`, rolled about z."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn(np.array([0.0, 0.0, roll])), position
     inside = np.linalg.inv(mount.pose) @ pose
@@ -44,7 +44,7 @@ def through(mount: Mount, position: np.ndarray, roll: float) -> Detection:
 
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.02, 0.4), st.floats(-1.5, 1.5))
-def test_what_stands_in_charger_base_is_placed_there(x: float, y: float, z: float, roll: float) -> None:
+def test_a_detection_is_placed_in_charger_base(x: float, y: float, z: float, roll: float) -> None:
     mount = Mount.default()
     placed = mount.place(through(mount, np.array([x, y, z]), roll))
     assert placed.position == pytest.approx([x, y, z], abs=1e-12)
@@ -89,14 +89,14 @@ def test_the_covariance_holds_for_errors_of_camera_and_mount() -> None:
 
 
 @given(angles, angles, angles)
-def test_a_quaternion_is_its_rotation(a: float, b: float, c: float) -> None:
+def test_a_quaternion_matches_its_rotation(a: float, b: float, c: float) -> None:
     rotation = turn(np.array([a, 0.0, 0.0])) @ turn(np.array([0.0, b, 0.0])) @ turn(np.array([0.0, 0.0, c]))
     q = quaternion(rotation)
     assert q[3] >= 0.0
     assert Mount.from_numbers([0.0, 0.0, 0.0, *q]).pose[:3, :3] == pytest.approx(rotation, abs=1e-9)
 
 
-def test_a_mount_survives_its_file(tmp_path: Path) -> None:
+def test_a_saved_mount_loads_unchanged(tmp_path: Path) -> None:
     spread = np.diag([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03]) ** 2
     spread[0, 4] = spread[4, 0] = 1e-6
     Mount(Mount.default().pose, spread).save(tmp_path / "mount.yaml", {"views": 20, "residual_px": 0.21})
@@ -106,7 +106,7 @@ def test_a_mount_survives_its_file(tmp_path: Path) -> None:
     assert "residual_px: 0.21" in (tmp_path / "mount.yaml").read_text()
 
 
-def test_a_file_without_an_error_gets_the_usual_one(tmp_path: Path) -> None:
+def test_a_file_without_covariance_gets_the_usual_error(tmp_path: Path) -> None:
     path = tmp_path / "mount.yaml"
     path.write_text("position: [0, 0.1, 0]\norientation: [0, 0, 0, 1]\n")
     assert np.sqrt(np.diag(Mount.load(path).covariance)) == pytest.approx([0.002] * 3 + [math.radians(0.5)] * 3)

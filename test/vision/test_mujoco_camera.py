@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo's renderer against the ray-caster: the same places, depths and materials, drawn by another hand."""
+"""MuJoCo's renderer against the ray-caster: the same positions, depths and materials."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from deltacharger_vision.terminal import UPPER, Terminal
 from .views import EVEN, FACES, VIEWS, edge_errors, linear, shown, view
 
 IDEAL = dataclasses.replace(CameraParameters.ideal(), disparities=1e4)
-"""Sees depth however near."""
+"""Sees depth at any distance."""
 OTHER = Intrinsics(500, 380, 310.0, 352.0, 221.4, 208.3)
 """Neither square pixels nor a principal point in the middle."""
 
@@ -62,7 +62,7 @@ def flat(depth: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pose", VIEWS)
-def test_depth_inside_faces_is_that_of_the_ray_caster(camera: MujocoCamera, pose: np.ndarray) -> None:
+def test_depth_inside_faces_matches_the_ray_caster(camera: MujocoCamera, pose: np.ndarray) -> None:
     scene = dataclasses.replace(draw_scene(np.random.default_rng(3), clutter=6), parameters=EVEN)
     ours, theirs = (ideal(scene, pose, each).depth for each in (camera, SimulatedCamera(parameters=IDEAL)))
     inside = flat(theirs) & np.isfinite(theirs)
@@ -89,7 +89,7 @@ def test_the_silhouettes_are_the_same(camera: MujocoCamera, pose: np.ndarray) ->
         np.nan_to_num(ideal(scene, pose, each).depth, nan=0.0) for each in (camera, SimulatedCamera(parameters=IDEAL))
     )
     differ = np.abs(ours - theirs) > 1e-3
-    # Rounding decides where a pixel's centre lies on an edge: single pixels, never two side by side across an edge.
+    # Rounding decides where a pixel's centre lies on an edge: single pixels, never two adjacent ones across an edge.
     assert differ.mean() < 2e-3
     assert not eroded(differ, 1).any()
 
@@ -104,7 +104,7 @@ def test_pixels_need_not_be_square_nor_the_principal_point_in_the_middle(camera:
         assert np.abs(image.depth - theirs)[inside & (theirs < 0.8)].max() < 2e-5
 
 
-def test_the_light_is_that_of_the_scene(camera: MujocoCamera) -> None:
+def test_the_light_matches_the_scene(camera: MujocoCamera) -> None:
     scene, pose = RenderedScene(parameters=EVEN, light=(0.1, 0.9, -0.7)), view(0.25, 0.3)
     ours, theirs = (linear(ideal(scene, pose, each).color) for each in (camera, SimulatedCamera(parameters=IDEAL)))
     places = Terminal().corners().mean(axis=1)
@@ -146,7 +146,7 @@ def test_holes_are_in_metal(camera: MujocoCamera, share: float) -> None:
     assert np.isfinite(depth[plate[:, 1], plate[:, 0]]).all()
 
 
-def test_streaks_are_drawn_into_metal_alone(camera: MujocoCamera) -> None:
+def test_only_metal_has_streaks(camera: MujocoCamera) -> None:
     pose = view(0.25)
     plain = linear(ideal(RenderedScene(parameters=EVEN), pose, camera).color)
     brushed = linear(ideal(RenderedScene(parameters=dataclasses.replace(EVEN, streaks=0.1)), pose, camera).color)
@@ -155,7 +155,7 @@ def test_streaks_are_drawn_into_metal_alone(camera: MujocoCamera) -> None:
     assert np.abs(brushed - plain)[~(plain > 0.2)].max() == 0.0
 
 
-def test_one_seed_is_one_image_whatever_was_drawn_before(camera: MujocoCamera) -> None:
+def test_a_seed_determines_the_image_after_any_other(camera: MujocoCamera) -> None:
     with MujocoCamera() as noisy:
         scene, pose = draw_scene(np.random.default_rng(5), clutter=4), view(0.3, 0.3)
         first = noisy.render(scene, pose, np.random.default_rng(1))
@@ -187,7 +187,7 @@ def test_the_chargers_own_parts_move_with_the_camera(camera: MujocoCamera) -> No
 
 @pytest.mark.parametrize(("width", "sizes"), [(1.0, (0.75, 1.25)), (1.8, (1.3, 2.1)), (6.0, (4.0, 7.0))])
 def test_edges_are_as_wide_as_asked(camera: MujocoCamera, width: float, sizes: tuple[float, float]) -> None:
-    pose = view(0.25, roll=0.02)  # a little askew, so that every part of a pixel is met
+    pose = view(0.25, roll=0.02)  # slightly rotated, so that all parts of a pixel are tested
     with MujocoCamera(parameters=dataclasses.replace(IDEAL, edge_width=width)) as other:
         light = linear(ideal(FACES, pose, other).color)
     column, row = np.rint(shown(Terminal().corners()[UPPER].mean(axis=0), pose, OAK_D)).astype(int)
@@ -202,18 +202,16 @@ def test_edges_are_as_wide_as_asked(camera: MujocoCamera, width: float, sizes: t
     assert sizes[0] ** 2 / 12 < np.median(spreads) < sizes[1] ** 2 / 12
 
 
-def test_what_is_closed_says_so_and_closing_twice_is_nothing(camera: MujocoCamera) -> None:
+def test_a_closed_camera_raises_and_closing_twice_is_harmless(camera: MujocoCamera) -> None:
     with pytest.raises(RenderingError), MujocoCamera(parameters=IDEAL) as other:
         other.render(RenderedScene(), np.zeros((4, 4)), np.random.default_rng(0))
     other.close()
     with pytest.raises(RendererError, match="closed"):
         ideal(RenderedScene(), view(0.3), other)
-    assert ideal(FACES, view(0.3), camera).color.max() > 100  # the other camera's context is its own
+    assert ideal(FACES, view(0.3), camera).color.max() > 100  # the other camera has its own context
 
 
-def test_a_context_is_released_where_its_buffer_cannot_be_made(
-    camera: MujocoCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_context_is_released_if_its_buffer_fails(camera: MujocoCamera, monkeypatch: pytest.MonkeyPatch) -> None:
     import mujoco
     import mujoco.egl
 
@@ -241,14 +239,14 @@ def test_a_lens_that_distorts_is_refused() -> None:
         MujocoCamera(lens)
 
 
-def test_without_mujoco_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_the_error_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(RendererError, match=r"deltacharger\[sim\]"):
         MujocoCamera()
 
 
 @pytest.mark.parametrize("backend", ["disable", "glfw", "nonsense"])
-def test_without_opengl_it_says_what_to_install(camera: MujocoCamera, backend: str) -> None:
+def test_without_opengl_the_error_states_what_to_install(camera: MujocoCamera, backend: str) -> None:
     code = "from deltacharger_vision.rendering.mujoco_camera import MujocoCamera; MujocoCamera()"
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     ended = subprocess.run(
@@ -263,7 +261,7 @@ def test_without_opengl_it_says_what_to_install(camera: MujocoCamera, backend: s
     assert "libegl1" in ended.stderr.splitlines()[-1]
 
 
-def test_it_draws_where_mujoco_has_moved_a_world_before(camera: MujocoCamera) -> None:
+def test_it_draws_after_mujoco_has_simulated_a_world(camera: MujocoCamera) -> None:
     code = (
         "from deltacharger_sim.mujoco_world import mujoco_world\n"
         "from deltacharger_sim.parameters import WorldParameters\n"

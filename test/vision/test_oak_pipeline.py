@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host side of the OAK-D: real depthai without a device, and the keeper over a camera that comes and goes."""
+"""The host side of the OAK-D: real depthai without a device, and the keeper with a camera that is replugged."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def depthai() -> Any:
 
 
 class Frames:
-    """Frames as an OAK-D sends them; `number` is in every pixel."""
+    """Frames like those of an OAK-D; `number` is in every pixel."""
 
     def __init__(self, depthai: Any, width: int = 640, height: int = 400) -> None:
         self._depthai, self._width, self._height = depthai, width, height
@@ -68,11 +68,11 @@ def pipeline(depthai: Any) -> Iterator[Any]:
     yield found
     if found.isRunning():
         found.stop()
-        found.wait()  # nodes written in Python need the interpreter to end
+        found.wait()  # Python nodes need the interpreter to end
 
 
 def source(depthai: Any, pipeline: Any, count: int, lost: set[int], rate: float) -> Any:
-    """A host node that sends `count` pairs, without the depth of those that are `lost`, and goes on living."""
+    """A host node that sends `count` pairs, without the depth of the `lost` ones, and then stays alive."""
     frames = Frames(depthai)
 
     class Source(depthai.node.ThreadedHostNode):
@@ -97,7 +97,7 @@ def source(depthai: Any, pipeline: Any, count: int, lost: set[int], rate: float)
     return pipeline.create(Source)
 
 
-def test_frames_of_one_instant_come_out_as_images(depthai: Any, pipeline: Any) -> None:
+def test_simultaneous_frames_become_images(depthai: Any, pipeline: Any) -> None:
     """Through depthai's own synchronisation and the host node that converts them."""
     images: list[OakImage] = []
     count, lost, rate = 30, {3, 7}, 40.0
@@ -117,7 +117,7 @@ def test_frames_of_one_instant_come_out_as_images(depthai: Any, pipeline: Any) -
         assert began <= each.time <= time.monotonic()
 
 
-def test_images_that_nobody_takes_in_time_are_dropped_not_queued(depthai: Any, pipeline: Any) -> None:
+def test_late_images_are_dropped_not_queued(depthai: Any, pipeline: Any) -> None:
     go_on, numbers = threading.Event(), []
 
     def take(color: Any, depth: Any) -> None:
@@ -135,7 +135,7 @@ def test_images_that_nobody_takes_in_time_are_dropped_not_queued(depthai: Any, p
     assert len(numbers) < count // 2
 
 
-def test_the_lens_is_told_as_the_device_tells_it(depthai: Any) -> None:
+def test_the_lens_matches_the_devices_calibration(depthai: Any) -> None:
     frames, now = Frames(depthai), depthai.Clock.now()
     found = converted(frames.color(1, now, RATIONAL + [0.0] * 6), frames.depth(1, now)).image
     np.testing.assert_allclose(found.intrinsics.distortion, RATIONAL, rtol=1e-6)
@@ -148,7 +148,7 @@ def test_the_lens_is_told_as_the_device_tells_it(depthai: Any) -> None:
 
 
 class Bench:
-    """depthai with a device that is one in name only: its images come from a host node, its set-up is written down.
+    """depthai with a fake device: a host node sends its images, and its setup is recorded.
 
     Every name that is called on a node must be one of the real node's.
     """
@@ -200,9 +200,7 @@ class Bench:
         return Sink
 
 
-def test_the_camera_is_set_up_for_docking_and_tells_when_it_is_gone(
-    depthai: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_camera_is_set_up_for_docking_and_reports_its_loss(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     bench, images, wanted = Bench(depthai, monkeypatch, 50.0), [], [False]
     camera = OakCamera(OakSettings(rate=50.0, exposure_us=7000, iso=200), lambda: wanted[0], images.append)
     try:
@@ -219,7 +217,7 @@ def test_the_camera_is_set_up_for_docking_and_tells_when_it_is_gone(
         for name in ("setExtendedDisparity", "setSubpixel", "setLeftRightCheck"):
             getattr(bench.stereo, name).assert_called_once_with(True)
         sent = bench.feed.sent
-        wait_until(lambda: bench.feed.sent > sent + 5, "images that nobody wants")
+        wait_until(lambda: bench.feed.sent > sent + 5, "unwanted images")
         assert not images
         wanted[0] = True
         wait_until(lambda: images, "an image")
@@ -232,7 +230,7 @@ def test_the_camera_is_set_up_for_docking_and_tells_when_it_is_gone(
     bench.device.close.assert_called_once_with()
 
 
-def test_a_camera_that_falls_silent_is_noticed(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_camera_is_detected(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deltacharger_vision.cameras.oak_pipeline._SILENCE", 0.3)
     bench, images = Bench(depthai, monkeypatch, 50.0, count=5), []
     camera = OakCamera(OakSettings(rate=50.0), lambda: True, images.append)
@@ -254,7 +252,7 @@ def test_a_camera_that_cannot_be_opened_is_released_and_named(depthai: Any, monk
         OakCamera(OakSettings(device_id="other"), lambda: True, lambda image: None)
 
 
-def test_a_device_that_is_not_there_is_named(depthai: Any) -> None:
+def test_a_missing_device_is_named(depthai: Any) -> None:
     if depthai.Device.getAllAvailableDevices():
         pytest.skip("an OAK camera is connected")
     with pytest.raises(CameraUnavailable, match="no OAK camera found"):
@@ -277,12 +275,12 @@ def test_depthai_is_imported_only_for_a_camera() -> None:
         "import sys, deltacharger_vision.cameras.camera_node, deltacharger_vision.cameras.oak_pipeline;"
         "print('depthai' in sys.modules, 'cv2' in sys.modules)"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.split() == ["False", "False"]
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert printed.split() == ["False", "False"]
 
 
 class Camera:
-    """Delivers until it is told why not."""
+    """Delivers until a problem is set."""
 
     def __init__(self, name: str) -> None:
         self.name, self.trouble, self.closed = name, "", False
@@ -294,10 +292,10 @@ class Camera:
         self.closed = True
 
 
-def test_a_camera_that_comes_and_goes_is_opened_as_often_as_it_takes() -> None:
+def test_a_replugged_camera_is_opened_again() -> None:
     script: list[Camera | str] = ["none found", "none found", Camera("oak 1"), "none found", Camera("oak 2")]
     cameras = [each for each in script if isinstance(each, Camera)]
-    told: list[tuple[str, str]] = []
+    changes: list[tuple[str, str]] = []
 
     def open_camera() -> Camera:
         next_one = script.pop(0)
@@ -305,21 +303,21 @@ def test_a_camera_that_comes_and_goes_is_opened_as_often_as_it_takes() -> None:
             raise CameraUnavailable(next_one)
         return next_one
 
-    keeper = CameraKeeper(open_camera, lambda: told.append((keeper.name, keeper.problem)))
+    keeper = CameraKeeper(open_camera, lambda: changes.append((keeper.name, keeper.problem)))
     assert keeper.problem
     keeper.start()
-    wait_until(lambda: len(told) == 2, "the camera")
-    assert told == [("", "none found"), ("oak 1", "")]
+    wait_until(lambda: len(changes) == 2, "the camera")
+    assert changes == [("", "none found"), ("oak 1", "")]
     cameras[0].trouble = "oak 1 is gone"
-    wait_until(lambda: len(told) == 5, "the second camera")
-    assert told[2:] == [("oak 1", "oak 1 is gone"), ("oak 1", "none found"), ("oak 2", "")]
+    wait_until(lambda: len(changes) == 5, "the second camera")
+    assert changes[2:] == [("oak 1", "oak 1 is gone"), ("oak 1", "none found"), ("oak 2", "")]
     assert cameras[0].closed
     assert not cameras[1].closed
     keeper.close()
     assert cameras[1].closed
     keeper.close()
-    assert len(told) == 5
+    assert len(changes) == 5
 
 
-def test_a_keeper_that_never_began_can_be_closed() -> None:
+def test_a_keeper_that_never_started_can_be_closed() -> None:
     CameraKeeper(lambda: Camera("oak"), lambda: None).close()

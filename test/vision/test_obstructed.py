@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the detector where something hides bars: no answer, or a right one, or one whose covariance holds."""
+"""Laws of the detector with partly hidden bars: no result, a right one, or one with a valid covariance."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def wrong_and_sure(found: Detection | None, pose: Array) -> bool:
     ("kind", "seed"),
     [("cable", 22_013), ("cable", 22_086), ("strap", 22_032), ("hand", 22_000), ("hand", 22_013), ("hand", 22_076)],
 )
-def test_what_was_once_taken_for_sure_is_not(kind: str, seed: int) -> None:
+def test_known_confident_errors_do_not_return(kind: str, seed: int) -> None:
     # A plane through plate and obstruction gave 2 to 16 mm, 4 to 20 standard deviations and 16 to 39° here.
     assert not wrong_and_sure(*look(kind, seed))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_some_are_found_and_none_is_wrong_and_sure(kind: str) -> None:
+def test_some_are_found_and_none_is_confidently_wrong(kind: str) -> None:
     looks = [look(kind, seed) for seed in range(22_200, 22_215)]
     assert not any(wrong_and_sure(*each) for each in looks)
     assert sum(found is not None for found, _ in looks) >= 2
@@ -59,7 +59,7 @@ def test_some_are_found_and_none_is_wrong_and_sure(kind: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_none_of_many_is_wrong_and_sure(kind: str) -> None:
+def test_none_of_many_is_confidently_wrong(kind: str) -> None:
     looks = [look(kind, seed) for seed in range(22_300, 22_500)]
     assert sum(wrong_and_sure(*each) for each in looks) == 0
     assert sum(found is not None for found, _ in looks) >= 60
@@ -67,7 +67,7 @@ def test_none_of_many_is_wrong_and_sure(kind: str) -> None:
 
 @pytest.mark.parametrize("color", [BLACK, BRIGHT])
 @pytest.mark.parametrize("x", [-0.03, -0.01, 0.02])
-def test_a_strap_across_both_bars_moves_no_end(color: tuple[float, float, float], x: float) -> None:
+def test_a_strap_across_both_bars_does_not_displace_ends(color: tuple[float, float, float], x: float) -> None:
     strap = Box(shifted((x, 0.0, -0.012)), (0.012, 0.3, 0.001), color)
     for seed in range(3):
         pose = pose_at(0.35, roll=0.1 * seed, pitch=0.2)
@@ -84,7 +84,7 @@ def test_bars_in_two_pieces_are_found(color: tuple[float, float, float]) -> None
 
 
 @pytest.mark.parametrize("before", [0.007, 0.015, 0.025])
-def test_what_hangs_before_a_plate_does_not_bend_its_plane(before: float) -> None:
+def test_things_in_front_of_a_plate_do_not_bias_its_plane(before: float) -> None:
     random = np.random.default_rng(7)
     ray = np.ones((2000, 3))
     ray[:, :2] = random.uniform(-0.08, 0.08, size=(2000, 2))
@@ -93,6 +93,6 @@ def test_what_hangs_before_a_plate_does_not_bend_its_plane(before: float) -> Non
     region = Region(ray, 1.0 / away + random.normal(scale=0.004, size=2000), block, 1.0)
     plane = fit_plane(region, PlaneSettings(), random)
     assert plane is not None
-    told = np.sqrt(np.diag(np.linalg.inv(plane.precision)))
-    assert np.all(np.abs(plane.coefficients - [0.0, 0.0, 1.0 / 0.6]) < 4.0 * told)
+    stddev = np.sqrt(np.diag(np.linalg.inv(plane.precision)))
+    assert np.all(np.abs(plane.coefficients - [0.0, 0.0, 1.0 / 0.6]) < 4.0 * stddev)
     assert np.abs(plane.coefficients[:2]).max() < 0.02

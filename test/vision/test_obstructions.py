@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Things before a terminal, as both renderers draw them."""
+"""Obstructions of a terminal in both renderers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def image(scene: RenderedScene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_one_seed_is_one_obstruction_and_it_is_seen_at_the_bars(kind: str) -> None:
+def test_a_seed_determines_an_obstruction_visible_at_the_bars(kind: str) -> None:
     bare = image(RenderedScene(parameters=SceneParameters.even()))
     for seed in range(6):
         np.testing.assert_array_equal(image(scene(kind, seed)), image(scene(kind, seed)))
@@ -47,17 +47,17 @@ def test_both_renderers_draw_the_same_thing(kind: str) -> None:
     theirs = IDEAL.render(scene(kind, 3), view(0.4), np.random.default_rng(0)).depth
     near = np.isfinite(ours) & np.isfinite(theirs) & (theirs < 0.45)
     assert near.sum() > 5000
-    # Apart from pixels whose centre lies on an edge.
+    # Except pixels whose centre lies on an edge.
     assert np.mean(np.abs(ours - theirs)[near] < 1e-4) > 0.97
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
-def test_hidden_is_what_a_cover_hides(share: float) -> None:
+def test_the_hidden_share_matches_a_cover(share: float) -> None:
     found = hidden_share([cover(Terminal(), share)], Terminal(), view(10.0))
     assert found == pytest.approx(0.5 * share, abs=0.02)
 
 
-def test_what_is_behind_hides_nothing() -> None:
+def test_things_behind_hide_nothing() -> None:
     box = cover(Terminal(), 1.0)
     box.pose[2, 3] = 0.01
     assert hidden_share([box], Terminal(), view(0.4)) == 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of bringing colour and depth together by their stamps."""
+"""Laws of pairing colour and depth by their stamps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLOR, DEPTH = "color", "depth"
 
 Arrival = tuple[str, int]
 Given = tuple[int, int]
-"""Stamps of the colour and of the depth that was given with it."""
+"""Stamps of a colour image and its depth."""
 
 arrivals = st.lists(st.tuples(st.sampled_from((COLOR, DEPTH)), st.integers(0, 400)), max_size=120)
 
@@ -60,14 +60,14 @@ def test_pairs_are_near_and_in_order_and_memory_is_bounded(items: list[Arrival],
         found += pairs(matcher, [item])
         assert len(matcher) <= 2 * depth
     assert all(abs(color - other) <= tolerance for color, other in found)
-    for one, two in itertools.pairwise(found):  # strictly: so nothing is given twice
+    for one, two in itertools.pairwise(found):  # strictly: so nothing is returned twice
         assert one[0] < two[0]
         assert one[1] < two[1]
     assert all((COLOR, color) in items and (DEPTH, other) in items for color, other in found)
 
 
 @given(items=arrivals, tolerance=st.integers(0, 50))
-def test_nothing_that_fits_is_left_waiting(items: list[Arrival], tolerance: int) -> None:
+def test_no_matching_items_remain(items: list[Arrival], tolerance: int) -> None:
     matcher: StampMatcher[int, int] = StampMatcher(tolerance, 1000)
     waiting: dict[str, set[int]] = {COLOR: set(), DEPTH: set()}
     given_last = {COLOR: -1, DEPTH: -1}
@@ -86,7 +86,7 @@ def test_nothing_that_fits_is_left_waiting(items: list[Arrival], tolerance: int)
 
 
 @given(data=st.data(), lead=st.integers(1, 7), lost=st.sets(st.integers(0, 39)), missed=st.sets(st.integers(0, 39)))
-def test_images_of_one_instant_find_each_other_whatever_is_lost(
+def test_simultaneous_images_are_paired_despite_losses(
     data: st.DataObject, lead: int, lost: set[int], missed: set[int]
 ) -> None:
     colors = [each * PERIOD for each in range(40) if each not in lost]
@@ -100,15 +100,15 @@ def test_images_of_one_instant_find_each_other_whatever_is_lost(
 
 
 @given(data=st.data(), offset=st.integers(-(PERIOD // 2 - 1), PERIOD // 2 - 1))
-def test_cameras_that_are_not_synchronous_give_each_color_the_nearest_depth(data: st.DataObject, offset: int) -> None:
+def test_unsynchronised_cameras_pair_each_color_with_the_nearest_depth(data: st.DataObject, offset: int) -> None:
     colors = [SECOND + each * PERIOD for each in range(20)]
     items = data.draw(interleaved(colors, [stamp + offset for stamp in colors], 6))
     assert pairs(StampMatcher(PERIOD // 2), items) == [(stamp, stamp + offset) for stamp in colors]
 
 
 @given(st.data(), st.integers(2 * SECOND, 10**18), st.integers(0, 6))
-def test_a_clock_that_is_set_back_costs_no_image(data: st.DataObject, start: int, late: int) -> None:
-    """Also where the last depth images from before arrive when colour has begun anew."""
+def test_setting_back_the_clock_loses_no_image(data: st.DataObject, start: int, late: int) -> None:
+    """Also if the last old depth images arrive after colour has restarted."""
     stamps = [each * PERIOD for each in range(12)]
     before = [(kind, start + stamp) for stamp in stamps for kind in (COLOR, DEPTH)]
     delayed = [item for item in before if item[0] == DEPTH][12 - late :]
@@ -118,7 +118,7 @@ def test_a_clock_that_is_set_back_costs_no_image(data: st.DataObject, start: int
     assert [pair for pair in found if pair[0] < start] == [(stamp, stamp) for stamp in stamps]
 
 
-def test_the_exact_match_goes_before_a_near_one() -> None:
+def test_an_exact_match_has_priority_over_a_near_one() -> None:
     matcher: StampMatcher[str, str] = StampMatcher(10)
     for stamp in (92, 100, 108):
         assert matcher.add_depth(stamp, f"depth {stamp}") is None
@@ -136,7 +136,7 @@ def test_the_first_of_two_with_one_stamp_counts() -> None:
     assert len(matcher) == 0
 
 
-def test_cleared_it_takes_what_is_older() -> None:
+def test_after_clearing_older_items_are_accepted() -> None:
     matcher: StampMatcher[str, str] = StampMatcher(0)
     matcher.add_color(7, "color")
     assert matcher.add_depth(7, "depth")

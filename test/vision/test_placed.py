@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the lean: its signs, its orientation, its error, and normals that are none."""
+"""Laws of the lean: signs, orientation, error, and invalid normals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_yaw_is_about_y_and_pitch_about_x(angle: float) -> None:
 
 
 @given(leans, leans, rolls)
-def test_the_orientation_is_the_targets_whatever_its_lean_and_roll(yaw: float, pitch: float, roll: float) -> None:
+def test_the_orientation_matches_the_target_at_any_lean_and_roll(yaw: float, pitch: float, roll: float) -> None:
     axes = turn(pitch * X) @ turn(yaw * Y) @ turn(roll * Z)
     placed = standing(axes)
     flip = np.diag([1.0, 1.0, 1.0] if axes[0, 0] >= 0.0 else [-1.0, -1.0, 1.0])  # bars have no sign
@@ -49,7 +49,7 @@ def test_the_orientation_is_the_targets_whatever_its_lean_and_roll(yaw: float, p
     assert leaning_normal(lean.yaw, lean.pitch) == pytest.approx(placed.normal)
 
 
-def test_the_told_error_of_the_lean_is_that_of_camera_and_mount_together() -> None:
+def test_the_error_of_the_lean_combines_camera_and_mount() -> None:
     random = np.random.default_rng(7)
     nominal = Mount(Mount.default().pose, np.diag([0.002**2] * 3 + [0.008**2, 0.012**2, 0.02**2]))
     own = np.diag([0.3, 0.3, 0.9, 6.0, 9.0, 3.0]) ** 2 * 1e-6
@@ -69,19 +69,19 @@ def test_the_told_error_of_the_lean_is_that_of_camera_and_mount_together() -> No
     assert np.std(errors, axis=0) == pytest.approx([expected.yaw_stddev, expected.pitch_stddev], rel=0.05)
 
 
-def test_without_a_normal_the_lean_is_unknown_and_the_roll_stands_alone() -> None:
+def test_without_a_normal_only_the_roll_is_known() -> None:
     placed = standing(turn(0.3 * Z), UNKNOWN)
     lean = placed.lean()
     assert np.isnan([lean.yaw, lean.pitch, lean.yaw_stddev, lean.pitch_stddev]).all()
     assert placed.rotation() == pytest.approx(turn(0.3 * Z))
-    told = placed.told_covariance()
-    assert np.isnan(told).sum() == 20
-    assert np.isfinite(placed.covariance).all(), "what was found is left alone"
-    assert told[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])] == pytest.approx(1e-4 * np.eye(4))
+    covariance = placed.told_covariance()
+    assert np.isnan(covariance).sum() == 20
+    assert np.isfinite(placed.covariance).all(), "the original is unchanged"
+    assert covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])] == pytest.approx(1e-4 * np.eye(4))
 
 
 @pytest.mark.parametrize("normal", [UNKNOWN, leaning_normal(0.2, -0.1)])
-def test_the_message_holds_the_orientation_and_what_is_known_of_its_error(normal: np.ndarray) -> None:
+def test_the_message_has_the_orientation_and_its_known_covariance(normal: np.ndarray) -> None:
     placed = standing(turn(-0.4 * Z), normal)
     message = detection_message(placed, Time(sec=7), 0.75, 0.25)
     q = message.pose.pose.orientation
@@ -100,12 +100,12 @@ def test_the_message_holds_the_orientation_and_what_is_known_of_its_error(normal
         (UNKNOWN, "it is not known"),
     ],
 )
-def test_a_normal_that_cannot_be_is_dropped(normal: np.ndarray, why: str) -> None:
+def test_an_impossible_normal_is_dropped(normal: np.ndarray, why: str) -> None:
     assert is_front(X, -Z, Z)
     assert not is_front(X, normal, Z), why
 
 
-def test_faces_that_look_away_from_the_charger_are_placed_without_a_normal() -> None:
+def test_averted_faces_are_placed_without_a_normal() -> None:
     straight = Mount.default()
     back = straight.pose.copy()
     back[:3, :3] = turn(math.pi * Y) @ back[:3, :3]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image messages of every usual encoding become the same picture, and what cannot be read is said by name."""
+"""Image messages of every usual encoding give the same picture; unreadable ones raise named errors."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def image(encoding: str, height: int, width: int, step: int, data: Any, big: boo
     ("encoding", "order"),
     [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0]), ("8UC3", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],
 )
-def test_colour_comes_back_in_the_order_rgb(encoding: str, order: list[int], padding: int) -> None:
+def test_colour_is_converted_to_rgb(encoding: str, order: list[int], padding: int) -> None:
     step, data = packed(RGB[:, :, order], padding)
     assert np.array_equal(color_array(image(encoding, 18, 21, step, data)), RGB)
 
 
 @pytest.mark.parametrize("big", [False, True])
-def test_sixteen_bits_come_in_either_order(big: bool) -> None:
+def test_sixteen_bits_are_read_in_either_byte_order(big: bool) -> None:
     wide = RGB.astype(np.uint16) * 256 + 3
     step, data = packed(wide.astype(">u2" if big else "<u2"))
     found = color_array(image("rgb16", 18, 21, step, data, big))
@@ -60,7 +60,7 @@ def test_gray_stays_gray_and_yuv_gives_its_luminance() -> None:
     assert np.array_equal(color_array(image("yuv422", 18, 20, step, data)), RGB[:, :20, 0])
 
 
-def test_depth_in_metres_keeps_what_is_unknown() -> None:
+def test_depth_in_metres_keeps_unknown_values() -> None:
     metres = np.array([[0.5, np.nan], [np.inf, 0.25]], dtype=np.float32)
     step, data = packed(metres)
     assert np.array_equal(depth_array(image("32FC1", 2, 2, step, data)), metres, equal_nan=True)
@@ -74,7 +74,7 @@ def test_another_colour_encoding_is_refused_with_advice(encoding: str, advice: s
         color_array(image(encoding, 18, 21, 63, bytes(18 * 63)))
 
 
-def test_a_colour_image_is_no_depth() -> None:
+def test_a_colour_image_is_refused_as_depth() -> None:
     with pytest.raises(ImageError, match="16UC1 in mm or 32FC1 in m"):
         depth_array(image("rgb8", 18, 21, 63, bytes(18 * 63)))
 
@@ -82,13 +82,13 @@ def test_a_colour_image_is_no_depth() -> None:
 @pytest.mark.parametrize(
     ("height", "width", "step", "size"), [(18, 21, 62, 18 * 63), (18, 21, 63, 900), (0, 21, 63, 0)]
 )
-def test_fields_that_contradict_each_other_are_refused(height: int, width: int, step: int, size: int) -> None:
+def test_contradictory_fields_are_refused(height: int, width: int, step: int, size: int) -> None:
     with pytest.raises(ImageError, match="color"):
         color_array(image("rgb8", height, width, step, bytes(size)))
 
 
 @pytest.mark.parametrize("read", [color_array, depth_array])
-def test_the_name_of_an_encoding_without_end_is_not_repeated(read: Callable[[Any], Any]) -> None:
+def test_a_very_long_encoding_name_is_cut(read: Callable[[Any], Any]) -> None:
     with pytest.raises(ImageError) as refusal:
         read(image("x" * 1_000_000, 1, 1, 3, bytes(3)))
     assert len(str(refusal.value)) < 1000

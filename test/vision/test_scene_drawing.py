@@ -24,13 +24,13 @@ def image(scene: RenderedScene, pose: np.ndarray) -> np.ndarray:
     return IDEAL.render(scene, pose, np.random.default_rng(0), color_only=True).color
 
 
-def test_one_seed_is_one_scene() -> None:
+def test_a_seed_determines_the_scene() -> None:
     first, again, other = (draw_scene(np.random.default_rng(seed), clutter=5, decoys=3) for seed in (1, 1, 2))
     np.testing.assert_array_equal(image(first, view(0.5)), image(again, view(0.5)))
     assert (image(first, view(0.5)) != image(other, view(0.5))).mean() > 0.5
 
 
-def test_surroundings_never_stand_before_the_terminal() -> None:
+def test_surroundings_never_hide_the_terminal() -> None:
     for seed in range(30):
         scene = draw_scene(np.random.default_rng(seed), clutter=10, decoys=5)
         even = dataclasses.replace(scene.parameters, streaks=0.0, mirrored=0.0, unevenness=0.0)
@@ -41,7 +41,7 @@ def test_surroundings_never_stand_before_the_terminal() -> None:
         np.testing.assert_array_equal(image(scene, view(0.2))[window], image(alone, view(0.2))[window])
 
 
-def test_clutter_and_decoys_are_seen() -> None:
+def test_clutter_and_decoys_are_visible() -> None:
     seen = []
     for seed in range(12):
         bare = draw_scene(np.random.default_rng(seed), target=False)
@@ -50,7 +50,7 @@ def test_clutter_and_decoys_are_seen() -> None:
     assert np.mean(seen) > 0.05
 
 
-def test_no_decoy_has_the_terminals_own_measures() -> None:
+def test_no_decoy_has_the_terminals_dimensions() -> None:
     terminal, kinds = Terminal(), set()
     for seed in range(200):
         boxes = draw_decoy(np.random.default_rng(seed), terminal, np.eye(4))
@@ -62,7 +62,7 @@ def test_no_decoy_has_the_terminals_own_measures() -> None:
     assert kinds == {(1, 0), (1, 1), (2, 2), (3, 2), (6, 6)}
 
 
-def test_a_decoy_stands_where_it_is_put() -> None:
+def test_a_decoy_has_its_given_pose() -> None:
     for seed in range(20):
         moved = draw_decoy(np.random.default_rng(seed), Terminal(), shifted((0.1, 0.2, 0.3)))
         still = draw_decoy(np.random.default_rng(seed), Terminal(), np.eye(4))
@@ -82,7 +82,7 @@ def test_the_default_mount_centres_the_dock() -> None:
     assert (inverse @ [0.02, 0.0, 0.08, 1.0])[0] < 0
 
 
-def test_the_chargers_parts_hide_the_terminal_when_they_come_between() -> None:
+def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
     mount = look_at((0.0, 0.12, -0.12), (0.0, 0.0, 0.08))
     pose = np.linalg.inv(mount) @ shifted((0.0, 0.0, 0.08))
     bright = []
@@ -93,7 +93,7 @@ def test_the_chargers_parts_hide_the_terminal_when_they_come_between() -> None:
     assert bright[1] < 0.3 * bright[0]
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_impossible_values_are_refused() -> None:
     with pytest.raises(RenderingError):
         cover(Terminal(), 1.2)
     with pytest.raises(RenderingError):

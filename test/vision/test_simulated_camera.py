@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the simulated camera shows things: geometry, without noise."""
+"""Geometry of the simulated camera, without noise."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_bars_edges_are_where_their_corners_project(distortion: tuple[float,
 def test_depth_of_the_plate_is_where_the_ray_meets_it(distortion: tuple[float, ...], pose: np.ndarray) -> None:
     intrinsics = dataclasses.replace(OAK_D, distortion=distortion)
     depth = rendered(RenderedScene(), pose, SimulatedCamera(intrinsics, IDEAL)).depth
-    # Points of the plate, beside the bars; each is looked up in the pixel that it falls on.
+    # Points of the plate, beside the bars; each is read from its pixel.
     x, y = np.meshgrid(np.linspace(-0.095, 0.095, 60), np.linspace(-0.055, 0.055, 40))
     beside = (np.abs(x) > 0.05) | (np.abs(y) > 0.025)
     points = np.stack([x[beside], y[beside], np.full(beside.sum(), Terminal().bar_thickness)], axis=-1)
@@ -89,7 +89,7 @@ def test_a_cover_hides_its_share_of_its_bar(bar: int, side: int, share: float) -
             assert np.sign(column - gone.mean()) == side
 
 
-def test_what_is_nearer_hides_what_is_behind_whatever_the_order() -> None:
+def test_near_things_hide_far_ones_in_any_order() -> None:
     near = Box(shifted((0.0, 0.0, 0.3)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
     far = Box(shifted((0.0, 0.0, 0.4)), (0.2, 0.2, 0.02), (0.0, 0.0, 0.9), in_camera=True)
     for boxes in ((near, far), (far, near)):
@@ -102,7 +102,7 @@ def test_what_is_nearer_hides_what_is_behind_whatever_the_order() -> None:
         assert image.depth[200, 400] == pytest.approx(0.39, abs=1e-6)
 
 
-def test_a_wide_box_hides_nothing_that_stands_before_it() -> None:
+def test_a_wide_box_hides_nothing_in_front_of_it() -> None:
     # The panel's centre is nearer to the camera than the item's.
     panel = Box(shifted((0.0, 0.0, 0.4)), (1.0, 0.5, 0.02), (0.0, 0.0, 0.9), in_camera=True)
     item = Box(shifted((0.2, 0.0, 0.35)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
@@ -113,7 +113,7 @@ def test_a_wide_box_hides_nothing_that_stands_before_it() -> None:
     assert image.depth[200, column] == pytest.approx(0.34, abs=1e-6)
 
 
-def test_a_box_that_reaches_behind_the_camera_is_cut_by_nothing() -> None:
+def test_a_box_that_extends_behind_the_camera_is_complete() -> None:
     beside = Box(shifted((0.125, 0.0, 0.0)), (0.15, 1.0, 0.2), (0.9, 0.0, 0.0), in_camera=True)
     image = rendered(RenderedScene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
     # Its inner wall begins at x = 50 mm, z = 100 mm, and passes out of the image nearer to the camera.
@@ -123,7 +123,7 @@ def test_a_box_that_reaches_behind_the_camera_is_cut_by_nothing() -> None:
     assert not red[:, : int(edge) - 1].any()
 
 
-def test_what_is_out_of_sight_changes_nothing() -> None:
+def test_things_out_of_sight_change_nothing() -> None:
     nothing = rendered(RenderedScene(parameters=EVEN, target=False), view(0.5))
     behind = Box(shifted((0.0, 0.0, -0.5)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
     around = Box(shifted((0.0, 0.0, 0.0)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
@@ -132,7 +132,7 @@ def test_what_is_out_of_sight_changes_nothing() -> None:
     np.testing.assert_array_equal(rendered(scene, view(0.5)).color, nothing.color)
 
 
-def test_the_sides_of_a_bar_are_seen_from_aside() -> None:
+def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
     scene = dataclasses.replace(FACES, light=(0.0, 1.0, -0.2))  # from above: upper sides are brightest
     light = linear(rendered(scene, view(0.25, pitch=0.5)).color)
     below = linear(rendered(scene, view(0.25, pitch=-0.5)).color)
@@ -143,6 +143,6 @@ def test_the_sides_of_a_bar_are_seen_from_aside() -> None:
     "pose",
     [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), np.full((4, 4), np.nan)],
 )
-def test_a_pose_that_is_none_is_refused(pose: np.ndarray) -> None:
+def test_an_invalid_pose_is_refused(pose: np.ndarray) -> None:
     with pytest.raises(RenderingError, match="camera_T_terminal"):
         SimulatedCamera().render(RenderedScene(), pose, np.random.default_rng(0))

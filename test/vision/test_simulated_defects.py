@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated camera spoils: noise, saturation, blur, and depth as stereo matching reports it."""
+"""Defects of the simulated camera: noise, saturation, blur, and depth of stereo matching."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def wall_at(distance: float) -> np.ndarray:
 
 
 def metal(pose: np.ndarray) -> np.ndarray:
-    """Return (H, W) where the touched faces are, well inside."""
+    """Return the mask (H, W) of the touched faces, well inside."""
     bright = linear(rendered(RenderedScene(parameters=EVEN), pose).color) > 0.4
     for axis in (0, 1):
         bright = bright & np.roll(bright, 1, axis) & np.roll(bright, -1, axis)
     return bright
 
 
-def test_one_seed_is_one_image_and_another_is_another() -> None:
+def test_a_seed_determines_the_image() -> None:
     camera = SimulatedCamera()
     first, again, other = (camera.render(RenderedScene(), view(0.4), np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.color, again.color)
@@ -49,7 +49,7 @@ def test_one_seed_is_one_image_and_another_is_another() -> None:
     assert (first.color != other.color).mean() > 0.3
 
 
-def test_colour_alone_is_the_same_colour_without_depth() -> None:
+def test_colour_alone_gives_the_same_colour() -> None:
     camera = SimulatedCamera()
     whole = camera.render(RenderedScene(), view(0.4), np.random.default_rng(1))
     alone = camera.render(RenderedScene(), view(0.4), np.random.default_rng(1), color_only=True)
@@ -65,7 +65,7 @@ def test_depth_noise_grows_with_the_square_of_the_distance(distance: float) -> N
     assert depth.mean() == pytest.approx(distance, abs=0.1 * DEFAULT.depth_noise(distance))
 
 
-def test_depth_noise_is_alike_over_its_width_and_no_farther() -> None:
+def test_depth_noise_correlates_over_its_width_only() -> None:
     disparity = PER_INVERSE / rendered(WALL, wall_at(0.8), disparity_noise=0.2, noise_width=5).depth
     error = disparity - disparity.mean()
     for axis in (0, 1):
@@ -75,19 +75,19 @@ def test_depth_noise_is_alike_over_its_width_and_no_farther() -> None:
 
 
 @pytest.mark.parametrize("step", [1 / 8, 1 / 32])
-def test_disparity_comes_in_steps(step: float) -> None:
+def test_disparity_has_steps(step: float) -> None:
     depth = rendered(WALL, view(0.2, yaw=0.4), disparity_step=step).depth
     steps = PER_INVERSE / depth / step
     assert len(np.unique(np.rint(steps))) > 20
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-2)
 
 
-def test_depth_comes_in_whole_millimetres() -> None:
+def test_depth_has_whole_millimetres() -> None:
     depth = 1e3 * rendered(WALL, view(0.2, yaw=0.4), whole_millimetres=True).depth
     np.testing.assert_allclose(depth, np.rint(depth), atol=1e-3)
 
 
-def test_nothing_nearer_than_stereo_reaches_has_depth() -> None:
+def test_nothing_below_the_stereo_range_has_depth() -> None:
     assert pytest.approx(0.174, abs=1e-3) == DEFAULT.nearest
     near, far = view(DEFAULT.nearest - 0.008), view(DEFAULT.nearest + 0.002)
     assert np.isnan(rendered(RenderedScene(parameters=EVEN), near).depth[metal(near)]).all()
@@ -102,7 +102,7 @@ def test_nothing_beyond_the_farthest_has_depth() -> None:
     assert np.isfinite(rendered(WALL, wall_at(3.0), farthest=3.1).depth).all()
 
 
-def test_holes_are_on_metal_alone_and_as_many_as_asked() -> None:
+def test_only_metal_has_holes_with_the_given_share() -> None:
     pose, shares = view(0.2), []
     solid = rendered(RenderedScene(parameters=EVEN), pose).depth < 0.2055
     for seed in range(10):
@@ -115,7 +115,7 @@ def test_holes_are_on_metal_alone_and_as_many_as_asked() -> None:
 def test_glare_is_bright_and_costs_depth() -> None:
     pose = view(0.3)
     lit = dataclasses.replace(EVEN, highlight=1.5)
-    # Ahead of the bars the light comes back to the camera; far aside it does not.
+    # Ahead of the bars the light is reflected to the camera; far aside it is not.
     for light, bright in (((0.0, 0.0, -1.0), True), ((3.0, 0.0, -1.0), False)):
         image = rendered(RenderedScene(parameters=lit, light=light), pose, hole_metal=0.0, hole_glare=0.9)
         inside = metal(pose)
@@ -123,7 +123,7 @@ def test_glare_is_bright_and_costs_depth() -> None:
         assert (np.isnan(image.depth[inside]).mean() > 0.2) == bright
 
 
-def test_brushed_metal_varies_along_and_across_its_brushing_apart() -> None:
+def test_brushed_metal_varies_separately_along_and_across_its_brushing() -> None:
     inside = metal(view(0.2))
     upper = np.s_[np.flatnonzero(inside.any(axis=1))[2:18], 260:380]
     for changed, steady, varying in (({"streaks": 0.1}, 1, 0), ({"mirrored": 0.1}, 0, 1)):
@@ -143,7 +143,7 @@ def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
     assert runs == pytest.approx([outside, half, half, outside], abs=2.0)
 
 
-def test_what_is_near_grows_over_what_is_far() -> None:
+def test_near_depth_spreads_over_far_depth() -> None:
     pose = view(0.35)
     plain, grown = (rendered(RenderedScene(parameters=EVEN), pose, fattening=reach).depth < 0.4 for reach in (0, 2))
     assert (grown.any(axis=0).sum(), grown.any(axis=1).sum()) == (
@@ -152,7 +152,7 @@ def test_what_is_near_grows_over_what_is_far() -> None:
     )
 
 
-def test_a_slope_does_not_grow() -> None:
+def test_a_slope_does_not_spread() -> None:
     pose = view(0.3, yaw=0.7)
     depth = [rendered(WALL, pose, fattening=reach).depth for reach in (0, 2)]
     np.testing.assert_array_equal(*depth)
@@ -182,7 +182,7 @@ def test_colour_noise_is_shot_noise_and_read_noise() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(9.0, 0.0), (0.0, 9.0), (-9.0, 0.0)])
-def test_motion_spreads_edges_along_itself_alone(x: float, y: float) -> None:
+def test_motion_blurs_edges_only_along_itself(x: float, y: float) -> None:
     light = linear(rendered(RenderedScene(parameters=EVEN), view(0.3), motion_x=x, motion_y=y).color)
     still = linear(rendered(RenderedScene(parameters=EVEN), view(0.3)).color)
     assert light.mean() == pytest.approx(still.mean(), rel=0.01)

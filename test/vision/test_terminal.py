@@ -27,7 +27,7 @@ def test_corners_go_around_z() -> None:
         assert (turns[:, 2] > 0).all()
 
 
-def test_load_keeps_what_is_not_given(tmp_path: Path) -> None:
+def test_load_keeps_defaults_of_missing_lengths(tmp_path: Path) -> None:
     path = tmp_path / "terminal.yaml"
     path.write_text("bar_length: 0.09\ngap: 0.01\n")
     assert Terminal.load(path) == Terminal(bar_length=0.09, gap=0.01)
@@ -42,7 +42,7 @@ def test_load_keeps_what_is_not_given(tmp_path: Path) -> None:
         ("", "mapping"),
     ],
 )
-def test_a_bad_file_says_what_to_do(tmp_path: Path, text: str, words: str) -> None:
+def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "terminal.yaml"
     path.write_text(text)
     with pytest.raises(TerminalError, match=words) as caught:

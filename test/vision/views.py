@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses before a camera, and where a camera should show a point."""
+"""Poses in front of a camera, and expected pixels of points."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def edge_errors(image: RgbdImage, pose: np.ndarray) -> np.ndarray:
-    """Return by how many px the light's step lies outside each edge of the touched faces, at three places each."""
+    """Return the distance (px) of the light's step outside each edge of the touched faces, at three places each."""
     light, found, reach = linear(image.color), [], np.arange(-2.0, 2.01, 0.05)
     for bar in Terminal().corners():
         middle = shown(bar.mean(axis=0), pose, image.intrinsics)
