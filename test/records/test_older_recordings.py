@@ -195,8 +195,8 @@ def test_a_record_with_names_of_an_earlier_version_is_replayed(tmp_path: Path) -
 def test_an_older_recording_is_shown_by_its_own_definitions(tmp_path: Path) -> None:
     from deltacharger_records.view.sources import ShownRecording
 
-    old = as_before(misalignment(yaw=0.3), before_lean(Misalignment))
-    message = raw(2.2, "misalignment", misalignment())._replace(data=old)
+    old = as_before(pose(yaw=0.3), before_lean(Misalignment))
+    message = raw(2.2, "misalignment", pose())._replace(data=old)
     path = older(tmp_path / "a.mcap", Misalignment, before_lean(Misalignment), message)
     found: list[Any] = []
 
