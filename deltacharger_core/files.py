@@ -15,7 +15,7 @@ _CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.EROFS)  # file systems and devices
 
 
 @contextlib.contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; at the end sync that file to the disk and rename it to `path`.
 
     If the body raises, `path` stays unchanged. A killed process leaves only a file that `forget_unfinished` removes.
@@ -45,7 +45,7 @@ def write_text(path: str | Path, text: str) -> None:
     Raises:
         OSError: writing fails.
     """
-    with whole(Path(path)) as beside:
+    with atomic_write(Path(path)) as beside:
         beside.write_text(text, encoding="utf-8", newline="")
 
 

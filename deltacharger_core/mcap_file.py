@@ -101,7 +101,7 @@ class McapFile:
         if not self._read_index():
             self._scan()
 
-    def told(self, name: str) -> list[dict[str, str]]:
+    def metadata_named(self, name: str) -> list[dict[str, str]]:
         """Return all metadata with this name."""
         return [values for each, values in self.metadata if each == name]
 

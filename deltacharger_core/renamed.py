@@ -7,11 +7,17 @@ from types import MappingProxyType
 
 RENAMED = MappingProxyType(
     {
+        "came_lack": "return_shortfall",
+        "came_share": "return_share",
         "contact_speed": "search_speed and press_speed",
+        "felt_current": "touch_current",
         "landing_felt_sigmas": "aligned_risk_max",
         "landing_sigmas": "aligned_risk_max",
         "load_max": "pad_force_min",
         "redockings_max": "restarts_max",
+        "response_told": "response_visible",
+        "slept_max": "pause_max",
+        "slip_taken_back": "slip_undo_share",
         "unmeasured": "told_stiffness",
     }
 )

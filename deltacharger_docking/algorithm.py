@@ -13,7 +13,7 @@ import math
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking import published, wired
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import (
     CriticalAngle,
     DetectionStale,
@@ -76,7 +76,9 @@ def _look(context: Context, target: Target) -> Look | None:
     return (lambda: wired.look(context, target)) if context.parameters.always_live else None
 
 
-def align(context: Context, target: Target, stay: bool = False, felt: FeltPose | None = None) -> Script[None]:
+def align(
+    context: Context, target: Target, stay: bool = False, felt: MisalignmentEstimate | None = None
+) -> Script[None]:
     """Measure, move and press again until the electrodes may rest and current may flow.
 
     Args:

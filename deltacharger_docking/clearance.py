@@ -36,7 +36,7 @@ class MisalignmentClasses:
 
 
 @dataclass(frozen=True)
-class FeltPose:
+class MisalignmentEstimate:
     """Estimated misalignment: pose of the target in end_effector with standard deviations (rad, m).
 
     `classes` are the paper's, if requested; else None. `across` is the offset across the target's bars (m), forces are
@@ -63,7 +63,7 @@ class FeltPose:
     pitch_stddev: float = math.nan
 
     @classmethod
-    def of(cls, source: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
+    def of(cls, source: Any, classes: MisalignmentClasses | None = None) -> MisalignmentEstimate:
         """Return the values of an estimate or message; fields that it lacks keep their defaults."""
         names = (item.name for item in fields(cls) if item.name != "classes")
         return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)}, classes=classes)
@@ -79,7 +79,7 @@ class FeltPose:
             object.__setattr__(self, "across", cosine * self.vertical - sine * self.horizontal)
             object.__setattr__(self, "across_stddev", spread)
 
-    def is_of(self, other: FeltPose) -> bool:
+    def is_of(self, other: MisalignmentEstimate) -> bool:
         """Return whether both come from the same frames, by values that docking never changes."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in ("angle", "across", "left_force", "sure"))
         return all(one == two or (one != one and two != two) for one, two in pairs)  # NaN equals NaN
@@ -128,13 +128,13 @@ def clearance(angle: float, across: float, half_gap: float, half_length: float) 
     return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(across)
 
 
-def clearance_stddev(estimate: FeltPose, half_gap: float, half_length: float) -> float:
+def clearance_stddev(estimate: MisalignmentEstimate, half_gap: float, half_length: float) -> float:
     """Return the clearance's standard deviation (m), to first order in the errors of angle and offset across."""
     slope = half_gap * abs(math.sin(estimate.angle)) + half_length * math.cos(estimate.angle)
     return math.hypot(slope * estimate.angle_stddev, estimate.across_stddev)
 
 
-def pitch_shift(estimate: FeltPose, parameters: DockingParameters) -> float:
+def pitch_shift(estimate: MisalignmentEstimate, parameters: DockingParameters) -> float:
     """Return the shift (m) that a known pitch may cause in the measured offset across the bars; 0 if unknown.
 
     An unknown pitch is part of the estimate's own error: its model was trained with leaning contacts.
@@ -143,7 +143,9 @@ def pitch_shift(estimate: FeltPose, parameters: DockingParameters) -> float:
     return parameters.pitch_shift * pitch if math.isfinite(pitch) else 0.0
 
 
-def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
+def judge(
+    estimate: MisalignmentEstimate, parameters: DockingParameters, critical_angle: float | None = None
+) -> Verdict:
     """Return what `estimate` allows.
 
     Args:

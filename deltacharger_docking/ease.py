@@ -82,7 +82,7 @@ def _adjust(context: Context, change: Vector, place: Vector) -> Script[bool]:
         slip = math.dist(place[:2], context.position[:2])
         if slip > parameters.slip_max:
             done = min((context.time - began) / duration, 1.0)
-            back, lasts = -parameters.slip_taken_back * done, parameters.slip_back_time * duration
+            back, lasts = -parameters.slip_undo_share * done, parameters.slip_back_time * duration
             here = _shifted(start, change, done)
             context.decide("slipped", "friction no longer holds the platform", share=done, slip_m=slip)
             context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))

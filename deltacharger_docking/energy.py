@@ -228,7 +228,7 @@ class Watch:
 
     def _slept(self) -> DockingError | None:
         slept = self._context.slept
-        if not slept > self._context.parameters.slept_max:
+        if not slept > self._context.parameters.pause_max:
             return None
         return PowerStale(f"docking itself was suspended for {slept:.1f} s while the electrodes were live")
 

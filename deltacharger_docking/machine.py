@@ -277,7 +277,7 @@ class DockingMachine:
                 first = None  # the restart succeeded, so the earlier error no longer counts
             first = self._report(first, last)
             home = yield from self._retract()
-            if not (home and restarts and last.mended_by_docking) or desk.wants_back:
+            if not (home and restarts and last.redocking_may_help) or desk.wants_back:
                 break
             restarts -= 1
             context.decide("restart", f"docking begins again, {restarts} more times at most", code=last.code)

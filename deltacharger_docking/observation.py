@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Wait
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
@@ -117,7 +117,7 @@ class Reply:
     number: int
     success: bool
     message: str = ""
-    estimate: FeltPose | None = None
+    estimate: MisalignmentEstimate | None = None
     sequences: tuple[int, ...] = ()
     asked: float = -math.inf
     detection: ElectrodePose | None = None
@@ -237,7 +237,7 @@ class DockingOutcome(GoalOutcome):
 
     aligned: bool = False
     alignments: int = 0
-    estimate: FeltPose | None = None
+    estimate: MisalignmentEstimate | None = None
     contact_current: float = math.nan
     contact_force: float = math.nan
     charge_current: float = math.nan
@@ -263,7 +263,7 @@ class DockingStatus:
     alignments: int = 0
     position: Vector = NAN3
     contact_current: float = math.nan
-    estimate: FeltPose | None = None
+    estimate: MisalignmentEstimate | None = None
     elapsed: float = 0.0
     duplicate_sources: str = ""
     redockings: int = 0

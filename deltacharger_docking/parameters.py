@@ -84,7 +84,7 @@ class DockingParameters(Bounded):
     search_from: float = tunable(0.007, 0.0, 0.05, "m", "distance before the expected contact where the search begins")
     search_depth: float = tunable(0.025, 0.0, 0.05, "m", "distance beyond the expected contact where the search ends")
     near: float = tunable(0.004, 0.0, 0.02, "m", "distance before the known contact where press_speed begins")
-    felt_current: float = tunable(0.1, 0.005, 0.5, "A", "contact current that ends the search")
+    touch_current: float = tunable(0.1, 0.005, 0.5, "A", "contact current that ends the search")
     settle_touching: float = tunable(0.05, 0.0, 1.0, "s", "shortest settling time of electrodes in contact")
     drift_max: float = tunable(
         0.015, 0.001, 0.2, "A", "change of the contact current within its window that counts as rest"
@@ -101,7 +101,7 @@ class DockingParameters(Bounded):
     step_near: float = tunable(0.75, 0.1, 1.0, "", "share of the band's lower end from which one step goes all the way")
     step_max: float = tunable(0.015, 0.001, 0.03, "m", "longest pressing step, however soft the contact seems")
     step_current_max: float = tunable(0.6, 0.1, 2.0, "A", "largest contact current of a step on a stiff contact")
-    response_told: float = tunable(0.02, 0.0, 0.2, "A", "least change between two readings that shows the response")
+    response_visible: float = tunable(0.02, 0.0, 0.2, "A", "least change between two readings that shows the response")
     response_min: float = tunable(0.4, 0.05, 1.0, "", "least multiple of the expected response that is accepted")
     response_max: float = tunable(2.5, 1.0, 20.0, "", "largest multiple of the expected response that is accepted")
     overshoots_max: int = tunable(3, 0, 20, "", "overshoots of the band after which contact fails")
@@ -115,8 +115,10 @@ class DockingParameters(Bounded):
     )
     spring_travel: float = tunable(0.004, 0.0002, 0.02, "m", "retreat that sprung electrodes cannot follow")
     setting_back_time: float = tunable(0.05, 0.01, 0.5, "s", "time to move the goal behind the platform")
-    came_share: float = tunable(0.5, 0.1, 0.9, "", "share of the way back that shows that the platform followed")
-    came_lack: float = tunable(0.001, 0.0002, 0.01, "m", "allowed shortfall of the way back: some encoder counts")
+    return_share: float = tunable(0.5, 0.1, 0.9, "", "share of the way back that shows that the platform followed")
+    return_shortfall: float = tunable(
+        0.001, 0.0002, 0.01, "m", "allowed shortfall of the way back: some encoder counts"
+    )
     release_pulls_max: int = tunable(3, 1, 10, "", "pulls after which a platform that does not move is stuck")
     ease_current_max: float = tunable(0.57, 0.05, 2.0, "A", "largest common current of the servos at ease")
     ease_spared_max: float = tunable(0.03, 0.0, 0.5, "A", "largest reduction of that current by ease_current_max")
@@ -125,7 +127,7 @@ class DockingParameters(Bounded):
     ease_lags: float = tunable(4.0, 0.0, 50.0, "", "shortest time of a round in servo lags, damping / stiffness")
     ease_rounds: int = tunable(4, 1, 20, "", "most easing rounds; each corrects the stiffness")
     slip_max: float = tunable(0.0004, 0.00015, 0.01, "m", "sideways travel from which the platform slips")
-    slip_taken_back: float = tunable(0.4, 0.0, 1.0, "", "share of the easing motion that is undone after a slip")
+    slip_undo_share: float = tunable(0.4, 0.0, 1.0, "", "share of the easing motion that is undone after a slip")
     slip_back_time: float = tunable(0.3, 0.05, 1.0, "", "duration of undoing as a share of the round's time")
     hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends any phase")
     critical_angle: float = number(
@@ -221,7 +223,7 @@ class DockingParameters(Bounded):
     taper_share: float = tunable(0.5, 0.0, 1.0, "", "share of that mean below which charge current was cut off")
     full_time: float = tunable(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
     fault_delay: float = number(0.15, 0.0, 1.0, "s", "longest delay of the fault report after a refused renewal")
-    slept_max: float = number(1.0, 0.1, 5.0, "s", "longest pause of docking while the electrodes are live")
+    pause_max: float = number(1.0, 0.1, 5.0, "s", "longest pause of docking while the electrodes are live")
     energy_gap_max: float = number(0.2, 0.02, 2.0, "s", "pause between ticks beyond which energy is not counted")
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")

@@ -7,13 +7,13 @@ import math
 from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.release import take_off
 from deltacharger_kinematics.geometry import Vector
 
-Look = Callable[[], Script[FeltPose | None]]
+Look = Callable[[], Script[MisalignmentEstimate | None]]
 """Measures at the first contact; returns the estimate if it forbids to press further."""
 
 
@@ -33,7 +33,7 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.contact.tare()
 
 
-def contact(context: Context, depth: float, look: Look | None = None) -> Script[FeltPose | None]:
+def contact(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
     """Press until the contact current rests in its band, by the configured approach.
 
     Args:
@@ -78,7 +78,7 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
 
 def press_again(
     context: Context, depth: float, x: float, y: float, look: Look | None = None
-) -> Script[FeltPose | None]:
+) -> Script[MisalignmentEstimate | None]:
     """Lift off, move the command by (x, y) m and press down to `depth` (m, charger_base); return as `contact`.
 
     The command moves by the error of the measured pose. This also corrects friction and soft servos, which keep the
@@ -152,7 +152,7 @@ def _paper(context: Context, depth: float) -> Script[None]:
         yield from step_to(context, context.commanded[2] + context.parameters.paper_step)
 
 
-def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose | None]:
+def _meet(context: Context, depth: float, look: Look | None) -> Script[MisalignmentEstimate | None]:
     """Press on the target, near the band: at a known place directly, else after a search.
 
     The arm moves fast where it cannot strike anything. If a known place is wrong, the search starts there. With `look`
@@ -186,7 +186,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[FeltPose 
     return None
 
 
-def _search(context: Context, depth: float, look: Look | None = None) -> Script[FeltPose | None]:
+def _search(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
     """Move along z to the start of the search, then slowly up to `depth` (m) until contact; press on there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     free = depth - parameters.search_depth - parameters.search_from
@@ -199,10 +199,10 @@ def _search(context: Context, depth: float, look: Look | None = None) -> Script[
 
 
 def _touches(context: Context) -> bool:
-    return context.observation.tactile_contact or context.contact.value > context.parameters.felt_current
+    return context.observation.tactile_contact or context.contact.value > context.parameters.touch_current
 
 
-def _press_on(context: Context, look: Look | None = None) -> Script[FeltPose | None]:
+def _press_on(context: Context, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
     """Press on from where the platform stops, to a share of the band that is safe on a rigid target."""
     parameters, end = context.parameters, context.time + context.parameters.settle_touching
     highest = -math.inf
@@ -251,7 +251,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             step = min(parameters.coarse_step, parameters.step_share * parameters.current_min / expected)
         yield from step_to(context, z + step)
         after = context.contact.value
-        if touching and before > 0.0 and after - before > parameters.response_told:
+        if touching and before > 0.0 and after - before > parameters.response_visible:
             measured = (after - before) / (step * expected)
             response = min(max(measured, parameters.response_min), parameters.response_max)
 

@@ -24,7 +24,7 @@ import math
 from dataclasses import fields
 
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import FeltPose, MisalignmentClasses, Verdict
+from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned
 from deltacharger_docking.context import Context
 from deltacharger_docking.press import approach, contact, first_push, press_again
@@ -80,7 +80,7 @@ def align(context: Context, target: Target) -> Script[None]:
     status.docked = True
 
 
-def _see_clearance(context: Context, target: Target, felt: FeltPose) -> Script[None]:
+def _see_clearance(context: Context, target: Target, felt: MisalignmentEstimate) -> Script[None]:
     """Judge clearance like `guarded`; if one contact leaves it unsure, another one in this place must confirm it."""
     contacts = 1
     while (verdict := _verdict(context, target, felt)) is Verdict.PROBABLY_SAFE:
@@ -100,7 +100,7 @@ def _see_clearance(context: Context, target: Target, felt: FeltPose) -> Script[N
         )
 
 
-def _verdict(context: Context, target: Target, felt: FeltPose) -> Verdict:
+def _verdict(context: Context, target: Target, felt: MisalignmentEstimate) -> Verdict:
     if not felt.usable:
         if math.isfinite(felt.angle) and abs(felt.angle) >= target.critical_angle:
             raise CriticalAngle(too_tilted(felt.angle))
@@ -108,7 +108,7 @@ def _verdict(context: Context, target: Target, felt: FeltPose) -> Verdict:
     return record_verdict(context, felt, target.critical_angle)
 
 
-def _classes_of(context: Context, felt: FeltPose) -> MisalignmentClasses:
+def _classes_of(context: Context, felt: MisalignmentEstimate) -> MisalignmentClasses:
     """Return the classes of the estimate.
 
     Raises:

@@ -26,7 +26,7 @@ def take_off(context: Context, z: float) -> Script[None]:
         ServoFailure: the position after release is unknown; it holds there.
     """
     parameters = context.parameters
-    lacks = max((1.0 - parameters.came_share) * (context.measured()[2] - z), parameters.came_lack)
+    lacks = max((1.0 - parameters.return_share) * (context.measured()[2] - z), parameters.return_shortfall)
     first = min(_softness(context) * parameters.release_travel, parameters.spring_travel)
     for travel in (first, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
         yield from release(context, travel)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from deltacharger_docking.along import AlongFilter, LookAlong, Plan, empty_pad_offset
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
@@ -52,7 +52,7 @@ class TargetPlace:
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def add(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
+    def add(self, felt: MisalignmentEstimate, x: float, y: float, push: float, again: bool = False) -> None:
         """Add the estimate of a contact of the platform at (x, y), m, under the servos' push (N).
 
         `again`: replaces the earlier estimate of this contact.
@@ -105,7 +105,7 @@ class TargetPlace:
         x, y = self.off
         return x - aside, y - aside * math.tan(self._turn)
 
-    def least_yaw(self, felt: FeltPose, x: float, push: float) -> float:
+    def least_yaw(self, felt: MisalignmentEstimate, x: float, push: float) -> float:
         """Return the least yaw of the faces (rad) that lets one pad carry nearly all, although both have a ridge.
 
         Args:
@@ -130,7 +130,7 @@ class TargetPlace:
             return math.nan
         return heavy * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
 
-    def pointed_at(self, felt: FeltPose, x: float) -> tuple[float, float]:
+    def pointed_at(self, felt: MisalignmentEstimate, x: float) -> tuple[float, float]:
         """Return where (m, along x and y) an unsure estimate points, with the platform at `x` (m).
 
         Out of range it points across the bars only: along them, a pad off its ridge cannot be distinguished from one
@@ -151,7 +151,7 @@ class TargetPlace:
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
-    def settle(self, felt: FeltPose) -> FeltPose:
+    def settle(self, felt: MisalignmentEstimate) -> MisalignmentEstimate:
         """Use the estimate made with the arm at ease, and return it as `combined`."""
         self._load = felt.horizontal
         return self.combined(felt)
@@ -163,7 +163,7 @@ class TargetPlace:
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def combined(self, felt: FeltPose, later: bool = False) -> FeltPose:
+    def combined(self, felt: MisalignmentEstimate, later: bool = False) -> MisalignmentEstimate:
         """Return this contact's estimate combined with all contacts, including the yaw of the faces.
 
         `later`: this contact was estimated before; a change of its loads since then means that the target has slid.

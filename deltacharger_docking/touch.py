@@ -7,7 +7,14 @@ import math
 from dataclasses import replace
 
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge, pitch_shift
+from deltacharger_docking.clearance import (
+    MisalignmentEstimate,
+    Verdict,
+    clearance,
+    clearance_stddev,
+    judge,
+    pitch_shift,
+)
 from deltacharger_docking.codes import (
     CriticalAngle,
     EstimateUnsure,
@@ -23,7 +30,7 @@ from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.target_place import TargetPlace
 
 
-def measure(context: Context) -> Script[FeltPose]:
+def measure(context: Context) -> Script[MisalignmentEstimate]:
     """Return the misalignment that the pads measure, sure or not.
 
     Raises:
@@ -51,13 +58,13 @@ def measure(context: Context) -> Script[FeltPose]:
     return felt
 
 
-def with_pitch(context: Context, felt: FeltPose) -> FeltPose:
+def with_pitch(context: Context, felt: MisalignmentEstimate) -> MisalignmentEstimate:
     """Return the estimate with the pitch that was detected before contact, which pads cannot measure."""
     seen = context.electrodes
     return felt if seen is None else replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
 
 
-def record_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
+def record_verdict(context: Context, felt: MisalignmentEstimate, critical_angle: float) -> Verdict:
     """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
     verdict = judge(felt, parameters, critical_angle)
@@ -99,9 +106,9 @@ class Target:
         self._angles: list[float] = []
         self._passed = 0  # contacts in a row that leave clearance
         self._unsure = self._unsure_here = 0
-        self._felt: FeltPose | None = None  # in this contact
+        self._felt: MisalignmentEstimate | None = None  # in this contact
 
-    def allows_rest(self, felt: FeltPose, stay: bool) -> bool:
+    def allows_rest(self, felt: MisalignmentEstimate, stay: bool) -> bool:
         """Use the estimate of this contact; return whether the electrodes may rest here and current may flow.
 
         Args:
@@ -141,7 +148,7 @@ class Target:
             self._place.choose(self._moves, self._reaches)
         return settled and safe
 
-    def still_allows_rest(self, felt: FeltPose) -> bool:
+    def still_allows_rest(self, felt: MisalignmentEstimate) -> bool:
         """Use the estimate made with the arm at ease; return whether clearance remains."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             self._context.status.estimate = self._place.settle(felt)
@@ -149,7 +156,7 @@ class Target:
         self._passed, self._context.status.aligned = 0, False
         return False
 
-    def combined_later(self, felt: FeltPose) -> FeltPose:
+    def combined_later(self, felt: MisalignmentEstimate) -> MisalignmentEstimate:
         """Return an estimate made while the electrodes rest, combined with all contacts."""
         return self._place.combined(felt, later=True)
 
@@ -208,7 +215,7 @@ class Target:
     def _exhausted(self) -> bool:
         return self._moves >= self._context.parameters.alignments_max
 
-    def _judge(self, felt: FeltPose) -> Verdict:
+    def _judge(self, felt: MisalignmentEstimate) -> Verdict:
         """Judge this contact; after two contacts, also the mean angle."""
         parameters = self._context.parameters
         self._angles.append(felt.angle)
@@ -223,7 +230,7 @@ class Target:
             raise CriticalAngle(too_tilted(mean))
         return verdict
 
-    def _look_elsewhere(self, felt: FeltPose) -> tuple[float, float]:
+    def _look_elsewhere(self, felt: MisalignmentEstimate) -> tuple[float, float]:
         """Return the move (m) before the next measurement: to where an unsure estimate points, or none.
 
         A pad that has lost its ridge across the bars still shows the direction. An unsure estimate only moves the arm;
@@ -254,7 +261,7 @@ class Target:
         context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
         return 0.0, 0.0
 
-    def _leaning(self, felt: FeltPose, yaw: float) -> Leaning:
+    def _leaning(self, felt: MisalignmentEstimate, yaw: float) -> Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
         seen = electrodes.sure_yaw(self._context.parameters.lean_sigmas) if electrodes is not None else 0.0
@@ -268,7 +275,7 @@ class Target:
             yaw,
         )
 
-    def _give_up(self, felt: FeltPose) -> None:
+    def _give_up(self, felt: MisalignmentEstimate) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
             raise CriticalAngle(too_tilted(felt.angle))

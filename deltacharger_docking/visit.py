@@ -9,7 +9,7 @@ from deltacharger_core.script import NEXT, Script
 from deltacharger_docking import published, wired
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.charging import Order, charge
-from deltacharger_docking.clearance import FeltPose, judge
+from deltacharger_docking.clearance import MisalignmentEstimate, judge
 from deltacharger_docking.codes import CriticalAngle, DockingError, NoContact, ServoFailure, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
@@ -58,7 +58,7 @@ class TargetVisit:
             self._is_new = True
         return None
 
-    def _is_too_tilted(self, known: FeltPose, limit: float) -> bool:
+    def _is_too_tilted(self, known: MisalignmentEstimate, limit: float) -> bool:
         """Return whether the last estimate forbids current with this critical angle, rad."""
         parameters = self._context.parameters
         if parameters.keeps_clearance:

@@ -12,7 +12,7 @@ import math
 
 from deltacharger_core.script import Script
 from deltacharger_docking.charging import Order, clearance_checks
-from deltacharger_docking.clearance import FeltPose, Verdict
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, State, TactileStale
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, wait_for_single_sources
@@ -37,7 +37,7 @@ def stay_away(context: Context) -> Script[None]:
         yield from wait_for_single_sources(context, State.APPROACH)
 
 
-def look(context: Context, target: Target) -> Script[FeltPose | None]:
+def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
     """Measure at the first touch; return the estimate if it forbids to press further, else None.
 
     It does not wait until the arm rests, since shorted electrodes must not stay in contact. If so light a touch gives

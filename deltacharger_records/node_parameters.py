@@ -93,7 +93,7 @@ def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry]
     Raises:
         RecordingError: they are invalid.
     """
-    values = file.told(PARAMETERS)
+    values = file.metadata_named(PARAMETERS)
     try:
         return known_settings({name: parse_json(text) for name, text in values[-1].items()}) if values else None
     except (ValueError, TypeError) as error:

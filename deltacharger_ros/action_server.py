@@ -77,7 +77,7 @@ class Work:
             with contextlib.suppress(RuntimeError):  # the client may have left
                 handle.publish_feedback(message)
 
-    def wait_until_told(self, timeout: float) -> None:
+    def wait_until_answered(self, timeout: float) -> None:
         """Wait until a client has probably received the result; `timeout`: s for the goal's callback to set it."""
         if self.answered.wait(timeout):
             threading.Event().wait(_SEND_TIME)

@@ -45,7 +45,7 @@ class Diagnostics:
             values=[KeyValue(key=key, value=_as_text(value)) for key, value in values.items()],
         )
 
-    def tell(self, level: bytes, message: str, values: Mapping[str, object], part: str, hardware: str = "") -> None:
+    def report(self, level: bytes, message: str, values: Mapping[str, object], part: str, hardware: str = "") -> None:
         """Publish the status of one part; arguments as in `status`."""
         self.publish(self.status(level, message, values, part, hardware))
 

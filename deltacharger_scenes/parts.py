@@ -143,7 +143,7 @@ def _left_out_effects(scene: Scene) -> Iterator[Entry]:
         yield {"kind": "effect", "name": "simulation.faults", "why": "none is listed"}
 
 
-def tell_parts(found: dict[str, Any]) -> str:
+def parts_text(found: dict[str, Any]) -> str:
     """Return the result of `describe_parts` as lines for people."""
     lines = ["starts, in this order:"]
     for part in found["parts"]:

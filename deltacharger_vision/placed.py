@@ -73,7 +73,7 @@ class Placed:
         x /= np.linalg.norm(x)
         return np.column_stack([x, np.cross(z, x), z])
 
-    def told_covariance(self) -> Array:
+    def known_covariance(self) -> Array:
         """Return `covariance`, with NaN for the rotations about x and y if the normal is unknown."""
         found = self.covariance.copy()
         if not self.upright:

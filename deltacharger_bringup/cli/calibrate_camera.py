@@ -15,9 +15,9 @@ import numpy as np
 from deltacharger_bringup.calibrate.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
 from deltacharger_bringup.cli.calibration import conclude, geometry_of
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell_or_write, wrong_input
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, log_line, print_result, wrong_input
 from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import between, whole
+from deltacharger_bringup.cli.types import between, integer
 from deltacharger_core.bounded_file import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
@@ -88,9 +88,11 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     text = "scatter of the platform's position, corrected by the images (0.1)"
     known.add_argument("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
     text = "every Nth image judges a fit to the others (5)"
-    parser.add_argument("--held-out-every", type=whole(2, 1000), default=5, metavar="N", help=text)
+    parser.add_argument("--held-out-every", type=integer(2, 1000), default=5, metavar="N", help=text)
     live = parser.add_argument_group("with a running charger")
-    live.add_argument("--take", type=whole(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
+    live.add_argument(
+        "--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough"
+    )
     text = "largest z of the platform (60)"
     live.add_argument("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help=text)
     text = "of the camera, with camera_info beside it (color/image_raw)"
@@ -134,11 +136,11 @@ def _print(options: argparse.Namespace, board: Board) -> int:
         raise CommandError(f"--print {options.print}: give a name that ends in .svg", WRONG_INPUT)
     Path(options.print).write_text(board_svg(board), encoding="utf-8")
     width, height = (length / MILLIMETRE for length in board.pattern)
-    say(
+    log_line(
         f"print it at 100 % (no 'fit to page') on matte paper; the black pattern must measure {width:g} × {height:g} mm"
     )
     value = {"success": True, "written": options.print, "pattern": list(board.pattern)}
-    tell_or_write(options, f"wrote {options.print}", value)
+    print_result(options, f"wrote {options.print}", value)
     return DONE
 
 

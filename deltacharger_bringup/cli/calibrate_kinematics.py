@@ -13,9 +13,9 @@ import numpy as np
 
 from deltacharger_bringup.cli.calibration import conclude, encoder_of, geometry_of, refusing
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell_or_write
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, print_result
 from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import SEED, between, whole
+from deltacharger_bringup.cli.types import SEED, between, integer
 from deltacharger_core.bounded_file import sha256
 from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
 from deltacharger_kinematics.calibration.checks import named
@@ -53,9 +53,13 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
     encoder = parser.add_argument_group("angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node")
     most = 1_048_575
     encoder.add_argument(
-        "--zero-ticks", type=whole(-most, most), nargs=3, metavar="N", help="per limb (default: from the file, or 2048)"
+        "--zero-ticks",
+        type=integer(-most, most),
+        nargs=3,
+        metavar="N",
+        help="per limb (default: from the file, or 2048)",
     )
-    encoder.add_argument("--direction", type=whole(-1, 1), nargs=3, metavar="N", help="per limb (1)")
+    encoder.add_argument("--direction", type=integer(-1, 1), nargs=3, metavar="N", help="per limb (1)")
     namespace_option(parser)
 
 
@@ -86,7 +90,7 @@ def _plan(options: argparse.Namespace) -> int:
         write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
     kept = sum(pose.held_out for pose in poses)
     text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them held out to judge the fit"
-    tell_or_write(options, text, {"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
+    print_result(options, text, {"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
     return DONE
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from deltacharger_bringup.cli.calibration import conclude, geometry_of
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, say
+from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, log_line
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import SEED, between
 from deltacharger_core.parameters import ParameterError
@@ -82,16 +82,16 @@ def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredAr
         try:
             with arm:
                 arm.wait_until_ready(DISCOVERY)
-                task, gains = _task(options, arm.told("docking_node"), arm.told("servo_node"))
+                task, gains = _task(options, arm.parameters_of("docking_node"), arm.parameters_of("servo_node"))
                 arm.start()
-                say(f"the arm moves for up to {math.ceil((task.seconds + 15.0) / 60.0)} minutes; Ctrl-C ends it")
+                log_line(f"the arm moves for up to {math.ceil((task.seconds + 15.0) / 60.0)} minutes; Ctrl-C ends it")
                 measured = measure_servos(arm, task, _progress())
                 try:
                     arm.retire(measured.fit.common(STIFFNESS)[0])
                 except ArmError as error:
                     if interrupts.event.is_set():
                         raise
-                    say(f"the arm did not go home: {error}")
+                    log_line(f"the arm did not go home: {error}")
         except (ArmError, ServoTrouble) as error:
             code = INTERRUPTED if interrupts.event.is_set() else FAILED
             ended = ", and the torque is off" if arm.is_released else ""
@@ -108,7 +108,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
     from deltacharger_records.node_parameters import docking_settings
 
     if not docking:
-        say("docking_node does not report geometry and gravity; using the nominal ones")
+        log_line("docking_node does not report geometry and gravity; using the nominal ones")
     try:
         gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
         constant = float(servo["torque_constant"])
@@ -146,7 +146,7 @@ def _progress() -> Callable[[float], None]:
         nonlocal shown
         if share >= shown + _SHARE:
             shown = share
-            say(f"{100.0 * share:.0f} %")
+            log_line(f"{100.0 * share:.0f} %")
 
     return show
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from deltacharger_bringup.cli.calibration import conclude
 from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, wrong_input
-from deltacharger_bringup.cli.types import whole
+from deltacharger_bringup.cli.types import integer
 from deltacharger_core.bounded_file import sha256
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration import faults as sensor_faults
@@ -39,7 +39,7 @@ def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate tactile`."""
     parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
     parser.add_argument("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
-    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
+    parser.add_argument("--rig", type=integer(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
     parser.add_argument("--model", metavar="M.npz", help="pose model (default: the packaged one)")
     parser.add_argument("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
 

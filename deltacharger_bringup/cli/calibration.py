@@ -8,7 +8,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell_or_write, wrong_input
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, log_line, print_result, wrong_input
 from deltacharger_kinematics.calibration.data import Encoder
 from deltacharger_kinematics.calibration.table import CalibrationError
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -72,11 +72,11 @@ def conclude(
     if written is not None:
         save(written)
     success = not refused or written is not None
-    tell_or_write(options, text, {"success": success, **value, "written": written})
+    print_result(options, text, {"success": success, **value, "written": written})
     for remark in remarks:
-        say(remark)
+        log_line(remark)
     if written is not None:
-        say(f"wrote {written}")
+        log_line(f"wrote {written}")
     elif options.out is not None:
-        say(f"{options.out} was not written; --force writes it anyway")
+        log_line(f"{options.out} was not written; --force writes it anyway")
     return DONE if success else FAILED

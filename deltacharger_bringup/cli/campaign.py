@@ -20,13 +20,13 @@ from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
-    of_system,
-    say,
-    tell_or_write,
+    from_os_error,
+    log_line,
+    print_result,
 )
 from deltacharger_bringup.cli.parser import add_command
 from deltacharger_bringup.cli.scene import refusing_scenes
-from deltacharger_bringup.cli.types import SEED, whole
+from deltacharger_bringup.cli.types import SEED, integer
 from deltacharger_docking.parameters import APPROACHES
 from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.compare_picture import draw
@@ -45,15 +45,15 @@ _DEFAULT_SCENES = "default"
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """Add its options and the action `compare`."""
-    parser.add_argument("-n", type=whole(1, 10_000_000), metavar="N", help="dockings (default: 100, or the list's)")
+    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help="dockings (default: 100, or the list's)")
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
     scenes = f"packaged campaign or YAML file with the distributions ({_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
     parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="approach rules (guarded)")
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")
-    parser.add_argument("--workers", type=whole(1, 1024), metavar="K", help="processes on this computer (1)")
+    parser.add_argument("--workers", type=integer(1, 1024), metavar="K", help="processes on this computer (1)")
     parser.add_argument("--scheduler", default="", metavar="tcp://…", help="Dask scheduler; its workers run dockings")
-    parser.add_argument("--batch", type=whole(1, 10_000), default=0, metavar="N", help="dockings per write")
+    parser.add_argument("--batch", type=integer(1, 10_000), default=0, metavar="N", help="dockings per write")
     parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
     actions = parser.add_subparsers(title="actions", metavar="ACTION")
     compare_them = add_command(actions, "compare", "compare two campaigns of one seed, docking by docking")
@@ -72,15 +72,23 @@ def campaign(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
             run_missing(
-                store, options.workers or 1, options.scheduler, options.batch, progress, interrupts.event.is_set, say
+                store,
+                options.workers or 1,
+                options.scheduler,
+                options.batch,
+                progress,
+                interrupts.event.is_set,
+                log_line,
             )
             progress.end()
             complete = not store.missing()
         results = read_results(folder, COLUMNS)
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
     if not complete:
-        say(f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume")
-    tell_or_write(options, _described(summary, settings), {"success": complete, **summary})
+        log_line(
+            f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume"
+        )
+    print_result(options, _described(summary, settings), {"success": complete, **summary})
     if complete:
         return DONE
     return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
@@ -93,8 +101,8 @@ def compare(options: argparse.Namespace) -> int:
         found = compare_campaigns(Path(options.a), Path(options.b))
     if picture is not None:
         draw(found, picture)
-        say(f"{picture}: written")
-    tell_or_write(options, describe(found), {**found, "picture": str(picture) if picture is not None else None})
+        log_line(f"{picture}: written")
+    print_result(options, describe(found), {**found, "picture": str(picture) if picture is not None else None})
     return DONE
 
 
@@ -124,7 +132,7 @@ class CampaignProgress:
         self._tenth = 10 * begun // total
         self._bar = sys.stderr is not None and sys.stderr.isatty()
         if begun:
-            say(f"{begun} of {total} dockings exist already")
+            log_line(f"{begun} of {total} dockings exist already")
 
     def __call__(self, rows: Sequence[dict[str, Any]]) -> None:
         """Count written rows."""
@@ -135,13 +143,13 @@ class CampaignProgress:
             full = _BAR * self._done // self._total
             print(f"\r[{'#' * full}{'.' * (_BAR - full)}] {self._line()}  ", end="", file=sys.stderr, flush=True)
         elif tenth > self._tenth:
-            say(f"{10 * tenth:3} %  {self._line()}")
+            log_line(f"{10 * tenth:3} %  {self._line()}")
         self._tenth = tenth
 
     def end(self) -> None:
         """End the line of the bar."""
         if self._bar:
-            say("")
+            log_line("")
 
     def _line(self) -> str:
         run = self._done - self._begun
@@ -160,7 +168,7 @@ def _folder(options: argparse.Namespace) -> Path:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise of_system(error, f"--out {folder}: {folder.parent} cannot be created: ") from error
+        raise from_os_error(error, f"--out {folder}: {folder.parent} cannot be created: ") from error
     return folder
 
 

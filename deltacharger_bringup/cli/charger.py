@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, log_line
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core import environment, runtime
 
@@ -50,7 +50,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     if look_around and given is None and not os.environ.get("ROS_DOMAIN_ID"):
         options.discovery = LOOK
         if _answers_by_default(options.namespace):
-            say("using the charger in ROS domain 0")
+            log_line("using the charger in ROS domain 0")
             options.discovery = DISCOVERY
             options.must_run = True
             return dataclasses.replace(scene, goal=None)  # the goal of a simulated scene is wrong for a real target
@@ -137,7 +137,7 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     from deltacharger_scenes.composition import Composition
 
     if scene.touches_hardware:
-        say(f"open to {environment.openness()}; see docs/security.md")
+        log_line(f"open to {environment.openness()}; see docs/security.md")
     composition = Composition(scene, context, namespace, held)
     try:
         return composition.start()

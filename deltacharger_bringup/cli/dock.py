@@ -19,7 +19,7 @@ from deltacharger_bringup.cli.charger import (
     wait_for_actions,
 )
 from deltacharger_bringup.cli.files import picture_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, log_line
 from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
 from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, POSITIVE, deadline
@@ -76,7 +76,7 @@ def dock(options: argparse.Namespace) -> int:
         if not client.wait_until_it_answers(options.discovery, interrupts.event) and not interrupts.event.is_set():
             if options.must_run:
                 raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
-            say(f"no charger answers in ROS domain {environment.domain()}; starting scene '{scene.name}'")
+            log_line(f"no charger answers in ROS domain {environment.domain()}; starting scene '{scene.name}'")
             stack.enter_context(only_charger(options.namespace))
             _log_warnings_only()
             composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
@@ -84,7 +84,7 @@ def dock(options: argparse.Namespace) -> int:
         if interrupts.event.is_set():
             raise CommandError("interrupted", INTERRUPTED)
         if composition is None and options.scene is not None:
-            say(f"using the running charger; only the goal of scene '{scene.name}' is used")
+            log_line(f"using the running charger; only the goal of scene '{scene.name}' is used")
         if composition is None and options.record:
             stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
@@ -151,7 +151,7 @@ class _Run:
 
     def carry_out(self) -> int:
         """Dock, undock if this process started the charger, draw and report."""
-        say(self._goal_line())
+        log_line(self._goal_line())
         whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
         self.recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
         printer = PhasePrinter(self.recorder.force)
@@ -174,11 +174,11 @@ class _Run:
         more["picture"] = self._draw()
         report(outcome, self.options.json, more)
         if advice:
-            say(advice)
+            log_line(advice)
         if not self.options.json and outcome.success:
-            say(outcome.figures())
+            log_line(outcome.figures())
         if unsafe:
-            say(unsafe)
+            log_line(unsafe)
         if self.interrupts.event.is_set():
             return INTERRUPTED
         return DONE if outcome.success and not unsafe else FAILED
@@ -215,14 +215,14 @@ class _Run:
     def _undock(self) -> dict[str, Any]:
         from deltacharger_ros.client import ClientError
 
-        say("undocking, because this command stops the charger that it started")
+        log_line("undocking, because this command stops the charger that it started")
         try:
             outcome = self.client.undock(on_progress=PhasePrinter(), deadline=60.0)
         except ClientError as error:
-            say(str(error))
+            log_line(str(error))
             return {"success": False, "error_message": str(error)}
         if not outcome.success:
-            say(f"undock: {outcome.ending()}")
+            log_line(f"undock: {outcome.ending()}")
         return outcome.as_dict()
 
     def _draw(self) -> str | None:
@@ -234,9 +234,9 @@ class _Run:
         try:
             draw(self.recorder.run, path)
         except PictureError as error:
-            say(f"no picture: {error}")
+            log_line(f"no picture: {error}")
             return None
-        say(f"picture: {path}")
+        log_line(f"picture: {path}")
         return str(path)
 
     def _truth(self, more: dict[str, Any]) -> str:

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, log_line, print_text, write_json
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
-from deltacharger_bringup.cli.types import whole
+from deltacharger_bringup.cli.types import integer
 from deltacharger_bringup.doctor.board import examine_board
 from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
@@ -41,7 +41,7 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
     text = "write this speed (bit/s) to servos with another speed, torque off; needs --servo-port"
     parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
-    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
+    parser.add_argument("--ids", type=integer(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
 
 
 @dataclass
@@ -78,7 +78,7 @@ def doctor(options: argparse.Namespace) -> int:
     found: list[Finding] = list(hardware.problems)
     probe = RosProbe()
     try:
-        say("checking this computer and ROS ...")
+        log_line("checking this computer and ROS ...")
         found += checked("versions", examine_versions)
         found += checked("ros settings", examine_settings)
         with contextlib.ExitStack() as stack:
@@ -197,7 +197,7 @@ def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding
             yield ok("servo port", f"the servos are on the board at {hardware.board_port}")
             found.extend(checked("servos", lambda: check(path)))
 
-    say(f"checking the servos behind the board on {hardware.board_port} ...")
+    log_line(f"checking the servos behind the board on {hardware.board_port} ...")
     return checked("servo port", behind) + found
 
 
@@ -206,7 +206,7 @@ def _examine(device: str, path: str, text: str, check: Callable[[], Iterable[Fin
     part = f"{device.removesuffix('s')} port"
     found = checked(part, lambda: examine_port(part, path))
     if not any(finding.level == "wrong" for finding in found):
-        say(text)
+        log_line(text)
         found += checked(device, check)
     return found
 
@@ -226,8 +226,8 @@ def _report(options: argparse.Namespace, found: list[Finding], hardware: _Hardwa
     else:
         width = max((len(finding.part) for finding in found), default=0)
         for finding in found:
-            tell(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
+            print_text(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
             if finding.remedy:
-                tell(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
-        tell(f"\n{counts['wrong']} wrong, {counts['hint']} hints, {counts['ok']} ok")
+                print_text(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
+        print_text(f"\n{counts['wrong']} wrong, {counts['hint']} hints, {counts['ok']} ok")
     return FAILED if counts["wrong"] else DONE

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.charger import require_domain
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, tell_or_write, write_json
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, print_result, print_text, write_json
 from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import POSITIVE, between, whole
+from deltacharger_bringup.cli.types import POSITIVE, between, integer
 from deltacharger_core import environment, runtime
 from deltacharger_core.parameters import ParameterError
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
@@ -26,7 +26,7 @@ def add_fault(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
     parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="duration (default: until --clear)")
     parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="size, in the unit of its kind")
-    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, for faults of one servo")
+    parser.add_argument("--servo", type=integer(1, 3), default=0, metavar="N", help="id, for faults of one servo")
     parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")
     parser.add_argument("--clear", action="store_true", help="end all lasting faults")
     parser.add_argument("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
@@ -66,7 +66,7 @@ def _inject(options: argparse.Namespace, wanted: Fault) -> int:
         "for_s": wanted.last or None,
     }
     text = f"{_named(injected)}: {kind.text}{_until(wanted, kind)}"
-    tell_or_write(options, text, {"success": True, **injected, "active": reply["active"]})
+    print_result(options, text, {"success": True, **injected, "active": reply["active"]})
     return DONE
 
 
@@ -79,7 +79,7 @@ def _until(wanted: Fault, kind: Kind) -> str:
 def _clear(options: argparse.Namespace) -> int:
     reply = _ask(options, {"command": "clear"})
     text = "no faults are active; latched errors of servos and board stay until they are cleared"
-    tell_or_write(options, text, {"success": True, "active": reply["active"]})
+    print_result(options, text, {"success": True, "active": reply["active"]})
     return DONE
 
 
@@ -94,11 +94,11 @@ def _list(options: argparse.Namespace) -> int:
     for name, kind in KINDS.items():
         amount = f"; amount: {kind.amount.name}, usually {kind.amount.default:g}" if kind.amount else ""
         servo = {"one": "; --servo, usually 2", "some": "; --servo, usually all"}.get(kind.servo, "")
-        tell(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; momentary'}")
+        print_text(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; momentary'}")
     if active is None:
-        tell(f"\n{_none_runs(options)}")
+        print_text(f"\n{_none_runs(options)}")
     else:
-        tell("\nactive: " + ("; ".join(_named(each) for each in active) or "none"))
+        print_text("\nactive: " + ("; ".join(_named(each) for each in active) or "none"))
     return DONE
 
 

@@ -22,8 +22,8 @@ from deltacharger_bringup.cli.output import (
     INTERRUPTED,
     WRONG_INPUT,
     CommandError,
-    of_system,
-    say,
+    from_os_error,
+    log_line,
     write_json,
 )
 from deltacharger_bringup.cli.parser import Parser, Version, add_command
@@ -122,7 +122,7 @@ def _interruptible(words: list[str]) -> int:
     except KeyboardInterrupt:
         if "--as-node" in words:  # nodes then end with 0
             return DONE
-        say("interrupted")
+        log_line("interrupted")
         if "--json" in words:
             write_json({"success": False, "error": "interrupted"})
         return INTERRUPTED
@@ -132,7 +132,7 @@ def _interruptible(words: list[str]) -> int:
 
 
 def _show_warning(message: Warning | str, *where: object, **more: object) -> None:
-    say(f"warning: {message}")
+    log_line(f"warning: {message}")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -158,7 +158,7 @@ def _run(words: list[str]) -> int:
             write_json({"success": False, "error": str(error)})
         return WRONG_INPUT
     except OSError as error:
-        failure = of_system(error)
+        failure = from_os_error(error)
     except UnicodeError as error:
         failure = CommandError(f"a name or text is not UTF-8 ({error}); rename or change it", WRONG_INPUT)
     except Exception as error:
@@ -167,7 +167,7 @@ def _run(words: list[str]) -> int:
             raise
         failure = known
     text = streams.brief(str(failure))
-    say(text)
+    log_line(text)
     if options.json:
         write_json({"success": False, "error": text, **failure.details})
     return failure.exit_code

@@ -24,7 +24,7 @@ from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
-    say,
+    log_line,
     write_json,
 )
 from deltacharger_kinematics.calibration.data import TICK, Encoder
@@ -90,7 +90,7 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
             kept = f"; {options.measure} contains the measured poses" if counts["measured"] else ""
             raise CommandError(f"{error}{kept}", code, **counts) from error
     remaining = len(poses) - len(recording.done)
-    say(f"{options.measure} contains {len(recording.done)} of {len(poses)} poses; the torque is off")
+    log_line(f"{options.measure} contains {len(recording.done)} of {len(poses)} poses; the torque is off")
     if options.json:
         write_json({"success": complete, "written": options.measure, **counts, "remaining": remaining})
     return DONE if complete else FAILED
@@ -100,7 +100,7 @@ def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
     """Return the encoder: as servo_node reports it. The options must not differ from it."""
     if reported is None:
         used = stated or Encoder()
-        say(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
+        log_line(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
         return used
     if stated is not None and stated != reported:
         raise CommandError(
@@ -113,8 +113,8 @@ def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
 
 def _announce(path: str, poses: Sequence[PlannedPose], left: Sequence[PlannedPose]) -> None:
     if len(left) < len(poses):
-        say(f"{path} contains {len(poses) - len(left)} of {len(poses)} poses already; continuing with the others")
-    say("keep clear: the arm moves now, and after each answer")
+        log_line(f"{path} contains {len(poses) - len(left)} of {len(poses)} poses already; continuing with the others")
+    log_line("keep clear: the arm moves now, and after each answer")
 
 
 def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecording, counts: dict[str, int]) -> bool:
@@ -122,14 +122,14 @@ def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecordin
     answers = Answers()
     arm.start()
     for number, pose in enumerate(poses, start=1):
-        say(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")
+        log_line(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")
         arm.move(pose.position)
         if math.dist(arm.position(), pose.position) > _STOPPED:
-            say(f"  the arm stopped at {_place(arm.position())} mm: is there an obstacle?")
-        say("  measured x y z in mm, s = skip, q = quit:")
+            log_line(f"  the arm stopped at {_place(arm.position())} mm: is there an obstacle?")
+        log_line("  measured x y z in mm, s = skip, q = quit:")
         word = _record(arm, pose, recording, answers)
         if word in ("end", "quit"):
-            say("the input has ended" if word == "end" else "quitting; repeat the command to resume")
+            log_line("the input has ended" if word == "end" else "quitting; repeat the command to resume")
             arm.go_home()
             return word == "quit"
         counts[word] += 1
@@ -148,19 +148,19 @@ def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers
             return "end" if text is None else {"q": "quit", "s": "skipped"}[text]
         position = position_of(text)
         if position is None:
-            say(f"  '{text}' is not three numbers; x y z in mm, s = skip, q = quit:")
+            log_line(f"  '{text}' is not three numbers; x y z in mm, s = skip, q = quit:")
             continue
         arm.rest()
         away = math.dist(position, arm.position())
         if away > _DOUBTFUL and text != doubted:
             doubted = text
-            say(f"  that is {away / MILLIMETRE:.0f} mm from the expected position; repeat it if correct:")
+            log_line(f"  that is {away / MILLIMETRE:.0f} mm from the expected position; repeat it if correct:")
             continue
         angles = arm.angles()
         moved = float(np.abs(np.subtract(angles, asked)).max())
         if moved > STILL:
             asked = angles
-            say(f"  the arm moved by {moved / TICK:.0f} ticks since; measure again, x y z in mm:")
+            log_line(f"  the arm moved by {moved / TICK:.0f} ticks since; measure again, x y z in mm:")
             continue
         first, second, third = recording.encoder.ticks(np.array(angles))
         recording.append(pose, (float(first), float(second), float(third)), position)

@@ -44,7 +44,7 @@ def is_wrong_path(error: OSError) -> bool:
     return isinstance(error, kinds) or error.errno in _WRONG_PATH
 
 
-def of_system(error: OSError, before: str = "") -> CommandError:
+def from_os_error(error: OSError, before: str = "") -> CommandError:
     """Return an error of the operating system as a CommandError; `before` begins the message."""
     code = WRONG_INPUT if is_wrong_path(error) else FAILED
     if isinstance(error, FileNotFoundError):
@@ -77,26 +77,26 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
         yield
     except kinds as error:
         if isinstance(error, OSError):
-            raise of_system(error, before) from error
+            raise from_os_error(error, before) from error
         raise CommandError(f"{before}{error}", WRONG_INPUT, **details) from error
 
 
-def say(text: str) -> None:
+def log_line(text: str) -> None:
     """Write a line for people to stderr."""
     streams.write(text, sys.stderr)
 
 
-def tell(text: str) -> None:
+def print_text(text: str) -> None:
     """Write lines of a command's result to stdout."""
     streams.write(text, sys.stdout)
 
 
-def tell_or_write(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
+def print_result(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
     """Write a command's result: `text`, or with --json `value` as the JSON object."""
     if options.json:
         write_json(value)
     else:
-        tell(text)
+        print_text(text)
 
 
 def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
@@ -107,7 +107,7 @@ def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
 
 def write_json(value: dict[str, Any]) -> None:
     """Write the JSON object of the command to stdout; NaN and infinity become null."""
-    tell(json.dumps(json_ready(value), ensure_ascii=not streams.takes_unicode()))
+    print_text(json.dumps(json_ready(value), ensure_ascii=not streams.takes_unicode()))
 
 
 class Interrupts:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from deltacharger_bringup.cli.output import tell, write_json
+from deltacharger_bringup.cli.output import print_text, write_json
 from deltacharger_bringup.cli.types import namespace
 from deltacharger_core import streams
 from deltacharger_core.version import package_version
@@ -59,7 +59,7 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         """Print the version and end the process."""
-        tell(f"deltacharger {package_version()}")
+        print_text(f"deltacharger {package_version()}")
         parser.exit()
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from deltacharger_bringup.cli.output import say, tell, write_json
+from deltacharger_bringup.cli.output import log_line, print_text, write_json
 from deltacharger_core.quantity import figure
 from deltacharger_ros.outcomes import Outcome, Progress
 
@@ -16,12 +16,12 @@ def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
     if as_json:
         write_json({**outcome.as_dict(), **more})
         return
-    tell(f"{outcome.action}: {outcome.ending()}")
+    print_text(f"{outcome.action}: {outcome.ending()}")
     suggested = None if outcome.success else outcome.details.get("suggested_base_pose")
     if suggested:
         place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
         turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
-        tell(f"  possible with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
+        print_text(f"  possible with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
 
 
 class PhasePrinter:
@@ -62,4 +62,4 @@ class PhasePrinter:
             columns.append(f"force {figure(force, 'N', 1, 7)}")
         if progress.waiting_for:
             columns.append(f"waits for {progress.waiting_for}")
-        say("  ".join(columns))
+        log_line("  ".join(columns))

@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.files import picture_to_write
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json, wrong_input
+from deltacharger_bringup.cli.output import (
+    DONE,
+    WRONG_INPUT,
+    CommandError,
+    log_line,
+    print_text,
+    write_json,
+    wrong_input,
+)
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import McapFile, RecordingError
@@ -51,15 +59,15 @@ def _file(options: argparse.Namespace, path: Path) -> int:
             draw(found, picture)
         except PictureError as error:
             raise CommandError(f"no picture: {error}") from error
-        say(f"picture: {picture}")
+        log_line(f"picture: {picture}")
     if options.json:
         write_json({**found.as_dict(), "story": lines, "why": closing, "picture": str(picture) if picture else None})
         return DONE
     outcome = found.outcome()
-    tell(f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {outcome['name']}")
+    print_text(f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {outcome['name']}")
     if found.recording.damage:
-        tell(f"incomplete: {found.recording.damage}")
-    tell("\n".join([*lines, "", closing]))
+        print_text(f"incomplete: {found.recording.damage}")
+    print_text("\n".join([*lines, "", closing]))
     return DONE
 
 
@@ -72,15 +80,15 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
         write_json({"folder": str(folder), "records": entries})
         return DONE
     if not entries:
-        say(f"{folder}: no records")
+        log_line(f"{folder}: no records")
     for entry in entries:
         name = streams.plain(entry["file"])
         if entry["problem"]:
-            tell(f"{name}: {streams.plain(entry['problem'])}")
+            print_text(f"{name}: {streams.plain(entry['problem'])}")
             continue
         size = entry["bytes"] / 1e6
         alone = f"; the recorder does not manage it: {entry['left_alone']}" if entry["left_alone"] else ""
-        tell(
+        print_text(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
             f"{entry['outcome']:<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
         )
@@ -95,7 +103,7 @@ def _entry(path: Path) -> dict[str, Any]:
         file = McapFile(path)
     except (RecordingError, OSError) as error:
         return entry | {"problem": str(error)} | nothing
-    about, end = (file.told(name) or [{}] for name in (ABOUT, END))
+    about, end = (file.metadata_named(name) or [{}] for name in (ABOUT, END))
     return entry | {
         "time": file.first * 1e-9,
         "duration": (file.last - file.first) * 1e-9,

@@ -16,19 +16,19 @@ from deltacharger_bringup.cli.output import (
     INTERRUPTED,
     CommandError,
     Interrupts,
-    say,
-    tell,
+    log_line,
+    print_text,
     write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.types import SEED, whole
+from deltacharger_bringup.cli.types import SEED, integer
 
 
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report kinematics`."""
     _add_common(parser, "report-kinematics", "fewer points and shorter timings")
     points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
-    parser.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
+    parser.add_argument("--points", type=integer(50, 100_000), metavar="N", help=points)
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed of every set (default: 1)")
 
 
@@ -42,7 +42,7 @@ def add_vision(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report vision`."""
     _add_common(parser, "report-vision", "a tenth of the images")
     images = "per row, 2 to 1000 (default: 150, with --quick 15); rows with targets have more"
-    parser.add_argument("--images", type=whole(2, 1000), metavar="N", help=images)
+    parser.add_argument("--images", type=integer(2, 1000), metavar="N", help=images)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
 
 
@@ -58,9 +58,11 @@ def add_docking(parser: argparse.ArgumentParser) -> None:
         "--only", action="append", default=[], metavar="NAME", help="run only this campaign; may be repeated"
     )
     count = "dockings of each campaign (default: as planned, 200 to 20000)"
-    parser.add_argument("-n", "--n", type=whole(1, 10_000_000), metavar="N", help=count)
+    parser.add_argument("-n", "--n", type=integer(1, 10_000_000), metavar="N", help=count)
     parser.add_argument("--seed", type=SEED, metavar="S", help="random seed of all campaigns (default: the report's)")
-    parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
+    parser.add_argument(
+        "--workers", type=integer(1, 1024), default=1, metavar="K", help="processes on this computer (1)"
+    )
 
 
 def add_footprint(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +71,7 @@ def add_footprint(parser: argparse.ArgumentParser) -> None:
     text = "measure this scene; may be repeated (default: every packaged scene)"
     parser.add_argument("--scene", action="append", default=[], metavar="NAME|FILE", help=text)
     repeats = "runs of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
-    parser.add_argument("--repeats", type=whole(1, 100), metavar="N", help=repeats)
+    parser.add_argument("--repeats", type=integer(1, 100), metavar="N", help=repeats)
 
 
 def _add_common(parser: argparse.ArgumentParser, default: str, quick: str) -> None:
@@ -86,7 +88,7 @@ def kinematics(options: argparse.Namespace) -> int:
     plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
     command = f"{_command(options, 'kinematics')} --points {count} --seed {plan.seed}"
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, command, say)
+    results = report.build(plan, directory, command, log_line)
     _print_absent(results["absent"])
     return _end(options, results, directory, "kinematics", ("seed", "points"))
 
@@ -101,7 +103,7 @@ def tactile(options: argparse.Namespace) -> int:
     if not plan.names:
         raise CommandError("no library for training is installed; install deltacharger[train]", FAILED)
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, f"{_command(options, 'tactile')} --seed {options.seed}", say)
+    results = report.build(plan, directory, f"{_command(options, 'tactile')} --seed {options.seed}", log_line)
     return _end(options, results, directory, "tactile", ("simulated", "rigs", "seeds"), "simulated data:")
 
 
@@ -116,7 +118,7 @@ def vision(options: argparse.Namespace) -> int:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
     directory = folder_to_write("--out", options.out)
     command = f"{_command(options, 'vision')} --images {plan.images} --seed {plan.seed}"
-    results = report.build(plan, directory, command, say)
+    results = report.build(plan, directory, command, log_line)
     return _end(options, results, directory, "vision", ("simulated", "seed", "images"), "simulated images:")
 
 
@@ -128,7 +130,7 @@ def simulation(options: argparse.Namespace) -> int:
     plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
     _print_absent(simulation_plan.absent())
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, _command(options, "simulation"), say)
+    results = report.build(plan, directory, _command(options, "simulation"), log_line)
     return _end(options, results, directory, "simulation", ("models", "quick"), also=(stability.MODULE,))
 
 
@@ -144,16 +146,16 @@ def docking(options: argparse.Namespace) -> int:
     command = f"{_command(options, 'docking')} --seed {plan.seed}"
 
     def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:
-        say(f"{part.name}: {part.about}")
+        log_line(f"{part.name}: {part.about}")
         return CampaignProgress(total, begun)
 
     with campaign_errors():
         with Interrupts() as interrupts:
-            complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, say)
+            complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, log_line)
         if not complete:
-            say(f"{directory}: interrupted; repeat the command to resume")
+            log_line(f"{directory}: interrupted; repeat the command to resume")
             return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
-        results = docking_report.build(plan, directory, command, say)
+        results = docking_report.build(plan, directory, command, log_line)
     more = ("simulated", "seed", "quick", "not_run")
     return _end(options, results, directory, "docking", more, "simulated dockings:")
 
@@ -172,7 +174,7 @@ def footprint(options: argparse.Namespace) -> int:
     with refusing_scenes("--scene: "):
         plan = footprint_plan.make_plan(options.scene, options.quick, options.repeats)
     for name, reason in plan.left_out.items():
-        say(f"{name} is left out: {reason}")
+        log_line(f"{name} is left out: {reason}")
     if not plan.scenes:
         raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
     directory = folder_to_write("--out", options.out)
@@ -184,7 +186,7 @@ def footprint(options: argparse.Namespace) -> int:
     with ros_context() as context:
         from deltacharger_lab.reports.footprint import report as footprint_report
 
-        results = footprint_report.build(plan, context, directory, command, say)
+        results = footprint_report.build(plan, context, directory, command, log_line)
     return _end(options, results, directory, "footprint", ("rows", "left_out", "quick", "repeats"))
 
 
@@ -195,7 +197,7 @@ def _command(options: argparse.Namespace, subject: str, words: str = "") -> str:
 
 def _print_absent(absent: Mapping[str, str]) -> None:
     for name, reason in absent.items():
-        say(f"{name} is absent: {reason}")
+        log_line(f"{name} is absent: {reason}")
 
 
 def _end(
@@ -209,17 +211,19 @@ def _end(
 ) -> int:
     """Print the written files, the main one first, and which targets are met."""
     for name, reason in results["missing_pictures"].items():
-        say(f"no picture {name}: {reason}")
+        log_line(f"no picture {name}: {reason}")
     files = [path for kind in ("html", "md", "json") if (path := directory / f"{subject}.{kind}").exists()]
-    say(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
+    log_line(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
     if options.json:
         written = [*map(str, files), *(str(directory / name) for name in (*also, *results["pictures"]))]
         keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
         write_json({"success": True, "files": written, **{key: results[key] for key in keys}})
         return DONE
     if of_what:
-        tell(of_what)
+        print_text(of_what)
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
-        tell(f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
+        print_text(
+            f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}"
+        )
     return DONE

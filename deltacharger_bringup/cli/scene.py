@@ -10,13 +10,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, log_line, print_text, write_json
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems
-from deltacharger_scenes.parts import describe_parts, tell_parts
+from deltacharger_scenes.parts import describe_parts, parts_text
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
 
@@ -65,7 +65,7 @@ def list_scenes(options: argparse.Namespace) -> int:
         return DONE
     width = max((len(entry["name"]) for entry in scenes), default=0)
     for entry in scenes:
-        tell(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
+        print_text(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
     return DONE
 
 
@@ -82,16 +82,16 @@ def check(options: argparse.Namespace) -> int:
             good = {"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": "", "warnings": warnings}
             reports.append(good)
             for warning in warnings:
-                say(f"{scene.file}: warning: {warning}")
+                log_line(f"{scene.file}: warning: {warning}")
         except SceneError as error:
             refused = {"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem}
             reports.append({**refused, "warnings": []})
-            say(str(error))
+            log_line(str(error))
     if options.json:
         write_json({"ok": all(report["ok"] for report in reports), "scenes": reports})
     else:
         for report in reports:
-            tell(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
+            print_text(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
     return DONE if all(report["ok"] for report in reports) else WRONG_INPUT
 
 
@@ -115,15 +115,15 @@ def explain(options: argparse.Namespace) -> int:
         head = {"scene": scene.name, "description": scene.description, "file": scene.file}
         write_json({**head, "keys": shown, **parts})
         return DONE
-    tell(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
+    print_text(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
     for key in shown:
-        tell(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
+        print_text(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
         about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
         if about:
-            tell(f"    {'; '.join(about)}")
+            print_text(f"    {'; '.join(about)}")
     if not options.all:
-        tell(f"\n{len(keys) - len(shown)} more keys have their default; --all shows them.")
-    tell(f"\n{tell_parts(parts)}")
+        print_text(f"\n{len(keys) - len(shown)} more keys have their default; --all shows them.")
+    print_text(f"\n{parts_text(parts)}")
     return DONE
 
 

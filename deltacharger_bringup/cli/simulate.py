@@ -9,7 +9,16 @@ import threading
 from pathlib import Path
 
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    answer,
+    log_line,
+    print_text,
+)
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_core import signals
@@ -47,7 +56,7 @@ def simulate(options: argparse.Namespace) -> int:
             ports = {"servo": charger.servo_port, "board": charger.board_port}
             answer(options, {"ready": True, **ports, "scene": scene.name})
         else:
-            tell(f"servo {charger.servo_port}\nboard {charger.board_port}\nready")
+            print_text(f"servo {charger.servo_port}\nboard {charger.board_port}\nready")
         while not interrupts.event.wait(0.2):
             broken = charger.errors()
             if broken:
@@ -58,5 +67,5 @@ def simulate(options: argparse.Namespace) -> int:
         record = charger.record()
         if options.record:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
-        say("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
+        log_line("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
         return DONE if options.as_node else interrupts.exit_code(DONE)

@@ -15,13 +15,13 @@ from deltacharger_bringup.cli.output import (
     DONE,
     WRONG_INPUT,
     CommandError,
-    say,
-    tell,
-    tell_or_write,
+    log_line,
+    print_result,
+    print_text,
     write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.types import SEED, between, whole
+from deltacharger_bringup.cli.types import SEED, between, integer
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_tactile import npz, pose_judgement
 from deltacharger_tactile.classifiers import judgement, labels, packaged
@@ -45,17 +45,19 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--protocol", choices=("paper", "continuous"), default="paper", help="the paper's two sets, or signed poses"
     )
-    parser.add_argument("--rigs", type=whole(1, 1000), default=5, metavar="N", help="simulated rigs (5)")
+    parser.add_argument("--rigs", type=integer(1, 1000), default=5, metavar="N", help="simulated rigs (5)")
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the dockings (0)")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    parser.add_argument("--first-rig", type=whole(0, 10**9), default=0, metavar="N", help="seed of the first rig (0)")
-    parser.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
-    parser.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    parser.add_argument("--first-rig", type=integer(0, 10**9), default=0, metavar="N", help="seed of the first rig (0)")
+    parser.add_argument(
+        "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
+    )
+    parser.add_argument("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
     parser.add_argument(
         "--threshold", type=between(0.0, 9.0), metavar="N", help="smaller forces count as 0 (paper 1, continuous 0.25)"
     )
     parser.add_argument(
-        "--dockings", type=whole(1, 100_000), metavar="N", help="dockings per rig in the continuous protocol (400)"
+        "--dockings", type=integer(1, 100_000), metavar="N", help="dockings per rig in the continuous protocol (400)"
     )
 
 
@@ -93,7 +95,7 @@ def generate(options: argparse.Namespace) -> int:
     data.save(out)
     summary = {"out": str(out), "n": len(data), "protocol": options.protocol, "digest": data.meta["digest"]}
     text = f"{out}: {len(data)} dockings on {options.rigs} simulated rigs, parameters {data.meta['digest']}"
-    tell_or_write(options, text, {"success": True, **summary})
+    print_result(options, text, {"success": True, **summary})
     return DONE
 
 
@@ -106,7 +108,7 @@ def train(options: argparse.Namespace) -> int:
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
     summary = {"out": str(out), "model": options.model, "target": options.target, **result}
     text = f"{out}: {options.model} for {options.target}, trained on {result['n']} rows in {result['fit_time']:.2f} s"
-    tell_or_write(options, text, {"success": True, **summary})
+    print_result(options, text, {"success": True, **summary})
     return DONE
 
 
@@ -147,12 +149,14 @@ def evaluate(options: argparse.Namespace) -> int:
             name, trained_on = model.name, model.about.get("data")
             found = judgement.evaluate(model, examples(data, model.target))
     if "protocol" in data.meta and trained_on == data.meta:  # files of other programs do not record their origin
-        say(f"warning: {options.model} was trained on {options.data}: figures are too good; evaluate it on other data")
+        log_line(
+            f"warning: {options.model} was trained on {options.data}: figures are too good; evaluate it on other data"
+        )
     if options.json:
         write_json(found)
         return DONE
     what = "simulated" if data.simulated else "recorded"
-    tell(f"{name} on {found['n']} {what} rows")
+    print_text(f"{name} on {found['n']} {what} rows")
     for part in [found[axis] for axis in pose_judgement.AXES] if found["target"] == "pose" else [found]:
         _print_result(part)
     return DONE
@@ -160,14 +164,14 @@ def evaluate(options: argparse.Namespace) -> int:
 
 def _print_result(found: dict[str, Any]) -> None:
     unit, scale = ("°", 57.29577951308232) if found["target"] == "angle" else ("mm", 1e3)
-    tell(f"{found['target']}")
-    tell(f"  accuracy                {100 * found['accuracy']:.1f} %")
-    tell(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
-    tell(f"  sets hold the truth     {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
-    tell(f"  may be acted on         {100 * found['act_rate']:.1f} %")
-    tell(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
+    print_text(f"{found['target']}")
+    print_text(f"  accuracy                {100 * found['accuracy']:.1f} %")
+    print_text(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
+    print_text(f"  sets hold the truth     {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
+    print_text(f"  may be acted on         {100 * found['act_rate']:.1f} %")
+    print_text(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
     if found.get("drifted_together", 0.0) > 0.0:
-        tell("  all together look unlike training: calibrate or train again")
+        print_text("  all together look unlike training: calibrate or train again")
 
 
 def models(options: argparse.Namespace) -> int:
@@ -177,10 +181,12 @@ def models(options: argparse.Namespace) -> int:
     if options.json:
         write_json({"success": True, "models": rows})
         return DONE
-    tell(f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs not used for training")
+    print_text(
+        f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs not used for training"
+    )
     for row in rows:
         percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
-        tell(f"{row['name']:<10}{row['target']:<12}{percent:>9.1f}{size:>7.0f}{time_ms:>8.3f}")
+        print_text(f"{row['name']:<10}{row['target']:<12}{percent:>9.1f}{size:>7.0f}{time_ms:>8.3f}")
     return DONE
 
 
@@ -216,4 +222,4 @@ class _Progress:
         tenth = int(10 * share)
         if tenth != self._tenth:
             self._tenth = tenth
-            say(f"{100 * share:3.0f} %  {text}")
+            log_line(f"{100 * share:3.0f} %  {text}")

@@ -8,8 +8,8 @@ import argparse
 import numpy as np
 
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell_or_write
-from deltacharger_core.files import whole
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, log_line, print_result
+from deltacharger_core.files import atomic_write
 from deltacharger_docking.codes import DockingError
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 
@@ -30,10 +30,10 @@ def record_protocol(options: argparse.Namespace) -> int:
     shared = ("rig", "seed", "frames", "rows", "threshold", "dwell_s", "tare_every")
     recording = Protocol(**{name: getattr(options, name) for name in shared})
     try:
-        data = record_paper(recording, say)
+        data = record_paper(recording, log_line)
     except DockingError as error:
         raise CommandError(str(error), code=int(error.code)) from error
-    with whole(out) as path:
+    with atomic_write(out) as path:
         data.save(path)
     left = data.poses()[data.subset == SUBSET_ANGLE, :2]
     rms = 1e3 * np.sqrt(np.mean(left**2, axis=0))
@@ -41,5 +41,5 @@ def record_protocol(options: argparse.Namespace) -> int:
         f"{out}: {len(data)} rows of {len(np.unique(data.attempt))} simulated dockings of rig {options.rig}; "
         f"start errors left by vision: {rms[0]:.1f} and {rms[1]:.1f} mm rms along x and y"
     )
-    tell_or_write(options, text, {"success": True, "out": str(out), "n": len(data), "left_rms_mm": rms.tolist()})
+    print_result(options, text, {"success": True, "out": str(out), "n": len(data), "left_rms_mm": rms.tolist()})
     return DONE

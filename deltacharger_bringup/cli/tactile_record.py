@@ -19,14 +19,14 @@ from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
-    say,
-    tell,
+    log_line,
+    print_text,
     write_json,
     wrong_input,
 )
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.tactile_protocol import DEFAULT_PLACE, record_protocol
-from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
+from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, integer
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Rejected, Unreachable
 from deltacharger_docking.observation import DockingOutcome
@@ -52,7 +52,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
     parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle, sweep)")
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
-    parser.add_argument("--repeat", type=whole(1, 10_000), metavar="N", help=text)
+    parser.add_argument("--repeat", type=integer(1, 10_000), metavar="N", help=text)
     text = "offsets of the set position (-10 -5 0 5 10)"
     parser.add_argument("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
@@ -63,15 +63,17 @@ def add_record(parser: argparse.ArgumentParser) -> None:
         flag = f"--{name.replace('_', '-')}"
         target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     shared = parser.add_argument_group("for the complete data set")
-    shared.add_argument("--rig", type=whole(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
+    shared.add_argument("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
     shared.add_argument("--sensor", default="", metavar="ID", help="of its pads, stored in the data set")
-    shared.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
-    shared.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    shared.add_argument(
+        "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
+    )
+    shared.add_argument("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
     text = "smaller forces count as 0 (0.25)"
     shared.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help=text)
     shared.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="time to rest first (0.5)")
     text = "dockings per tare, i.e. per session (25)"
-    parser.add_argument("--tare-every", type=whole(1, 10_000), default=25, metavar="N", help=text)
+    parser.add_argument("--tare-every", type=integer(1, 10_000), default=25, metavar="N", help=text)
 
 
 def record(options: argparse.Namespace) -> int:
@@ -172,10 +174,10 @@ class _Call:
         """Print what is going to happen."""
         left, total = len(self.left(part)), len(part.poses())
         if left < total:
-            say(f"{self.journal.folder} contains {total - left} of {total} dockings already; recording the others")
+            log_line(f"{self.journal.folder} contains {total - left} of {total} dockings already; recording the others")
         turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
-        say(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
-        say("keep clear: the arm moves now")
+        log_line(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
+        log_line("keep clear: the arm moves now")
         self._began = time.monotonic()
 
     def report(self, part: Part) -> Callable[[Docking], None]:
@@ -187,7 +189,7 @@ class _Call:
             left = len(self.left(part))
             minutes = (time.monotonic() - self._began) / self.count * left / 60.0
             place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
-            say(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
+            log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
 
         return report
 
@@ -213,9 +215,9 @@ class _Call:
             return DONE
         assert journal.settings is not None
         kind = "simulated " if journal.settings.simulated else ""
-        tell(f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings")
+        print_text(f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings")
         for name, each in journal.parts.items():
-            tell(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
+            print_text(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
         return DONE
 
 
@@ -239,7 +241,7 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
                 journal.check(part, settings)
                 machine = _machine(charger, part)
                 if charger.claim(journal.driver()):
-                    say("the last call was killed while it moved the arm; taking over")
+                    log_line("the last call was killed while it moved the arm; taking over")
                 journal.set_driver(charger.name)
                 begun = True
                 call.start(part)
@@ -263,7 +265,7 @@ def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
     from deltacharger_records.datasets.session import check_places
 
     if not charger.has_docking_node:
-        say("docking_node is not running: using its default parameters")
+        log_line("docking_node is not running: using its default parameters")
     machine = DockingMachine(*charger.settings())
     with wrong_input(Rejected, Unreachable):
         check_places(machine, _commands(part))
@@ -300,7 +302,7 @@ class _Sessions:
                 raise CommandError(what, code=int(outcome.code))
             if failures == _TRIES:
                 raise CommandError(f"a docking failed {_TRIES} times, {what}", code=int(outcome.code))
-            say(f"docking failed, {what}; trying again")
+            log_line(f"docking failed, {what}; trying again")
             if interrupts.event.wait(_PAUSE):
                 break
         if interrupts.event.is_set():

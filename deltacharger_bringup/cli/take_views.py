@@ -14,7 +14,7 @@ import numpy as np
 from deltacharger_bringup.calibrate.camera_views import ViewsFolder
 from deltacharger_bringup.calibrate.view_places import view_places
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, say
+from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, log_line
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board, markers_in
@@ -55,7 +55,9 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
                 intrinsics = camera.intrinsics(DISCOVERY, arm.check)
                 folder = ViewsFolder(Path(options.views), intrinsics)
                 if folder.angles:
-                    say(f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}")
+                    log_line(
+                        f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}"
+                    )
                 radius = math.hypot(*board.pattern) / 2 + board.margin
                 places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
                 if len(folder.angles) < options.take:
@@ -65,7 +67,7 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
             held = 0 if folder is None else len(folder.angles)
             kept = f"; {options.views} contains {held} views; repeat the command to resume" if held else ""
             raise CommandError(f"{error}{kept}", code, views=held) from error
-    say(f"{options.views} contains {len(folder.angles)} views; the torque is off")
+    log_line(f"{options.views} contains {len(folder.angles)} views; the torque is off")
 
 
 def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry) -> list[Vector]:
@@ -86,7 +88,7 @@ def _visit(
     arm: ArmClient, camera: CameraClient, board: Board, places: Iterable[Vector], folder: ViewsFolder, wanted: int
 ) -> None:
     """Move through the positions and store images that show the board, until there are enough."""
-    say("keep clear: the arm moves now")
+    log_line("keep clear: the arm moves now")
     arm.start()
     blind, tried = 0, 0
     for place in places:
@@ -99,18 +101,18 @@ def _visit(
         angles = arm.angles()
         where = ", ".join(f"{1e3 * value:.0f}" for value in place)
         if not _still(before, angles):
-            say(f"at ({where}) mm the arm moved while the image was taken; skipped")
+            log_line(f"at ({where}) mm the arm moved while the image was taken; skipped")
         elif board.detect(image) is None:
             blind += 1
-            say(f"at ({where}) mm the board is not visible")
+            log_line(f"at ({where}) mm the board is not visible")
             if blind == _BLIND and not folder.angles:
                 raise CommandError(_unseen(board, image), FAILED)
         else:
             middle = tuple(0.5 * (first + second) for first, second in zip(before, angles, strict=True))
             name = folder.add(image, (middle[0], middle[1], middle[2]))
-            say(f"{name}: {len(folder.angles)} of {wanted}, at ({where}) mm")
+            log_line(f"{name}: {len(folder.angles)} of {wanted}, at ({where}) mm")
     if len(folder.angles) < wanted:
-        say(f"only {len(folder.angles)} views at {tried} positions: correct --mount, or make the board visible")
+        log_line(f"only {len(folder.angles)} views at {tried} positions: correct --mount, or make the board visible")
     arm.go_home()
 
 

@@ -30,7 +30,7 @@ def between(low: float, high: float) -> Callable[[str], float]:
     return number
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def integer(low: int, high: int) -> Callable[[str], int]:
     """Return the type of a whole number from `low` to `high`."""
 
     def number(text: str) -> int:
@@ -68,7 +68,7 @@ def web_address(text: str) -> WebAddress:
 POSITIVE = between(0.0, 2e9)  # range of a Duration's seconds
 MILLIMETRES = between(-10_000.0, 10_000.0)  # a larger number has the wrong unit
 DEGREES = between(-90.0, 90.0)
-SEED = whole(0, 2**32 - 1)
+SEED = integer(0, 2**32 - 1)
 
 
 def deadline(text: str) -> float:

@@ -24,7 +24,7 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, log_line
 from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_core import environment
 
@@ -67,7 +67,7 @@ def up(options: argparse.Namespace) -> int:
         else:
             composition = stack.enter_context(start(scene, context, options.namespace))
             _print_nodes(composition)
-            say(_interfaces(composition))
+            log_line(_interfaces(composition))
             _print_ready(composition, options)
         while not interrupts.event.wait(0.5):
             raise_if_failed(composition)
@@ -111,11 +111,11 @@ def _refuse_others(client: ChargerClient, own: int) -> None:
 def _print_nodes(composition: Composition) -> None:
     from deltacharger_scenes.composition import describe
 
-    say(f"{describe(composition)}; ROS domain {environment.domain()}")
+    log_line(f"{describe(composition)}; ROS domain {environment.domain()}")
 
 
 def _print_ready(composition: Composition, options: argparse.Namespace) -> None:
-    say("ready")
+    log_line("ready")
     if options.json:
         ready = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
         answer(options, {**ready, **composition.ports()})

@@ -25,7 +25,7 @@ from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
-    say,
+    log_line,
     write_json,
     wrong_input,
 )
@@ -84,7 +84,7 @@ def view(options: argparse.Namespace) -> int:
         if options.web is not None:
             stack.enter_context(WebViewer(_program(), options.web))
             options.connect = options.web.sink
-            say(f"open {options.web.page}")
+            log_line(f"open {options.web.page}")
         if options.recording is None:
             return _show_charger(rr, options)
         return _show_recording(rr, options)
@@ -181,7 +181,7 @@ def _draw(animation: Animation, path: Path) -> None:
 
     def progress(done: int, of: int) -> None:
         if done % 40 == 0:
-            say(f"drew {done} of {of} pictures")
+            log_line(f"drew {done} of {of} pictures")
 
     try:
         animation.save(path, progress)
@@ -239,7 +239,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
         began = time.monotonic()
         silent: list[str] | None = None
         try:
-            say(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
+            log_line(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
             while not interrupts.event.wait(_PERIOD):
                 listener.hand(feed)
                 passed = time.monotonic() - began
@@ -260,7 +260,7 @@ def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
     silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
     if silent:
         hint = "no charger runs" if len(silent) == len(ALWAYS_THERE) else "their nodes do not run"
-        say(
+        log_line(
             f"no messages for {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint}, or in another ROS domain than "
             f"{environment.domain()} or another --namespace; still listening"
         )
@@ -282,7 +282,7 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
             try:
                 recorded.play(feed, interrupts.event.is_set)
                 if options.web is not None:
-                    say("shown; Ctrl-C ends the viewer")
+                    log_line("shown; Ctrl-C ends the viewer")
                     interrupts.event.wait()
             finally:
                 complete()
@@ -298,6 +298,6 @@ def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Se
         result = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
         write_json(result)
         return
-    say(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
+    log_line(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
     if options.save is not None and not _is_animation(options):
-        say(f"open it with: rerun {options.save}")
+        log_line(f"open it with: rerun {options.save}")

@@ -19,9 +19,9 @@ from deltacharger_bringup.cli.output import (
     FAILED,
     WRONG_INPUT,
     CommandError,
-    say,
-    tell,
-    tell_or_write,
+    log_line,
+    print_result,
+    print_text,
     write_json,
     wrong_input,
 )
@@ -141,14 +141,14 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
     depth = None if options.depth is None else Path(options.depth)
     image = read_rgbd(Path(options.color), depth, load_camera_info(options.camera_info))
     if depth is None:
-        say("no --depth: using the colour image alone")
+        log_line("no --depth: using the colour image alone")
     elif not np.isfinite(image.depth).any():
-        say(f"{depth}: all depth is unknown; using the colour image alone")
+        log_line(f"{depth}: all depth is unknown; using the colour image alone")
     found, fields = finder.find(image)
     if picture is not None:
         write_picture(picture, annotated(image, found))
     lines = ["no electrodes found"] if found is None else vision_results.lines(found, finder.mount)
-    tell_or_write(options, "\n".join(lines), fields)
+    print_result(options, "\n".join(lines), fields)
     return FAILED if found is None else DONE
 
 
@@ -174,7 +174,7 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
     except RecordingError as error:  # images before the damage count
         if not results:
             raise
-        say(str(error))
+        log_line(str(error))
     if not results:
         raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant", WRONG_INPUT)
     return _report_many(options, results, source.count)
@@ -184,11 +184,11 @@ def _report_many(options: argparse.Namespace, results: list[dict[str, Any]], cou
     total = vision_results.summary(results, count)
     if options.json:
         write_json({"frame": CAMERA_FRAME, **total, "results": results})
-        say(vision_results.total_line(total))
+        log_line(vision_results.total_line(total))
     else:
         for each in results:
-            tell(f"{each['name']}: {vision_results.short(each)}")
-        tell(vision_results.total_line(total))
+            print_text(f"{each['name']}: {vision_results.short(each)}")
+        print_text(vision_results.total_line(total))
     if total["found"]:
         return DONE
     return WRONG_INPUT if total["broken"] == total["images"] else FAILED
@@ -210,7 +210,7 @@ def _stored(options: argparse.Namespace, folder: Path) -> _Images:
         raise CommandError(f"{folder} contains no {CAMERA_INFO}; put it there, or give --camera-info", WRONG_INPUT)
     alone = sum(each.depth is None for each in images)
     if alone:
-        say(f"{alone} of {len(images)} images have no depth image")
+        log_line(f"{alone} of {len(images)} images have no depth image")
     return _Images(images, len(images), load_camera_info(info))
 
 
@@ -228,7 +228,7 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     if not recording.images:
         raise CommandError(f"{path}: {topics.color} holds no images; record again", WRONG_INPUT)
     if not topics.depth:
-        say(f"{path} has no depth topic; using the colour images alone")
+        log_line(f"{path} has no depth topic; using the colour images alone")
     return _Images(recorded_images(recording), recording.images, intrinsics)
 
 
@@ -248,9 +248,9 @@ class _Progress:
         """Count a broken image and name it."""
         self._broken += 1
         if self._broken <= _NAMED:
-            say(f"{name}: {error}")
+            log_line(f"{name}: {error}")
         elif self._broken == _NAMED + 1:
-            say("more images are broken; --json names all")
+            log_line("more images are broken; --json names all")
         self._count_one()
 
     def _count_one(self) -> None:
@@ -258,7 +258,7 @@ class _Progress:
         tenth = 10 * self._seen // self._count
         if tenth > self._tenth:
             self._tenth = tenth
-            say(f"{10 * tenth:3} %  {self._seen} of {self._count} images, electrodes in {self._found}")
+            log_line(f"{10 * tenth:3} %  {self._seen} of {self._count} images, electrodes in {self._found}")
 
 
 def _flag(name: str) -> str:

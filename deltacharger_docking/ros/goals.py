@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.texts import titled
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Busy, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
@@ -78,7 +78,7 @@ class Goals:
         observe: Callable[[], Observation],
         begun: Callable[[str, str], None],
         defect: Callable[[Exception], None],
-        misalignment: Callable[[FeltPose | None], Misalignment],
+        misalignment: Callable[[MisalignmentEstimate | None], Misalignment],
         mount: DockingNodeParameters,
         frames: Frames,
         look: Callable[[], None] = lambda: None,
@@ -147,7 +147,7 @@ class Goals:
         goal = self._goal
         self.end(outcome)
         if goal is not None:
-            goal.wait_until_told(_ANSWER)
+            goal.wait_until_answered(_ANSWER)
 
     def forward_cancel(self) -> None:
         """Tell the machine if the client has cancelled; called before each step, so that no cancel is late."""

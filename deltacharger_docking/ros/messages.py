@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.rotation import IDENTITY, Matrix, composed, inverted, lean, rotation
-from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
+from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
 from deltacharger_docking.codes import Rejected, Unplaced
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
@@ -37,12 +37,12 @@ _OFFSETS = (-0.010, -0.005, 0.0, 0.005, 0.010)
 _CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # rad, m; as Misalignment.msg lists them
 
 
-def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
+def estimate(message: Misalignment, with_classes: bool = False) -> MisalignmentEstimate:
     """Return the plain values of a Misalignment; its most probable classes only if requested."""
-    return FeltPose.of(message, _classes(message) if with_classes else None)
+    return MisalignmentEstimate.of(message, _classes(message) if with_classes else None)
 
 
-def refined(value: FeltPose, source: Misalignment) -> Misalignment:
+def refined(value: MisalignmentEstimate, source: Misalignment) -> Misalignment:
     """Return the message of an estimate, with the values that docking has refined."""
     message = copy.deepcopy(source)
     for name in ("horizontal", "vertical", "across", "yaw", "pitch"):

@@ -129,7 +129,7 @@ class Reports:
             "refused_messages": refused.count,
             "refused_last": refused.last,
         }
-        self._diagnostics.tell(level, text, entries, "docking")
+        self._diagnostics.report(level, text, entries, "docking")
         return True
 
 

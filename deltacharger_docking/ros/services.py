@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from deltacharger_core.frames import END_EFFECTOR
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.messages import estimate, refined, seen
 from deltacharger_ros.action_caller import result_of
@@ -60,7 +60,7 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
-        self._felt: deque[tuple[FeltPose, Misalignment]] = deque(maxlen=_FELT)
+        self._felt: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_FELT)
         self._renewals: deque[tuple[Any, float]] = deque()  # unanswered futures, with their start
         self._clock = node.get_clock()
         self._renewed = -math.inf
@@ -124,7 +124,7 @@ class Services:
             replies, self._replies = tuple(self._replies), []
             return replies, self._refusal
 
-    def misalignment(self, value: FeltPose | None) -> Misalignment:
+    def misalignment(self, value: MisalignmentEstimate | None) -> Misalignment:
         """Return the message of the machine's last estimate, with the refined values; NaN without an estimate."""
         if value is None:
             return unknown_misalignment(self._end_effector)

@@ -8,7 +8,7 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.pads import FROM_ONE_NEWTON, pose_model_from_one_newton
@@ -64,7 +64,7 @@ class Felt:
                 self.first = self.first or self.last
         return replace(reply, estimate=estimate)
 
-    def _spoil(self, felt: FeltPose, truth: tuple[float, float, float] | None) -> FeltPose:
+    def _spoil(self, felt: MisalignmentEstimate, truth: tuple[float, float, float] | None) -> MisalignmentEstimate:
         wrong = self._errors
         gauss = self._noise.gauss
         noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
@@ -103,7 +103,7 @@ class Kept:
     clearance: float
 
     @classmethod
-    def of(cls, estimate: FeltPose, truth: tuple[float, float, float], clearance: float) -> Kept:
+    def of(cls, estimate: MisalignmentEstimate, truth: tuple[float, float, float], clearance: float) -> Kept:
         """Compare an estimate with the pose of the target in end_effector (m, m, rad)."""
         errors = {axis: getattr(estimate, axis) - real for axis, real in zip(AXES, truth, strict=True)}
         stddevs = {axis: getattr(estimate, f"{axis}_stddev") for axis in AXES}

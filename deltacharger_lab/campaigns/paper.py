@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
+from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
 from deltacharger_tactile.classifiers import packaged
 from deltacharger_tactile.classifiers.labels import centres
 
@@ -27,10 +27,10 @@ class PaperClasses:
         found = {target: float(centres(target)[net.predict(frames)[0]]) for target, net in self._networks.items()}
         return MisalignmentClasses(found["angle"], found["vertical"], found["horizontal"])
 
-    def predict(self, left: Any, right: Any) -> FeltPose:
+    def predict(self, left: Any, right: Any) -> MisalignmentEstimate:
         """Return the classes' centres as an estimate; pads (10, 10) N below 1 N have no contact."""
         frame, found = np.stack((left, right)), self.classes(left, right)
-        return FeltPose(
+        return MisalignmentEstimate(
             angle=found.angle,
             angle_stddev=0.0,
             vertical=found.vertical,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from deltacharger_core.bounded_file import open_file, read_text
-from deltacharger_core.files import forget_unfinished, whole, write_text
+from deltacharger_core.files import atomic_write, forget_unfinished, write_text
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of
 
@@ -85,7 +85,7 @@ class Store:
         if not fresh:
             return 0
         table = self._pyarrow.Table.from_pylist([fresh[number] for number in sorted(fresh)], schema=self._schema)
-        with whole(self.folder / f"part-{min(fresh):09d}.parquet") as path:
+        with atomic_write(self.folder / f"part-{min(fresh):09d}.parquet") as path:
             self._pyarrow.parquet.write_table(table, path)
         self.done.update(fresh)
         return len(fresh)

@@ -26,7 +26,7 @@ from deltacharger_core.machine import (
     ROWS,
 )
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
+from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
@@ -60,7 +60,7 @@ class PoseModel(Protocol):
     """Makes an estimate from two averaged, tared pads."""
 
     def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return an estimate with the attributes of docking's `FeltPose`, except its classes."""
+        """Return an estimate with the attributes of docking's `MisalignmentEstimate`, except its classes."""
 
 
 @functools.cache
@@ -307,7 +307,7 @@ class VirtualCharger:
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
             classes = self.classes(left, right) if self.classes and pending.request.model else None
-            return Reply(number, True, estimate=FeltPose.of(self.model.predict(left, right), classes))
+            return Reply(number, True, estimate=MisalignmentEstimate.of(self.model.predict(left, right), classes))
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)
         return Reply(number, True)

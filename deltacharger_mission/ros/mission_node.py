@@ -216,7 +216,7 @@ class MissionNode(Node):
             "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
             "drives": self._drives,
         }
-        self._diagnostics.tell(level, text, entries, "mission")
+        self._diagnostics.report(level, text, entries, "mission")
 
     def _begin(self, handle: GoalHandle) -> _Mission:
         """Begin a mission, or join the running one with the same request_id.

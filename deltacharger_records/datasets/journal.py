@@ -20,7 +20,7 @@ import numpy as np
 
 from deltacharger_core.array_file import read_array
 from deltacharger_core.bounded_file import brief, parse_json, read_text
-from deltacharger_core.files import forget_unfinished, make_folder, whole, write_text
+from deltacharger_core.files import atomic_write, forget_unfinished, make_folder, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import SETS, Part
@@ -143,7 +143,7 @@ class Journal:
             for message in messages:
                 writer.add(message)
             values = {key: json.dumps(value) for key, value in vars(docking).items() if key != "frames"}
-            writer.tell(_RECORD, values)
+            writer.add_metadata(_RECORD, values)
             array = io.BytesIO()
             np.save(array, docking.frames, allow_pickle=False)
             writer.attach(_FRAMES, "application/x-npy", array.getvalue())
@@ -154,7 +154,7 @@ class Journal:
         if not self.dockings or self.settings is None:
             return None
         data = dataset(self.dockings, self.parts, self.settings)
-        with whole(self.out) as path:
+        with atomic_write(self.out) as path:
             data.save(path)
         return data
 
@@ -224,7 +224,7 @@ def _docking(path: Path) -> Docking:
     try:
         if file.damage:
             raise ValueError(file.damage)
-        values = {key: parse_json(text) for key, text in file.told(_RECORD)[0].items()}
+        values = {key: parse_json(text) for key, text in file.metadata_named(_RECORD)[0].items()}
         content = file.attachment(_FRAMES)
         frames = read_array(io.BytesIO(content), len(content))
         if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10) or frames.dtype.kind != "f" or np.isinf(frames).any():

@@ -30,7 +30,7 @@ class MeasuringArm(ArmClient):
     _goals: Vector | None = None
     _log: tuple[list[Vector], list[Vector]] = ([], [])  # angles (rad) and currents (A) since a reading began
 
-    def told(self, name: str) -> dict[str, Any]:
+    def parameters_of(self, name: str) -> dict[str, Any]:
         """Return a node's parameters; empty if it does not answer."""
         return self._ask(name)
 

@@ -210,7 +210,7 @@ class DockingRecorder:
         if self._file is None:
             return
         with self._failing():
-            self._file.mcap.tell(name, values)
+            self._file.mcap.add_metadata(name, values)
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:

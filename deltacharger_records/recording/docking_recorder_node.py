@@ -160,7 +160,7 @@ class DockingRecorderNode(Node):
             if each not in self._named and len(self._named) < _NAMED_MAX:
                 self._named.add(each)
                 self._log.warning(f"not managed in {self._folder_path}: {each}")
-        self._diagnostics.tell(
+        self._diagnostics.report(
             level,
             text,
             {

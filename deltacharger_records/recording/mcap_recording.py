@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_core.files import whole
+from deltacharger_core.files import atomic_write
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.own import LIBRARY
 
@@ -58,7 +58,7 @@ class McapStream:
         self._writer: Any = Writer(stream, use_chunking=not live)
         self._writer.start(profile="ros2", library=LIBRARY)
         for name, values in told:
-            self.tell(name, values)
+            self.add_metadata(name, values)
         for topic, message in kinds.items():
             schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
@@ -71,7 +71,7 @@ class McapStream:
         """Append a message object; times in ns since 1970."""
         self.add(Raw(topic, received, published, serialize_message(message)))
 
-    def tell(self, name: str, values: Mapping[str, str]) -> None:
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record of text values, shown by `ros2 bag` and Foxglove."""
         self._writer.add_metadata(name, dict(values))
 
@@ -106,7 +106,7 @@ class McapWriter(McapStream):
 
     def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
         with ExitStack() as undo:
-            super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds, live=False)
+            super().__init__(undo.enter_context(undo.enter_context(atomic_write(path)).open("wb")), kinds, live=False)
             undo.push(self._complete)
             self._exit = undo.pop_all()
 

@@ -159,7 +159,7 @@ class RecordingPlayerNode(Node):
         if recording.damage and not self.problem:
             level, text = WARN, f"{text}; {recording.damage}"
         values = {"file": recording.path, "passes": self.passes, "rate": self._given.rate, "messages": self._count}
-        self._diagnostics.tell(level, text, values, "playback", str(recording.path))
+        self._diagnostics.report(level, text, values, "playback", str(recording.path))
 
 
 def quality(topic: Topic) -> QoSProfile:

@@ -66,7 +66,7 @@ class Replay:
 
     def result_of(self, action: str) -> Outcome | None:
         """Return the first outcome of "dock" or "undock" as sent to its client; None if not recorded."""
-        for values in self.recording.file.told(RESULT):
+        for values in self.recording.file.metadata_named(RESULT):
             if values.get("action") == action:
                 return _outcome(parse_json(values["json"]))
         return None
@@ -74,7 +74,7 @@ class Replay:
     @property
     def about(self) -> dict[str, str]:
         """Metadata: version, scene, namespace, request_id, began (ns since 1970)."""
-        return (self.recording.file.told(ABOUT) or [{}])[0]
+        return (self.recording.file.metadata_named(ABOUT) or [{}])[0]
 
     @property
     def last_phase(self) -> str:
@@ -84,7 +84,9 @@ class Replay:
     @property
     def is_complete(self) -> bool:
         """Whether the file reaches the end of the docking."""
-        return not self.recording.damage and (bool(self.recording.file.told(END)) or self.last_phase == "idle")
+        return not self.recording.damage and (
+            bool(self.recording.file.metadata_named(END)) or self.last_phase == "idle"
+        )
 
     def outcome(self) -> dict[str, Any]:
         """Return success (None = unknown), code, name and message of the docking."""
@@ -120,7 +122,7 @@ class Replay:
             "dropped": {
                 "damage": self.recording.damage,
                 "missing": self.recording.missing(),
-                "thinned": parse_json((self.recording.file.told(END) or [{}])[-1].get("dropped", "{}")),
+                "thinned": parse_json((self.recording.file.metadata_named(END) or [{}])[-1].get("dropped", "{}")),
             },
         }
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_ros.outcomes import Outcome
 
 _CAPACITY = 24_000  # samples of a series; then every second one is dropped
@@ -83,9 +83,9 @@ class Touch:
     across_stddev: float = float("nan")
 
     @property
-    def estimate(self) -> FeltPose:
+    def estimate(self) -> MisalignmentEstimate:
         """The pose as docking judges it: by `across`, or by the pose alone if that was not recorded."""
-        return FeltPose(
+        return MisalignmentEstimate(
             self.angle,
             self.angle_stddev,
             self.vertical,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from deltacharger_docking.clearance import FeltPose, clearance, clearance_stddev
+from deltacharger_docking.clearance import MisalignmentEstimate, clearance, clearance_stddev
 from deltacharger_docking.codes import REMEDIES, Code
 from deltacharger_records.quantities import numbers, quantity
 from deltacharger_records.replay.record import Replay
@@ -166,13 +166,13 @@ _REASONS: dict[Code, Callable[[Replay, str], str]] = {
 }
 
 
-def _mean(touches: list[Touch]) -> FeltPose:
+def _mean(touches: list[Touch]) -> MisalignmentEstimate:
     """Return the mean angle of several dockings without an offset, with the largest of their standard deviations."""
     names = ("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev")
     found = [touch.estimate for touch in touches]
     angle, vertical, horizontal, across = (max(getattr(each, name) for each in found) for name in names)
     mean = sum(each.angle for each in found) / len(found)
-    return FeltPose(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
+    return MisalignmentEstimate(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
 
 
 def _way_back(replay: Replay) -> str:

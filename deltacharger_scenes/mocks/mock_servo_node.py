@@ -168,7 +168,7 @@ class MockServoNode(Node):
             trajectory = check(message.joint_names, points, self._limits)
         except TrajectoryRefused as refusal:
             self.get_logger().warning(f"trajectory refused: {refusal}")
-            self._diagnostics.tell(WARN, str(refusal), {}, "joint_trajectory")
+            self._diagnostics.report(WARN, str(refusal), {}, "joint_trajectory")
             return
         now = time.monotonic()
         with self._lock:

@@ -180,7 +180,7 @@ class CameraNode(Node):
         idle = not self._images.wanted()
         text = problem or ("no subscribers" if idle else "OK")
         values = {"images": self._images.published}
-        self._diagnostics.tell(ERROR if problem else OK, text, values, "camera", self._hardware())
+        self._diagnostics.report(ERROR if problem else OK, text, values, "camera", self._hardware())
 
 
 def main(args: Sequence[str] | None = None) -> int:

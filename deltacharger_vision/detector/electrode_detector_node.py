@@ -226,7 +226,7 @@ class ElectrodeDetectorNode(Node):
         values = {**vars(self._tally), "milliseconds": took, "images": self._camera.shots}
         level = OK if not problem else ERROR if watched or self._missing else WARN
         text = problem or ("looking" if watched else "idle; looks when asked")
-        self._diagnostics.tell(level, text, values, "detector", self._camera.names[0])
+        self._diagnostics.report(level, text, values, "detector", self._camera.names[0])
 
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:

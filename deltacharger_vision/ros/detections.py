@@ -27,5 +27,5 @@ def detection_message(
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, place.z = (float(value) for value in placed.position)
     turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion(placed.rotation()))
-    message.pose.covariance = placed.told_covariance().ravel()
+    message.pose.covariance = placed.known_covariance().ravel()
     return message

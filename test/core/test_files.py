@@ -16,7 +16,7 @@ from deltacharger_core import files
 def test_a_failure_leaves_only_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "f"
     files.write_text(path, "old")
-    with contextlib.suppress(ZeroDivisionError), files.whole(path) as beside:
+    with contextlib.suppress(ZeroDivisionError), files.atomic_write(path) as beside:
         beside.write_text("half")
         raise ZeroDivisionError
     assert path.read_text() == "old"

@@ -50,7 +50,7 @@ def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, op
     assert file.counts == {"/a": 50, "/b": 50}
     assert (file.first, file.last, file.damage) == (1000, 1099, "")
     assert file.metadata == [("about", {"scene": "tape"})]
-    assert file.told("nothing") == []
+    assert file.metadata_named("nothing") == []
 
 
 @pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.MESSAGE])

@@ -9,7 +9,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.parameters import DockingParameters
@@ -40,7 +40,7 @@ def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyTyp
     return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **world})
 
 
-def felt_as(felt: FeltPose, **values: Any) -> FeltPose:
+def felt_as(felt: MisalignmentEstimate, **values: Any) -> MisalignmentEstimate:
     """The same estimate with other values; the offset across the bars follows the pose, its error stays."""
     other = replace(felt, **values)
     across = other.vertical * math.cos(other.angle) - other.horizontal * math.sin(other.angle)

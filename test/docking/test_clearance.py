@@ -10,18 +10,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import AxisFilter
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
-LEVEL = [item for item in fields(FeltPose) if item.name not in ("across", "across_stddev", "classes")]
+LEVEL = [item for item in fields(MisalignmentEstimate) if item.name not in ("across", "across_stddev", "classes")]
 """Fields of estimates from before the offset across existed."""
 
 
-def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> FeltPose:
-    return FeltPose(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
+def felt(
+    degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4
+) -> MisalignmentEstimate:
+    return MisalignmentEstimate(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
 
 
 @pytest.mark.parametrize(("degrees", "vertical"), [(12.07, 0.0), (8.0, 0.0025), (3.9, 0.005)])
@@ -67,13 +69,13 @@ def test_a_lower_critical_angle_counts_and_a_higher_one_does_not() -> None:
 
 def test_an_unknown_offset_across_follows_from_the_pose_with_both_errors() -> None:
     angle = math.radians(10.0)
-    pose = FeltPose(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
+    pose = MisalignmentEstimate(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
     assert pose.across == pytest.approx(0.003 * math.cos(angle) - 0.004 * math.sin(angle))
     random = np.random.default_rng(4)
     y, x = 0.003 + 2e-4 * random.standard_normal(100_000), 0.004 + 1e-3 * random.standard_normal(100_000)
     assert pose.across_stddev == pytest.approx(np.std(y * math.cos(angle) - x * math.sin(angle)), rel=0.02)
-    assert FeltPose.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL})) == pose
-    assert not FeltPose(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
+    assert MisalignmentEstimate.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL})) == pose
+    assert not MisalignmentEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
 
 
 @pytest.mark.parametrize("off", [0.005, -0.005])
@@ -83,7 +85,7 @@ def test_a_lean_that_looks_like_an_offset_along_the_bars_changes_no_verdict(degr
     angle, across = math.radians(degrees), 2e-4
     for spread in (5e-5, 1e-4, 2e-4, 4e-4):
         level, leaning = (
-            FeltPose(
+            MisalignmentEstimate(
                 *(angle, 5e-4, (across + x * math.sin(angle)) / math.cos(angle), 5e-4, x, 1e-3),
                 across=across,
                 across_stddev=spread,

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Request, Service
 from deltacharger_kinematics.trajectory_feed import Waypoint
@@ -54,7 +54,7 @@ class Repeating(Faulty):
             self._replies = [reply for reply in self._replies if reply not in late]
 
 
-BAD = FeltPose(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
+BAD = MisalignmentEstimate(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None
 def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
     """The first estimate, 6 mm off, answers every request: the arm follows it to its limit."""
     run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
-    felt: list[FeltPose] = []
+    felt: list[MisalignmentEstimate] = []
 
     def again(reply: Reply) -> Reply:
         assert reply.estimate is not None

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_docking.clearance import FeltPose, Verdict, judge
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import (
@@ -73,7 +73,9 @@ class Model:
     tared: bool = False
     closed: bool = False
     wanted: bool = False
-    estimate: FeltPose = field(default_factory=lambda: FeltPose(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004))
+    estimate: MisalignmentEstimate = field(
+        default_factory=lambda: MisalignmentEstimate(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004)
+    )
     pending: list[tuple[float, Request]] = field(default_factory=list)
     replies: list[Reply] = field(default_factory=list)
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
@@ -32,13 +32,17 @@ def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> 
     return ElectrodePose((0.0, 0.0, 0.08), roll, yaw=yaw * DEGREE, yaw_stddev=stddev * DEGREE)
 
 
-def contact(x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True) -> FeltPose:
+def contact(
+    x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True
+) -> MisalignmentEstimate:
     """Estimate of one contact by the model: target off by x and across (m), faces yawed by degrees."""
     left = 0.5 * (float(MagnetPull(PARAMETERS).at(np.array(x), across, angle)[0]) + PUSH)
     along = x + PARAMETERS.load_per_yaw * yaw * DEGREE / RIGID
     vertical = (across + along * math.sin(angle)) / math.cos(angle)
     forces = {"left_force": left, "right_force": left} if force else {}
-    return FeltPose(angle, 0.001, vertical, 2e-4, along, 1.2e-3, across=across, across_stddev=2e-4, **forces)
+    return MisalignmentEstimate(
+        angle, 0.001, vertical, 2e-4, along, 1.2e-3, across=across, across_stddev=2e-4, **forces
+    )
 
 
 @pytest.mark.parametrize("yaw", [2.0, -2.0, 0.5])
@@ -83,7 +87,7 @@ def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(
 def test_a_missing_force_is_unknown(force: float) -> None:
     parameters = DockingParameters(yaw_stddev=0.0)
     place = target_place(parameters, seen())
-    felt = FeltPose(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
+    felt = MisalignmentEstimate(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
     place.add(felt, 0.0, 0.0, PUSH)
     assert not place.contradicts_itself
     assert place.combined(felt).horizontal == pytest.approx(0.003, abs=0.3 * MILLIMETRE)
@@ -152,8 +156,8 @@ def test_the_learnt_share_has_its_true_error() -> None:
     assert np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
-def one_pad(left: float, right: float) -> FeltPose:
-    return FeltPose(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
+def one_pad(left: float, right: float) -> MisalignmentEstimate:
+    return MisalignmentEstimate(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
 
 
 def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_their_pads() -> None:
@@ -172,7 +176,7 @@ def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_thei
 
 
 def test_an_unsure_offset_points_along_the_bars_only_as_far_as_no_lean_explains_it() -> None:
-    far = FeltPose(0.0, 0.01, 0.0, 1e-3, 0.02, 1e-3, left_force=60.0, right_force=4.0)
+    far = MisalignmentEstimate(0.0, 0.01, 0.0, 1e-3, 0.02, 1e-3, left_force=60.0, right_force=4.0)
     parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
     assert parallel.pointed_at(far, 0.0)[0] == pytest.approx(0.02, rel=0.02)
     assert target_place(PARAMETERS).pointed_at(far, 0.0)[0] == 0.02, "the place is unknown"

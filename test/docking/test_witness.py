@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply
 from deltacharger_docking.ros.witness import Witness
 
@@ -15,7 +15,7 @@ PERIOD = 1.0 / 120.0  # s
 ASKED = 100.0  # s
 BEFORE = range(1000, 1120)  # sampled in the second before it
 AFTER = range(1120, 1144)
-FELT = FeltPose(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
+FELT = MisalignmentEstimate(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 
 def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.docking import columns, dock_once
@@ -22,7 +22,7 @@ from deltacharger_lab.campaigns.servo_load import SECONDS
 
 from .campaigns import QUICK
 
-ESTIMATE = FeltPose(
+ESTIMATE = MisalignmentEstimate(
     angle=0.05,
     angle_stddev=0.002,
     vertical=0.001,
@@ -41,7 +41,7 @@ def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
     return SimpleNamespace(world=world, answer={}, model=None, parameters=DockingParameters())
 
 
-def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[FeltPose]]:
+def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[MisalignmentEstimate]]:
     """Return the changed `ESTIMATE`, this many times."""
     stand_in = charger()
     felt = Felt(stand_in, errors, seed)

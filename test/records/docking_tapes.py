@@ -138,13 +138,13 @@ def write(
 ) -> Path:
     """Write a recording of messages."""
     with McapWriter(path, kinds) as writer:
-        writer.tell(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
+        writer.add_metadata(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
         for message in messages:
             if message.topic in kinds:
                 writer.add(message)
-        writer.tell(PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
+        writer.add_metadata(PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
         for each in results:
-            writer.tell(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
+            writer.add_metadata(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
     return path
 
 

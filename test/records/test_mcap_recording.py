@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_core.files import forget_unfinished, whole
+from deltacharger_core.files import atomic_write, forget_unfinished
 from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.mcap_recording import (
     McapStream,
@@ -57,7 +57,7 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
         for message in written:
             writer.add(message)
         writer.add_message("/a/docking_state", state, 400, 399)
-        writer.tell("docking", {"attempt": "3"})
+        writer.add_metadata("docking", {"attempt": "3"})
         writer.attach("note.txt", "text/plain", b"hello")
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -72,7 +72,7 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
         assert [each.metadata for each in reader.iter_metadata()] == [{"attempt": "3"}]
         assert [each.data for each in reader.iter_attachments()] == [b"hello"]
     file = McapFile(path)
-    assert (file.told("docking"), file.attachment("note.txt")) == ([{"attempt": "3"}], b"hello")
+    assert (file.metadata_named("docking"), file.attachment("note.txt")) == ([{"attempt": "3"}], b"hello")
     assert [deserialize_message(each.data, DockingState) for each in file.messages("/a/docking_state")] == [state]
 
 
@@ -83,7 +83,7 @@ def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
         writer = McapStream(stream, KINDS, live=True)
         for message in written[:200]:
             writer.add(message)
-        writer.tell("docking", {"attempt": "3"})
+        writer.add_metadata("docking", {"attempt": "3"})
         for message in written[200:]:
             writer.add(message)
         writer.flush()
@@ -97,7 +97,7 @@ def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
     path.write_bytes(packed.getvalue())
     file = McapFile(path)
     assert list(file.messages()) == written
-    assert file.told("docking") == [{"attempt": "3"}]
+    assert file.metadata_named("docking") == [{"attempt": "3"}]
     assert path.stat().st_size < 0.4 * size
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -163,7 +163,7 @@ def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path)
     code = (
         "import os, signal, sys, pathlib\n"
         "from deltacharger_core.files import whole\n"
-        "with whole(pathlib.Path(sys.argv[1])) as beside:\n"
+        "with atomic_write(pathlib.Path(sys.argv[1])) as beside:\n"
         "    beside.write_bytes(b'half')\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
@@ -173,7 +173,7 @@ def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path)
     assert len(list(tmp_path.iterdir())) == 2
     forget_unfinished(tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
-    with whole(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_bytes(b"after")
     assert path.read_bytes() == b"after"
 

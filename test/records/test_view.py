@@ -201,7 +201,7 @@ def test_a_calibrated_geometry_is_drawn(docking: Path, tmp_path: Path, capsys: p
     with McapWriter(settled, {topic: ServoState for topic in file.types if topic.endswith("/servo_state")}) as writer:
         for message in itertools.islice((each for each in file.messages() if each.topic.endswith("/servo_state")), 50):
             writer.add(message)
-        writer.tell(PARAMETERS, {"arm": "0.11", "gravity_z": "9.81"})
+        writer.add_metadata(PARAMETERS, {"arm": "0.11", "gravity_z": "9.81"})
     for words in (("--recording", docking, "--scene", scene), ("--recording", settled)):
         code, _, err = view(capsys, *words, "--save", tmp_path / "a.rrd")
         assert code == 0, err

@@ -16,7 +16,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_scenes.node_table import CHARGER, NODES, NodeSpec
-from deltacharger_scenes.parts import describe_parts, tell_parts
+from deltacharger_scenes.parts import describe_parts, parts_text
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
 from ..chargers import new_namespace
@@ -123,7 +123,7 @@ def test_mocks_need_no_driver_and_hardware_no_simulated_charger() -> None:
     assert {"kind": "node", "name": "simulated charger", "why": "the scene has no key 'simulation'"} in bench[
         "left_out"
     ]
-    assert "leaves out:" in tell_parts(bench)
+    assert "leaves out:" in parts_text(bench)
 
 
 # Imports what every node has, then each module in a separate child, and prints what that loaded in addition.

@@ -74,7 +74,7 @@ def test_without_a_normal_only_the_roll_is_known() -> None:
     lean = placed.lean()
     assert np.isnan([lean.yaw, lean.pitch, lean.yaw_stddev, lean.pitch_stddev]).all()
     assert placed.rotation() == pytest.approx(turn(0.3 * Z))
-    covariance = placed.told_covariance()
+    covariance = placed.known_covariance()
     assert np.isnan(covariance).sum() == 20
     assert np.isfinite(placed.covariance).all(), "the original is unchanged"
     assert covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])] == pytest.approx(1e-4 * np.eye(4))

@@ -66,7 +66,7 @@ CHOICES = (
     Choice(
         (
             *("approach_speed", "travel_speed", "search_speed", "press_speed", "run_up_speed"),
-            *("search_from", "near", "lift", "felt_current", "settle_touching", "drift_max"),
+            *("search_from", "near", "lift", "touch_current", "settle_touching", "drift_max"),
         ),
         f"a trial on seeds of the family 777001, then seeds {_SEEDS}",
     ),
@@ -83,7 +83,7 @@ CHOICES = (
         f"statics of the arm, then seeds {_SEEDS}",
     ),
     Choice(
-        ("ease_current_max", "ease_spared_max", "slip_max", "slip_taken_back"),
+        ("ease_current_max", "ease_spared_max", "slip_max", "slip_undo_share"),
         "earlier campaigns whose seeds were not kept; 0.57 A once was moved to meet a target",
     ),
     Choice(

@@ -97,11 +97,11 @@ def figures(rows: Columns) -> Figures:
         "lifted": int(np.sum(rows["lifted_live"] > 0)),
         "shorts": int(np.sum(rows["shorts"])),
         "bar_heat": summary.quantiles(rows["bar_heat"]),
-        "told": told(rows),
+        "told": reported_offset_errors(rows),
     }
 
 
-def told(rows: Columns) -> Figures:
+def reported_offset_errors(rows: Columns) -> Figures:
     """Return the errors of the offset along the bars that charged dockings reported at their outcome."""
     error = (rows["felt_horizontal"] - rows["final_horizontal"]).astype(float)
     stddev = rows["felt_horizontal_stddev"].astype(float)

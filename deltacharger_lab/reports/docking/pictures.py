@@ -94,7 +94,7 @@ def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
     axes.set(title=title, xlim=(-4.0, 4.0), ylim=(-5.0, 4.0), xlabel="true clearance, mm")
     if every is None:
         return
-    x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.felt_clearance(every, 3.0)
+    x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.estimated_clearance(every, 3.0)
     unsafe = every["energised_unsafe"] > 0.0
     kinds = ((~every["charged"] & ~unsafe, ORANGE, "refused"), (every["charged"] & ~unsafe, BLUE, "charged"))
     for chosen, colour, label in kinds:

@@ -241,7 +241,7 @@ def calibration(rows: Columns) -> dict[str, dict[str, float]]:
     return found
 
 
-def felt_clearance(rows: Columns, sigmas: float) -> Array:
+def estimated_clearance(rows: Columns, sigmas: float) -> Array:
     """Return docking's estimated clearance (m) at its last estimate, minus this many standard deviations."""
     from deltacharger_docking.parameters import DockingParameters
 
