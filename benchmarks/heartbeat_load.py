@@ -11,7 +11,8 @@ it run the nodes of the simulated scene, docked and charging, and 0, 1, 2 or 4 p
 Counted are ends of charging that nobody asked for; the charger then docks again without the load. Each end is told
 apart by its cause: the emulated hardware came late, the board to look or a byte through a pseudo-terminal (own); the
 lease was not renewed in time (lease); else the heartbeat (host). Unsafe is a contactor that opens more than 100 ms
-after the last heartbeat, though the emulated board was on time.
+after the last heartbeat, though the emulated board was on time. Late is 20 ms, which beside load is not rare, so that
+an end counted as own may have had another cause.
 
 Leave the computer alone meanwhile: other programs are load, too. All of it takes 4 hours with --seconds 600; choose.
 
