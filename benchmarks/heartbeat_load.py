@@ -10,8 +10,8 @@ Beside it run the nodes of the simulated scene, charging, and 0, 1, 2 or 4 proce
 
 It counts unrequested ends of charging; the charger then docks again without load. Each end has a cause: own = the
 emulated hardware was late (its board, or a byte in a pseudo-terminal); lease = the lease was not renewed in time;
-host = the heartbeat. Unsafe is a contactor that opens more than 100 ms after the last heartbeat although the emulated
-board was on time.
+host = the heartbeat. Late is 20 ms, which is not rare under load: an end counted as own may have another cause.
+Unsafe is a contactor that opens more than 100 ms after the last heartbeat although the emulated board was on time.
 
 Run no other programs during the measurement: they are load. All cells take 4 hours with --seconds 600; choose some.
 
