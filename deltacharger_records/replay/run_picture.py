@@ -40,6 +40,7 @@ _PHASE_COLOURS = {
     "retract": "#efebe5",
     "idle": "#f6f7f8",
 }
+_PEAKS = 0.02  # of the values at each end: shorter peaks may be cut from a panel
 _NARROW = 0.035  # of the time axis: narrower phases share a label
 _SPARE = 0.2  # s of margin around the run
 
@@ -175,8 +176,7 @@ def contact_current(axes: Axes, run: Run) -> None:
     axes.plot(motion["time"], motion["current"], color=ORANGE, linewidth=0.8, alpha=0.6, label="from servo_state")
     axes.plot(contact["time"], contact["current"], ".", color=ORANGE, markersize=3.5, label="as reported")
     legend(axes)
-    low, high = _limits(np.concatenate([contact["current"], motion["current"]]), BAND)
-    axes.set_ylim(low, high)
+    _limit(axes, np.concatenate([contact["current"], motion["current"]]), BAND, "A")
     axes.annotate(
         "0.4–0.5 A", (1.0, 0.5 * sum(BAND)), xycoords=("axes fraction", "data"), xytext=(4, 0),
         textcoords="offset points", va="center", fontsize=7.5, color="#20703f", annotation_clip=False,
@@ -188,6 +188,7 @@ def _force(axes: Axes, run: Run) -> None:
     motion = run.motion.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     axes.plot(motion["time"], motion["force"], color=RED, linewidth=1.1)
+    _limit(axes, motion["force"], (0.0, 1.0), "N")
     axes.set_ylabel("push of the\nservos, N")
 
 
@@ -228,12 +229,19 @@ def charge(axes: Axes, run: Run) -> None:
     axes.set_ylabel("charge\ncurrent, A")
 
 
-def _limits(values: Any, band: tuple[float, float]) -> tuple[float, float]:
+def _limit(axes: Axes, values: Any, band: tuple[float, float], unit: str) -> None:
+    """Scale a panel to most of the values and the band; short peaks beyond are cut and told in words."""
     known = values[np.isfinite(values)]
-    low = min(float(known.min()), 0.0) if len(known) else 0.0
-    high = max(float(known.max()), band[1]) if len(known) else band[1]
-    spare = 0.12 * (high - low)
-    return low - spare, high + spare
+    known = known if len(known) else np.zeros(1)
+    low, high = np.percentile(known, (100.0 * _PEAKS, 100.0 * (1.0 - _PEAKS)))
+    low, high = min(float(low), 0.0), max(float(high), band[1])
+    spare = 0.2 * (high - low)
+    axes.set_ylim(low - spare, high + spare)
+    ends = [f"{end:.3g} {unit}" for end in (known.min(), known.max()) if not low - spare <= end <= high + spare]
+    if ends:
+        words = f"peaks to {' and '.join(ends)}".replace("-", "−")
+        place = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
+        axes.text(0.995, 0.04, words, fontsize=7.5, color="#51606e", **place)
 
 
 def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
