@@ -41,7 +41,7 @@ HARD = {  # distribution: rosdep key
     "ros-std-srvs": "std_srvs",
     "ros-trajectory-msgs": "trajectory_msgs",
 }
-_INTERFACES = {"ros-builtin-interfaces", "ros-std-srvs"}  # the README summarises them as "the ros-…-msgs"
+_INTERFACES = {"ros-builtin-interfaces", "ros-std-srvs"}  # for the README they are message packages
 MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" not in name} | set(HARD.values())
 # rosdep keys of ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then keys of rosdep/python.yaml.
 # Look a new key up there before you add it here.
@@ -132,13 +132,14 @@ def test_every_extra_has_its_reason() -> None:
         assert re.search(rf'^  # .*\.\n  "{name}[\["<>]', text, re.MULTILINE), f"state the purpose above '{name}'"
 
 
-def test_the_readme_lists_the_purpose_and_extra_of_each_library() -> None:
-    rows = re.findall(r"^\| (.+) \| .+ \| (.+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    have = {(library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")}
-    extras = {**project()["optional-dependencies"], "always": project()["dependencies"]}
-    del extras["dev"]
-    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - have
-    assert all(library.endswith("-msgs") or library in _INTERFACES for library, _ in missing), missing
+def test_the_readme_names_each_library_that_is_always_installed_and_each_extra() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    _, always, extras = re.split(r"^## What it stands on$|are always installed\.", text, flags=re.MULTILINE)
+    needed = {distribution(each) for each in project()["dependencies"]}
+    missing = {each for each in needed if not re.search(rf"\b{each}\b", always)}
+    assert all(library.endswith("-msgs") or library in _INTERFACES for library in missing), missing
+    named = set(re.findall(r"`([\w-]+)`", extras.partition("says what")[0]))
+    assert named == set(project()["optional-dependencies"]) - {"dev"}
 
 
 def test_optional_libraries_are_imported_only_when_needed() -> None:

@@ -78,8 +78,8 @@ def add_view(parser: argparse.ArgumentParser) -> None:
 
 def view(options: argparse.Namespace) -> int:
     """Show a running charger until an interruption, or a recording."""
-    _check_places(options)
     rr = None if _is_animation(options) else _rerun()
+    _check_places(options)
     with contextlib.ExitStack() as stack:
         if options.web is not None:
             stack.enter_context(WebViewer(_program(), options.web))

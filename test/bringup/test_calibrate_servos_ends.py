@@ -42,7 +42,7 @@ class Arm:
     def wait_until_ready(self, timeout: float) -> None:
         self._do("wait")
 
-    def told(self, name: str) -> Mapping[str, Any]:
+    def parameters_of(self, name: str) -> Mapping[str, Any]:
         return self.servo if name == "servo_node" else {}
 
     def start(self) -> None:

@@ -162,7 +162,7 @@ def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path)
     path.write_bytes(b"before")
     code = (
         "import os, signal, sys, pathlib\n"
-        "from deltacharger_core.files import whole\n"
+        "from deltacharger_core.files import atomic_write\n"
         "with atomic_write(pathlib.Path(sys.argv[1])) as beside:\n"
         "    beside.write_bytes(b'half')\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"

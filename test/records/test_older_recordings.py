@@ -220,7 +220,7 @@ def test_a_topic_that_was_defined_in_another_way_is_not_shown_and_named(tmp_path
     class Feed:
         def take(self, topic: str, received: int, decode: Any) -> None:
             if topic == "charger_power":
-                with pytest.raises(ValueError, match="defined otherwise"):
+                with pytest.raises(ValueError, match="another definition"):
                     decode()
                 refusals.append(topic)
 

@@ -82,7 +82,7 @@ def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -
         journal.store(docking(0), PART, SETTINGS, {}, [])
     header = tmp_path / "F.recording" / "recording.json"
     header.write_text(json.dumps(json.loads(header.read_text()) | {"version": 0}))
-    with pytest.raises(RecordingError, match=r"recording\.json is of version 0: give another --out"):
+    with pytest.raises(RecordingError, match=r"recording\.json has version 0: give another --out"):
         Journal(out)
 
 
