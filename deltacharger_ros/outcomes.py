@@ -129,7 +129,7 @@ class Outcome:
         return (
             f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}; "
             f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}; "
-            f"{details['alignments']} alignments, {details['redockings']} redockings, rest ({x}, {y}) mm and {angle}°"
+            f"alignments {details['alignments']}, redockings {details['redockings']}; rest ({x}, {y}) mm, {angle}°"
         )
 
 

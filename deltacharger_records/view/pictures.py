@@ -15,12 +15,12 @@ NOISE = 0.25
 DEAD = (148, 154, 160)
 """Colour of a dead taxel."""
 _SHADES = 90  # steps of 0.1 N
-_ANCHORS = (
+_ANCHORS = (  # closer at small forces: a docked pad carries about 2 N on its strongest taxel
     (0.00, (18, 20, 26)),
-    (0.12, (46, 24, 92)),
-    (0.35, (142, 36, 130)),
-    (0.60, (229, 80, 82)),
-    (0.82, (252, 165, 74)),
+    (0.05, (46, 24, 92)),
+    (0.13, (142, 36, 130)),
+    (0.24, (229, 80, 82)),
+    (0.50, (252, 165, 74)),
     (1.00, (252, 248, 196)),
 )
 
