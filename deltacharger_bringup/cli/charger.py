@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import Scene
 
-DISCOVERY = 5.0  # s; a running charger is found in 0.25…3 s, and a second one beside it would be worse than the wait
 LOOK = 3.3  # s until every running charger is found; after a missed announcement the next comes 3 s later
+DISCOVERY = 5.0  # s for hardware, where a second charger beside an unnoticed one is worse than the wait
 START_UP = 60.0  # s until the actions of a started charger are available
 
 
@@ -32,7 +32,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
         options: of the command.
         look_around: if neither a scene nor a domain is given, prefer a charger that answers in ROS domain 0 (the
             domain of chargers on hardware) to the domain of simulated ones. Sets `discovery` (s to search for a
-            running charger) and `must_run` (start no other charger) of the options.
+            running charger), `searched` (domains) and `must_run` (start no other charger) of the options.
 
     Raises:
         CommandError: the scene or ROS_DOMAIN_ID is refused; exit code 2.
@@ -46,15 +46,16 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     options.discovery, options.must_run = DISCOVERY, False
     if scene.touches_hardware:
         environment.reach(scene.network)
+        options.searched = str(environment.domain())
         return scene
-    if look_around and given is None and not os.environ.get("ROS_DOMAIN_ID"):
-        options.discovery = LOOK
-        if _answers_by_default(options.namespace):
-            log_line("using the charger in ROS domain 0")
-            options.discovery = DISCOVERY
-            options.must_run = True
-            return dataclasses.replace(scene, goal=None)  # the goal of a simulated scene is wrong for a real target
+    both = look_around and given is None and not os.environ.get("ROS_DOMAIN_ID")
+    if both and _answers_by_default(options.namespace):
+        log_line("using the charger in ROS domain 0")
+        options.searched, options.must_run = "0", True
+        return dataclasses.replace(scene, goal=None)  # the goal of a simulated scene is wrong for a real target
     environment.isolate()
+    options.discovery = LOOK
+    options.searched = f"{'0 or ' if both else ''}{environment.domain()}"
     return scene
 
 

@@ -6,12 +6,11 @@ from __future__ import annotations
 import argparse
 import math
 
-from deltacharger_bringup.cli.charger import LOOK, prepare, require_docking, ros_context
+from deltacharger_bringup.cli.charger import prepare, require_docking, ros_context
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, CommandError, Interrupts
 from deltacharger_bringup.cli.parser import namespace_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
 from deltacharger_bringup.cli.types import deadline
-from deltacharger_core import environment
 
 
 def add_undock(parser: argparse.ArgumentParser) -> None:
@@ -32,9 +31,8 @@ def undock(options: argparse.Namespace) -> int:
             if not client.wait_until_it_answers(options.discovery, interrupts.event):
                 if interrupts.event.is_set():
                     raise CommandError("interrupted", INTERRUPTED)
-                where = "0 or " if options.discovery == LOOK else ""
                 raise CommandError(
-                    f"no charger answers in ROS domain {where}{environment.domain()}: start one with `deltacharger up`"
+                    f"no charger answers in ROS domain {options.searched}: start one with `deltacharger up`"
                 )
             printer = PhasePrinter()
             try:

@@ -240,8 +240,7 @@ def _limit(axes: Axes, values: Any, band: tuple[float, float], unit: str) -> Non
     ends = [f"{end:.3g} {unit}" for end in (known.min(), known.max()) if not low - spare <= end <= high + spare]
     if ends:
         words = f"peaks to {' and '.join(ends)}".replace("-", "−")
-        place = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
-        axes.text(0.995, 0.04, words, fontsize=7.5, color="#51606e", **place)
+        axes.annotate(words, (0.995, 0.04), xycoords="axes fraction", ha="right", fontsize=7.5, color="#51606e")
 
 
 def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
