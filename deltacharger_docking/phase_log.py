@@ -54,7 +54,7 @@ class PhaseLog:
         if self._closed:
             self._closed_since = seen.time
             return f"{self._title}: contactor closed, target {figure(seen.target_voltage, 'V', 1)}"
-        return f"{self._title}: contactor open after {seen.time - self._closed_since:.1f} s"
+        return f"{self._title}: contactor open, it was closed for {seen.time - self._closed_since:.1f} s"
 
     def _passages(self, status: DockingStatus, entered: Sequence[State], seen: Observation) -> list[str]:
         news = self._news(status)

@@ -12,6 +12,7 @@ needs only numpy.
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.classifiers.splits import by_docking
 from deltacharger_tactile.generator import generate_paper
 
+if find_spec("sklearn") is None:
+    sys.exit("scikit-learn is not installed: `make trainers`, or `pip install 'deltacharger[train]'`")
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "model.npz")
 dockings = examples(generate_paper(rigs=range(5), seed=0), "horizontal")  # five devices, 500 dockings each
 learns, judges = by_docking(dockings, seed=0)  # 67/33, as in the paper

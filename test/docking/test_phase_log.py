@@ -55,7 +55,7 @@ def test_a_docking_is_logged_phase_by_phase_with_its_contactor(logged: list[str]
     assert {"contact", "measure", "energise", "charging", "retract"} <= {after for _, after in found}
     closed, opened = (line for line in logged if "contactor" in line)
     assert closed.startswith("dock order-1: contactor closed, target ")
-    assert re.match(r"dock order-1: contactor open after \d+\.\d s$", opened)
+    assert re.match(r"dock order-1: contactor open, it was closed for \d+\.\d s$", opened)
     assert len(logged) == len(found) + 2, "a line for each change, and none for a tick"
     (measured, *_) = [line for line in logged if "contact → measure" in line]
     assert re.search(r"z \d+\.\d mm, contact current 0\.\d{3} A, force \d+\.\d N$", measured)

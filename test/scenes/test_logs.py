@@ -119,7 +119,7 @@ def test_a_good_docking_in_processes_is_logged_from_goal_to_end_without_a_warnin
     logs = {name: each.err for name, each in processes.items()}
     assert_logged_in_order(logs["docking_node"], "dock order-1")
     assert any("contactor closed" in line for line in logs["docking_node"])
-    assert any("contactor open after" in line for line in logs["docking_node"])
+    assert any("contactor open, it was closed for" in line for line in logs["docking_node"])
     assert not [line for lines in logs.values() for line in lines if ALARM.search(line)], logs
 
 
