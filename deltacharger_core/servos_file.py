@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core.machine import GAIN_MAX, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number, words
-from deltacharger_core.yaml_file import read_yaml, write_yaml
+from deltacharger_core.parameters import Bounded, ParameterError, number, words
+from deltacharger_core.yaml_file import read_declared, write_yaml
 
 STIFFNESS_MIN, STIFFNESS_MAX = 0.5, 160.0
 """N·m/rad, range that docking accepts."""
@@ -59,17 +59,8 @@ class MeasuredServos(MeasuredServo):
 
 
 def load_servos(path: str | Path) -> MeasuredServos:
-    """Read a file of measured servos; missing keys keep their defaults.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: the file is no YAML or has an unknown key or invalid value; names file and key.
-    """
-    content = read_yaml(path)
-    try:
-        return from_mapping({} if content is None else content, MeasuredServos)
-    except ParameterError as error:
-        raise ValueError(f"{path}: {error}") from error
+    """Read a file of measured servos; errors as in `read_declared`."""
+    return read_declared(path, MeasuredServos)
 
 
 def save_servos(servos: MeasuredServos, path: str | Path, comment: str = "") -> None:

@@ -11,11 +11,14 @@ import functools
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from deltacharger_core.bounded_file import LARGEST_TEXT, FileRefused, brief, read_bytes
 from deltacharger_core.files import write_text
+from deltacharger_core.parameters import ParameterError, from_mapping
 from deltacharger_core.picklable import Picklable
+
+T = TypeVar("T")
 
 _DEEPEST, _MOST = 30, 50_000  # levels; values and keys of a file
 _LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
@@ -71,6 +74,20 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
         raise YamlError(path, f"not valid YAML: {where}{error.problem}"[:_LONGEST_PROBLEM]) from error
     except (yaml.YAMLError, ValueError) as error:  # also text that is not UTF-8
         raise YamlError(path, f"not valid YAML: {error}"[:_LONGEST_PROBLEM]) from error
+
+
+def read_declared(path: str | Path, kind: type[T]) -> T:
+    """Return a YAML file as a dataclass of declared parameters; missing keys keep their defaults.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: the file is no YAML or has an unknown key or invalid value; names file and key.
+    """
+    content = read_yaml(path)
+    try:
+        return from_mapping({} if content is None else content, kind)
+    except ParameterError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") -> None:

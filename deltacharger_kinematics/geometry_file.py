@@ -8,23 +8,13 @@ import numbers
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.parameters import ParameterError, from_mapping
-from deltacharger_core.yaml_file import read_yaml, write_yaml
+from deltacharger_core.yaml_file import read_declared, write_yaml
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 
 
 def load_geometry(path: str | Path) -> DeltaGeometry:
-    """Read a geometry file; missing keys keep their defaults.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: the file is no YAML or has an unknown key or invalid value; names file and key.
-    """
-    content = read_yaml(path)
-    try:
-        return from_mapping({} if content is None else content, DeltaGeometry)
-    except ParameterError as error:
-        raise ValueError(f"{path}: {error}") from error
+    """Read a geometry file; errors as in `read_declared`."""
+    return read_declared(path, DeltaGeometry)
 
 
 def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") -> None:
