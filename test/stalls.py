@@ -15,6 +15,7 @@ import os
 import threading
 import time
 import tty
+from os import read, write  # not by `os.`: a test may replace those
 from typing import Any
 
 import pytest
@@ -40,8 +41,8 @@ class StallWatch:
         before = time.monotonic()
         while not self._end.wait(_NAP):
             os.sched_setaffinity(0, {next(processors)})  # of this thread
-            os.write(master, b"x")
-            os.read(slave, 1)
+            write(master, b"x")
+            read(slave, 1)
             now = time.monotonic()
             self._longest = max(self._longest, now - before - _NAP)
             before = now
