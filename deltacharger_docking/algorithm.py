@@ -122,7 +122,7 @@ def locate(context: Context) -> Script[ElectrodePose]:
 
 
 def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> None:
-    """Refuse electrodes whose given roll reaches or may reach the critical angle (`limit`, rad).
+    """Refuse electrodes whose roll, given or seen, reaches or may reach the critical angle (`limit`, rad).
 
     Raises:
         CriticalAngle: it does.
@@ -130,10 +130,10 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
     roll, stddev = electrodes.roll, electrodes.roll_stddev
     if abs(roll) + context.parameters.roll_sigmas * stddev < limit:
         return
-    text = "the given roll is too large"
+    text = "the roll, given or seen, is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
     raise CriticalAngle(
-        f"the electrodes are rolled by {math.degrees(roll):.1f}° in the given pose; level the target or the charger"
+        f"the electrodes are rolled by {math.degrees(roll):.1f}°, as given or seen; level the target or the charger"
     )
 
 
@@ -146,13 +146,13 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
     parameters, yaw, pitch = context.parameters, electrodes.yaw, electrodes.pitch
     if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, parameters.pitch_max):
         raise Leaning(
-            f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base in the given "
-            f"pose, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: check "
+            f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base, as given "
+            f"or seen, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: check "
             "floor, tyres, suspension and load"
         )
     if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, parameters.yaw_max):
         raise Leaning(
-            f"the electrodes' faces are yawed by {math.degrees(yaw):+.1f}° about y of charger_base in the given pose, "
+            f"the electrodes' faces are yawed by {math.degrees(yaw):+.1f}° about y of charger_base, as given or seen, "
             f"more than {math.degrees(parameters.yaw_max):.1f}°; move the robot to suggested_base_pose, which is to "
             f"{in_words(yaw)}",
             electrodes.position,
@@ -165,7 +165,7 @@ def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, l
     if not abs(lean) - context.parameters.lean_sigmas * stddev > limit:
         return False
     values = {f"{axis}_rad": lean, f"{axis}_stddev_rad": stddev, "limit_rad": limit}
-    context.decide("refused", f"the given {axis} is too large", **values)
+    context.decide("refused", f"the {axis}, given or seen, is too large", **values)
     return True
 
 

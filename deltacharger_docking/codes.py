@@ -63,19 +63,19 @@ class Code(IntEnum):
 class DockingError(Picklable):
     """Base class of all reasons why a goal can fail.
 
-    `code` identifies it. `retriable`: the same goal may succeed later. `redocking_may_help`: docking again at once may
+    `code` identifies it. `retriable`: the same goal may succeed later. `restart_may_help`: docking again at once may
     help.
     """
 
     code: Code = Code.INTERNAL
     retriable: bool = False
-    redocking_may_help: bool = False
+    restart_may_help: bool = False
 
     def __init_subclass__(
-        cls, code: Code | None = None, retriable: bool | None = None, redocking_may_help: bool | None = None
+        cls, code: Code | None = None, retriable: bool | None = None, restart_may_help: bool | None = None
     ) -> None:
         """Set what the class statement gives; the rest is inherited."""
-        given = {"code": code, "retriable": retriable, "redocking_may_help": redocking_may_help}
+        given = {"code": code, "retriable": retriable, "restart_may_help": restart_may_help}
         for name, value in given.items():
             if value is not None:
                 setattr(cls, name, value)
@@ -135,15 +135,15 @@ class Unreachable(Misplaced, code=Code.UNREACHABLE):
     """The target, or if `electrodes` is None the arm's own motion, leaves the workspace."""
 
 
-class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, redocking_may_help=True):
+class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, restart_may_help=True):
     """The arm reached its limit without contact."""
 
 
-class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, redocking_may_help=True):
+class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, restart_may_help=True):
     """The servos pushed harder than allowed even after backing off."""
 
 
-class ChargeOvercurrent(Overcurrent, retriable=False, redocking_may_help=False):
+class ChargeOvercurrent(Overcurrent, retriable=False, restart_may_help=False):
     """More charge current flowed than allowed. Example: the power stage's current limiter failed."""
 
 
@@ -155,7 +155,7 @@ class Stuck(DockingError, code=Code.STUCK, retriable=True):
     """The magnets did not release within the allowed pull."""
 
 
-class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, redocking_may_help=True):
+class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
     """The servos push but no taxel measures a force: the pads missed the target's ridges."""
 
 
@@ -167,11 +167,11 @@ class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
     """The target is tilted so far that the electrodes would short."""
 
 
-class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, redocking_may_help=True):
-    """The tactile estimate stayed unsure after docking again."""
+class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, restart_may_help=True):
+    """The tactile estimate stayed unsure in repeated contacts."""
 
 
-class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, redocking_may_help=True):
+class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, restart_may_help=True):
     """The electrodes could not be moved far enough from the wrong bars."""
 
 

@@ -139,7 +139,7 @@ class DockingMachine:
         self._begin(_undock, observation, request_id)
 
     def tune(self, parameters: DockingParameters) -> str:
-        """Use other values of the live parameters from the next goal on; return why not if that is refused."""
+        """Use other values of the tunable parameters from the next goal on; return why not if that is refused."""
         if self._is_supervising and not self._desk.is_open:
             return "the electrodes rest on the target under supervision; undock first"
         if self._desk.is_open or self._runner.is_running:
@@ -277,7 +277,7 @@ class DockingMachine:
                 first = None  # the restart succeeded, so the earlier error no longer counts
             first = self._report(first, last)
             home = yield from self._retract()
-            if not (home and restarts and last.redocking_may_help) or desk.wants_back:
+            if not (home and restarts and last.restart_may_help) or desk.wants_back:
                 break
             restarts -= 1
             context.decide("restart", f"docking begins again, {restarts} more times at most", code=last.code)

@@ -41,7 +41,7 @@ _ORDERED = (
 
 @dataclass(frozen=True)
 class DockingParameters(Bounded):
-    """Parameters of the docking state machine; sources in docs/docking.md.
+    """Parameters of the docking state machine; explained in docs/docking.md.
 
     Parameters of moving, pressing, aligning and waiting can be set between goals. Those that describe the machine or
     protect live electrodes are fixed while docking_node runs.

@@ -280,7 +280,7 @@ class Target:
         if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
             raise CriticalAngle(too_tilted(felt.angle))
         what = "outside the estimator's range" if not felt.in_range else "unsure"
-        raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
+        raise EstimateUnsure(f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target")
 
 
 def too_tilted(angle: float) -> str:

@@ -61,7 +61,7 @@ class PortGone(PortError):
     """The port was open and vanished. Example: the USB cable was pulled while the bus ran."""
 
     what = "the port disappeared"
-    advice = "plug the cable back in; the driver reopens the port and stays switched off"
+    advice = "plug the cable back in; the driver reopens the port; the torque stays off and the contactor open"
 
 
 class PortBusy(PortError):

@@ -38,7 +38,7 @@ class DockRequest:
         electrodes: pose of the target's electrodes; None = use the camera.
         critical_angle: rad; 0 = the charger's value, which is also the maximum.
         start_charging: False = end when the electrodes rest with clearance.
-        hold: keep the goal active until a stop condition or a cancel.
+        hold: keep the goal active until a stop condition, a full target or a cancel.
         stop_energy: J to deliver, 0 = no limit.
         stop_after: s of charging, 0 = no limit.
         request_id: returned in docking_state.

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class Tuning(Generic[T]):
-    """Makes the live parameters of a table settable while their node runs; one table per node.
+    """Makes the tunable parameters of a table settable while their node runs; one table per node.
 
     One call sets all its values or none, and the answer states the reason. rclpy refuses read-only parameters and wrong
     types; this class also refuses values outside their bounds, contradicting values, and changes that the node does not

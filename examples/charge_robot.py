@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Send a ChargeRobot goal and report it as VDA5050 2.x reports startCharging: a JSON line with each feedback.
 
-The request_id is the actionId. Ctrl-C is stopCharging: the charger undocks and returns. Exit code 0 if it has charged.
+The request_id is the actionId. Ctrl-C is stopCharging: the charger undocks and returns. Exit code 0: that succeeded.
     deltacharger up --scene mission_standing    # in another shell
     python examples/charge_robot.py [seconds to charge; 0 = until full]
 """
@@ -19,7 +19,7 @@ import rclpy  # noqa: E402
 from deltacharger.action import ChargeRobot  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 
-CHARGING, RESULT = ChargeRobot.Feedback.STAGE_CHARGE, ChargeRobot.Result
+RESULT, STAGE = ChargeRobot.Result, ChargeRobot.Feedback
 FATAL = (304, 305, 502, 504, 505, 506, 507, 999)  # the codes that need a person: docs/fleet.md
 goal = ChargeRobot.Goal(request_id="order-1/startCharging")
 goal.stop_after.sec = int(sys.argv[1]) if len(sys.argv) > 1 else 0
@@ -29,10 +29,10 @@ state = {"actionId": goal.request_id, "actionType": "startCharging", "actionStat
 stops = []
 
 
-def report(status, charging=False):
+def report(stage, status="RUNNING"):  # your MQTT client publishes what this prints
     if state["actionStatus"] != "FINISHED":  # finished once current flows; the goal goes on
-        state["actionStatus"] = "FINISHED" if charging else status
-    print(json.dumps(state | {"batteryState.charging": charging}), flush=True)  # your MQTT client publishes it here
+        state["actionStatus"] = {STAGE.STAGE_WAIT: "WAITING", STAGE.STAGE_CHARGE: "FINISHED"}.get(stage, status)
+    print(json.dumps(state | {"batteryState.charging": stage == STAGE.STAGE_CHARGE}), flush=True)
 
 
 rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
@@ -40,8 +40,8 @@ signal.signal(signal.SIGINT, lambda number, frame: stops.append(number))
 client = ActionClient(node := rclpy.create_node("fleet_adapter"), ChargeRobot, "charge_robot")
 if not client.wait_for_server(10.0):
     sys.exit("no charger serves charge_robot: start one with `deltacharger up --scene mission_standing`")
-report("WAITING")
-sent = client.send_goal_async(goal, lambda message: report("RUNNING", message.feedback.stage == CHARGING))
+report(STAGE.STAGE_WAIT)
+sent = client.send_goal_async(goal, lambda message: report(message.feedback.stage))
 rclpy.spin_until_future_complete(node, sent)
 ended = sent.result().get_result_async()
 while not ended.done():
@@ -55,5 +55,5 @@ if not result.success:
     error = {"errorType": name, "errorLevel": "FATAL" if result.error_code in FATAL else "WARNING"}
     error["errorReferences"] = [{"referenceKey": "actionId", "referenceValue": goal.request_id}]
     state["errors"] = [error | {"errorDescription": result.error_message}]
-report("FAILED")
+report(None, "FAILED")
 sys.exit(not result.success)

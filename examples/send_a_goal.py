@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Send a Dock goal as a fleet's own program would: with rclpy's action client and nothing else.
 
-Prints each phase, then the result. Exit code 0 if the target is charged, else 1.
+Prints each phase, then the result. Exit code 0 if charging has begun, else 1.
 
     deltacharger up                  # in another shell
     python examples/send_a_goal.py [z of the electrodes in charger_base, m]

@@ -2,8 +2,8 @@
 """Talk to emulated servos and an emulated board, as to real ones.
 
 The vendor's dynamixel-sdk pings three emulated MX-64 and turns the first one by 10°. Then the driver's `BoardLink`
-tares the emulated board, reads tactile frames for one second and probes the circuit between the electrodes. With the
-paths of real ports instead of the two pseudo-terminals, the same code talks to the robot.
+tares the emulated board, reads tactile frames for one second and probes the circuit between the electrodes. The same
+calls work on real ports, where the arm moves; only `bench` belongs to the emulator.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     text = "stricter critical angle than the charger's"
     parser.add_argument("--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help=text)
     parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
-    parser.add_argument("--hold", action="store_true", help="charge until a stop condition or Ctrl-C")
+    parser.add_argument("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
     parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="charging time")
     parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered energy")
     parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")

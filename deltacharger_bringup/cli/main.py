@@ -32,7 +32,7 @@ from deltacharger_core.environment import UnsupportedRos
 
 GROUPS = {
     "scene": ("list, check or explain scenes", "Inspect scenes."),
-    "calibrate": ("fit this one charger's dimensions, camera and pads", "Calibrate."),
+    "calibrate": ("measure this charger's dimensions, servos, camera and pads", "Calibrate."),
     "report": ("measure a part and write a page", "Measure and report."),
     "tactile": (
         "simulate tactile data, train and evaluate classifiers of misalignment",

@@ -53,7 +53,7 @@ _TORQUE_TIMEOUT = 1.0  # s for the torque to go off; servo_node waits 0.5 s befo
 
 
 class DockingNode(Node):
-    """Serves dock and undock; topics and services in the module docstring, parameters in docs/docking.md.
+    """Serves dock and undock; topics and services in the module docstring, parameters in docs/parameters.md.
 
     Args:
         held: command and publish nothing, and queue goals, until `release`.
@@ -107,7 +107,7 @@ class DockingNode(Node):
             self._inputs.simulated = self._owners.is_simulated()
 
     def _tune(self, settings: DockingParameters) -> str:
-        """Set parameters for the next goal; those that this node itself uses are not live."""
+        """Set parameters for the next goal; those that this node itself uses are not tunable."""
         with self._lock:
             return self._machine.tune(settings)
 

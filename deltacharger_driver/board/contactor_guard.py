@@ -196,7 +196,10 @@ class ContactorGuard:
             raise LeaseRefused("the power stage sends no data; check the board")
         if power.power.fault:
             fault = fault_name(power.power.fault)
-            raise LeaseRefused(f"the board opened and latched a fault: {fault}; open to clear it, then probe")
+            raise LeaseRefused(
+                f"the board opened and latched a fault: {fault}; "
+                "open the contactor (set_contactor, close false) to clear it, then probe"
+            )
 
     def _check_contact(self, now: float) -> None:
         age = now - self._frames[-1].time if self._frames else math.inf

@@ -128,7 +128,7 @@ def _tilted(replay: Replay, message: str) -> str:
     left = clearance(estimate.angle, 0.0, gap, length)
     worst = left - 3.0 * clearance_stddev(estimate, gap, length)
     needed = quantity(parameters.clearance_min, "m")
-    times = f" in {_WORDS.get(len(touches), len(touches))} dockings" if len(touches) > 1 else ""
+    times = f" in {_WORDS.get(len(touches), len(touches))} contacts" if len(touches) > 1 else ""
     found = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
     text = f"the angle was measured as {found}{times}; even without an offset across the bars the clearance would be "
     if left < parameters.clearance_min:

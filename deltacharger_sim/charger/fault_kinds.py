@@ -220,7 +220,7 @@ KINDS: dict[str, Kind] = {
         servo=ONE,
         amount=_VOLTS,
     ),
-    "servo_watchdog": Kind("the servo stops as without commands", _servo_watchdog, lasts=False, servo=ONE),
+    "servo_watchdog": Kind("the servo stops as if commands no longer arrived", _servo_watchdog, lasts=False, servo=ONE),
     "servo_wrong_baud": Kind(
         "the servo listens at `amount` bit/s and ignores any other speed",
         _servo_wrong_baud,

@@ -245,7 +245,7 @@ def test_fifty_arms_are_measured_with_the_documented_accuracy() -> None:
 
     found = [benchmark.measured(each) for each in benchmark.drawn(benchmark.SEED, 50)]
     errors, own = np.array([each.errors for each in found]), np.array([each.own for each in found])
-    stated = np.array([each.own_told for each in found])
+    stated = np.array([each.own_estimated for each in found])
     for part, target in enumerate(benchmark.TARGETS):
         assert np.percentile(np.abs(errors[:, part]), 95) <= 1.1 * target, benchmark.NAMES[part]  # weight included
         assert np.percentile(np.abs(own[:, part]), 95) <= 0.02, benchmark.NAMES[part]

@@ -63,7 +63,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 
 def test_a_critical_angle_is_explained_by_the_remaining_clearance(tmp_path: Path) -> None:
     assert why(replay(tilted(tmp_path))) == (
-        "Charging was refused: the angle was measured as 12.6° ± 0.3° in two dockings; even without an offset across "
+        "Charging was refused: the angle was measured as 12.6° ± 0.3° in two contacts; even without an offset across "
         "the bars the clearance would be −0.3 mm, 0.3 mm are needed. Level the target or the charger. The arm was home "
         "again at 3.0 s."
     )
