@@ -61,8 +61,8 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
     target.depth = electrodes.position[2] + parameters.search_depth
     if parameters.always_live:
         yield from wired.stay_away(context)
-    felt = yield from contact(context, target.depth, _look(context, target))  # 4
-    yield from align(context, target, felt=felt)  # 5 and 6
+    estimate = yield from contact(context, target.depth, _look(context, target))  # 4
+    yield from align(context, target, estimate=estimate)  # 5 and 6
 
 
 def _prepare(context: Context, charges: bool) -> Script[None]:
@@ -77,7 +77,7 @@ def _look(context: Context, target: Target) -> Look | None:
 
 
 def align(
-    context: Context, target: Target, stay: bool = False, felt: MisalignmentEstimate | None = None
+    context: Context, target: Target, stay: bool = False, estimate: MisalignmentEstimate | None = None
 ) -> Script[None]:
     """Measure, move and press again until the electrodes may rest and current may flow.
 
@@ -85,16 +85,16 @@ def align(
         context: of the docking.
         target: on which the electrodes rest.
         stay: they have been aligned before and may rest where they are, if they have clearance there.
-        felt: estimate that forbade pressing; None = they press.
+        estimate: estimate that forbade pressing; None = they press.
     """
     target.begin()
     while True:
-        felt = felt or (yield from measure(context))  # 5
-        if target.allows_rest(felt, stay) and (yield from stands_at_ease(context, target)):
+        estimate = estimate or (yield from measure(context))  # 5
+        if target.allows_rest(estimate, stay) and (yield from stands_at_ease(context, target)):
             break
         stay = False
         x, y = target.correction()  # 6, at most 15 times
-        felt = yield from press_again(context, target.depth, x, y, _look(context, target))
+        estimate = yield from press_again(context, target.depth, x, y, _look(context, target))
     context.status.docked = True
 
 

@@ -51,9 +51,9 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
     """
     context.enter(State.CONTACT, context.parameters.contact_timeout)
     if context.parameters.approach == "guarded":
-        felt = yield from _meet(context, depth, look)
-        if felt is not None:
-            return felt
+        estimate = yield from _meet(context, depth, look)
+        if estimate is not None:
+            return estimate
         yield from _guarded(context, depth)
         context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
     else:
@@ -209,8 +209,8 @@ def _press_on(context: Context, look: Look | None = None) -> Script[Misalignment
     while context.time < end and context.position[2] > highest:
         highest = context.position[2]
         yield NEXT
-    if look is not None and (felt := (yield from look())) is not None:
-        return felt
+    if look is not None and (estimate := (yield from look())) is not None:
+        return estimate
     x, y, z = context.commanded
     pressing = context.position[2] + parameters.step_share * parameters.current_target / slope_expected(context)
     yield from context.move((x, y, max(z, pressing)), parameters.press_speed)

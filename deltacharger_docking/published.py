@@ -56,8 +56,8 @@ def align(context: Context, target: Target) -> Script[None]:
     """Move by classes until they are zero or all moves are used; errors as for `dock`."""
     parameters, status = context.parameters, context.status
     status.aligned = False
-    felt = yield from measure(context)
-    classes = _classes_of(context, felt)
+    estimate = yield from measure(context)
+    classes = _classes_of(context, estimate)
     if not classes.angle < target.critical_angle:
         raise CriticalAngle(too_tilted(classes.angle))
     while not _is_zero(classes) and status.alignments < parameters.alignments_max:
@@ -65,8 +65,8 @@ def align(context: Context, target: Target) -> Script[None]:
         status.alignments += 1
         context.decide("move", "the electrodes move by the centres of the classes", x_m=x, y_m=y)
         yield from press_again(context, target.depth, x, y)
-        felt = yield from measure(context)
-        classes = _classes_of(context, felt)
+        estimate = yield from measure(context)
+        classes = _classes_of(context, estimate)
     status.aligned = _is_zero(classes)
     x, y = classes.horizontal, classes.vertical
     if status.aligned:
@@ -76,45 +76,45 @@ def align(context: Context, target: Target) -> Script[None]:
         if not parameters.charge_when_not_aligned:
             raise Misaligned(f"after {status.alignments} moves the offsets are not of class zero")
     if parameters.keeps_clearance:
-        yield from _see_clearance(context, target, felt)
+        yield from _see_clearance(context, target, estimate)
     status.docked = True
 
 
-def _see_clearance(context: Context, target: Target, felt: MisalignmentEstimate) -> Script[None]:
+def _see_clearance(context: Context, target: Target, estimate: MisalignmentEstimate) -> Script[None]:
     """Judge clearance like `guarded`; if one contact leaves it unsure, another one in this place must confirm it."""
     contacts = 1
-    while (verdict := _verdict(context, target, felt)) is Verdict.PROBABLY_SAFE:
+    while (verdict := _verdict(context, target, estimate)) is Verdict.PROBABLY_SAFE:
         if contacts >= context.parameters.clearance_contacts:
             return
         contacts += 1
         context.status.redockings += 1
         context.decide("again", "clearance is not sure yet: the contact is repeated", x_m=0.0, y_m=0.0)
         yield from press_again(context, target.depth, 0.0, 0.0)
-        felt = yield from measure(context)
+        estimate = yield from measure(context)
     if verdict is Verdict.CRITICAL:
-        raise CriticalAngle(too_tilted(felt.angle))
+        raise CriticalAngle(too_tilted(estimate.angle))
     if not verdict.leaves_clearance:
         raise Misaligned(
-            f"there is no sure clearance after the moves by classes: {math.degrees(felt.angle):.1f}°, "
-            f"{1000 * felt.vertical:.1f} mm vertical"
+            f"there is no sure clearance after the moves by classes: {math.degrees(estimate.angle):.1f}°, "
+            f"{1000 * estimate.vertical:.1f} mm vertical"
         )
 
 
-def _verdict(context: Context, target: Target, felt: MisalignmentEstimate) -> Verdict:
-    if not felt.usable:
-        if math.isfinite(felt.angle) and abs(felt.angle) >= target.critical_angle:
-            raise CriticalAngle(too_tilted(felt.angle))
+def _verdict(context: Context, target: Target, estimate: MisalignmentEstimate) -> Verdict:
+    if not estimate.usable:
+        if math.isfinite(estimate.angle) and abs(estimate.angle) >= target.critical_angle:
+            raise CriticalAngle(too_tilted(estimate.angle))
         raise EstimateUnsure("the tactile estimate is unsure, so clearance is unknown; check pads and target")
-    return record_verdict(context, felt, target.critical_angle)
+    return record_verdict(context, estimate, target.critical_angle)
 
 
-def _classes_of(context: Context, felt: MisalignmentEstimate) -> MisalignmentClasses:
+def _classes_of(context: Context, estimate: MisalignmentEstimate) -> MisalignmentClasses:
     """Return the classes of the estimate.
 
     Raises:
         EstimateUnsure: some are missing.
     """
-    classes = felt.classes
+    classes = estimate.classes
     if classes is None:
         missing = [item.name for item in fields(MisalignmentClasses)]
     else:

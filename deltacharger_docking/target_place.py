@@ -52,24 +52,26 @@ class TargetPlace:
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def add(self, felt: MisalignmentEstimate, x: float, y: float, push: float, again: bool = False) -> None:
+    def add(self, estimate: MisalignmentEstimate, x: float, y: float, push: float, again: bool = False) -> None:
         """Add the estimate of a contact of the platform at (x, y), m, under the servos' push (N).
 
         `again`: replaces the earlier estimate of this contact.
         """
         p = self._parameters
         if math.isnan(self._turn):
-            self._turn = felt.angle
+            self._turn = estimate.angle
         cosine, sine = math.cos(self._turn), math.sin(self._turn)
         platform = cosine * y - sine * x
-        self._across.update(platform, felt.across, felt.across_stddev)
-        own = math.sqrt(max((p.horizontal_scale * felt.horizontal_stddev) ** 2 - p.horizontal_shared**2, 1e-8))
-        force = felt.left_force + felt.right_force
-        spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
+        self._across.update(platform, estimate.across, estimate.across_stddev)
+        own = math.sqrt(max((p.horizontal_scale * estimate.horizontal_stddev) ** 2 - p.horizontal_shared**2, 1e-8))
+        force = estimate.left_force + estimate.right_force
+        spread = p.force_repeatability * math.hypot(estimate.left_force, estimate.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
-        self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle), again)
-        self._load = felt.horizontal
+        self._along.update(
+            LookAlong(x, estimate.horizontal, own, force, spread, push, estimate.across, estimate.angle), again
+        )
+        self._load = estimate.horizontal
         along, across = self._along.target - x, self._across.target - platform
         self.off = along, (across + along * sine) / cosine
 
@@ -105,44 +107,44 @@ class TargetPlace:
         x, y = self.off
         return x - aside, y - aside * math.tan(self._turn)
 
-    def least_yaw(self, felt: MisalignmentEstimate, x: float, push: float) -> float:
+    def least_yaw(self, estimate: MisalignmentEstimate, x: float, push: float) -> float:
         """Return the least yaw of the faces (rad) that lets one pad carry nearly all, although both have a ridge.
 
         Args:
-            felt: in a contact that is not in range.
+            estimate: in a contact that is not in range.
             x: of the platform, m.
             push: of the servos on the target, N.
 
         Returns:
             NaN if both pads carry force, the empty pad may be off its ridge, or the target's place explains it better.
         """
-        p, loads = self._parameters, (felt.left_force, felt.right_force)
+        p, loads = self._parameters, (estimate.left_force, estimate.right_force)
         light, force = min(loads), sum(loads)
         # With less force than at _FAR aside, or than pads measure well, an offset may also empty the pad.
         pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
         enough = max((push + float(pull)) / (1.0 - 2.0 * p.force_repeatability), 5.0 * p.pad_force_min)
-        if not (felt.complete and light < p.pad_force_min and force > enough):
+        if not (estimate.complete and light < p.pad_force_min and force > enough):
             return math.nan
         heavy = 1.0 if loads[0] > loads[1] else -1.0  # side of the loaded pad along x
-        ridge = felt.across / math.cos(felt.angle) - heavy * p.pad_distance * math.tan(felt.angle)
+        ridge = estimate.across / math.cos(estimate.angle) - heavy * p.pad_distance * math.tan(estimate.angle)
         place, lean = self._along.parts(heavy * empty_pad_offset(p, force), x)
         if abs(ridge) > _ON_PAD or heavy * lean < abs(place):
             return math.nan
         return heavy * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
 
-    def pointed_at(self, felt: MisalignmentEstimate, x: float) -> tuple[float, float]:
+    def pointed_at(self, estimate: MisalignmentEstimate, x: float) -> tuple[float, float]:
         """Return where (m, along x and y) an unsure estimate points, with the platform at `x` (m).
 
         Out of range it points across the bars only: along them, a pad off its ridge cannot be distinguished from one
         that a lean leaves empty.
         """
-        if not felt.in_range:
-            return 0.0, felt.across / math.cos(felt.angle)
+        if not estimate.in_range:
+            return 0.0, estimate.across / math.cos(estimate.angle)
         sigmas = self._parameters.unsure_move_sigmas
-        along, _ = self._along.parts(felt.horizontal, x)
+        along, _ = self._along.parts(estimate.horizontal, x)
         return (
-            along if abs(along) > sigmas * felt.horizontal_stddev else 0.0,
-            felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0,
+            along if abs(along) > sigmas * estimate.horizontal_stddev else 0.0,
+            estimate.vertical if abs(estimate.vertical) > sigmas * estimate.vertical_stddev else 0.0,
         )
 
     def learn(self) -> None:
@@ -151,10 +153,10 @@ class TargetPlace:
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
-    def settle(self, felt: MisalignmentEstimate) -> MisalignmentEstimate:
+    def settle(self, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
         """Use the estimate made with the arm at ease, and return it as `combined`."""
-        self._load = felt.horizontal
-        return self.combined(felt)
+        self._load = estimate.horizontal
+        return self.combined(estimate)
 
     def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
         """Return the filter before contact: with the place if known, and the load bias expected from the yaw."""
@@ -163,29 +165,29 @@ class TargetPlace:
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def combined(self, felt: MisalignmentEstimate, later: bool = False) -> MisalignmentEstimate:
+    def combined(self, estimate: MisalignmentEstimate, later: bool = False) -> MisalignmentEstimate:
         """Return this contact's estimate combined with all contacts, including the yaw of the faces.
 
         `later`: this contact was estimated before; a change of its loads since then means that the target has slid.
         """
         p, contact = self._parameters, self._along.contact
         if math.isnan(self._load):  # the published approach estimates no place
-            return felt
+            return estimate
         if later:
-            spread = math.hypot(contact.stddev, p.horizontal_scale * felt.horizontal_stddev)
-            contact = Offset(contact.mean + felt.horizontal - self._load, spread)
-        angle = felt.angle
+            spread = math.hypot(contact.stddev, p.horizontal_scale * estimate.horizontal_stddev)
+            contact = Offset(contact.mean + estimate.horizontal - self._load, spread)
+        angle = estimate.angle
         sine, cosine = math.sin(angle), math.cos(angle)
-        pitch, pitch_stddev = _among(p.yaw_stddev, felt.pitch, felt.pitch_stddev)
+        pitch, pitch_stddev = _among(p.yaw_stddev, estimate.pitch, estimate.pitch_stddev)
         bias, spread = self._along.bias / p.load_per_yaw, self._along.bias_stddev / p.load_per_yaw
         share = self._share.value
         doubt = self._share.stddev / share**2 * bias
         return replace(
-            felt,
+            estimate,
             horizontal=contact.mean,
             horizontal_stddev=contact.stddev,
-            vertical=(felt.across + contact.mean * sine) / cosine,
-            vertical_stddev=math.hypot(felt.across_stddev, contact.stddev * sine) / cosine,
+            vertical=(estimate.across + contact.mean * sine) / cosine,
+            vertical_stddev=math.hypot(estimate.across_stddev, contact.stddev * sine) / cosine,
             yaw=bias / share + pitch * math.tan(angle),
             yaw_stddev=math.hypot(spread / share, doubt, pitch_stddev * math.tan(angle)),
         )

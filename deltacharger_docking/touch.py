@@ -47,30 +47,30 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
         parameters.estimate_frames,
         parameters.classes_of,
     )
-    felt = reply.estimate
-    if not reply.success or felt is None:
+    estimate = reply.estimate
+    if not reply.success or estimate is None:
         raise TactileStale(f"no misalignment estimate: {reply.message}")
-    context.status.estimate = felt = with_pitch(context, felt)
-    text = "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range"
-    context.decide("measured", text, **felt.numbers)
-    if not felt.contact:
+    context.status.estimate = estimate = with_pitch(context, estimate)
+    text = "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range"
+    context.decide("measured", text, **estimate.numbers)
+    if not estimate.contact:
         raise NoTactileContact("the pads lost contact before the misalignment was measured")
-    return felt
+    return estimate
 
 
-def with_pitch(context: Context, felt: MisalignmentEstimate) -> MisalignmentEstimate:
+def with_pitch(context: Context, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
     """Return the estimate with the pitch that was detected before contact, which pads cannot measure."""
     seen = context.electrodes
-    return felt if seen is None else replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
+    return estimate if seen is None else replace(estimate, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
 
 
-def record_verdict(context: Context, felt: MisalignmentEstimate, critical_angle: float) -> Verdict:
+def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_angle: float) -> Verdict:
     """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
-    verdict = judge(felt, parameters, critical_angle)
+    verdict = judge(estimate, parameters, critical_angle)
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    left = clearance(felt.angle, abs(felt.across) + pitch_shift(felt, parameters), gap, length)
-    sigma = clearance_stddev(felt, gap, length)
+    left = clearance(estimate.angle, abs(estimate.across) + pitch_shift(estimate, parameters), gap, length)
+    sigma = clearance_stddev(estimate, gap, length)
     context.decide(
         "verdict",
         verdict.value,
@@ -94,7 +94,7 @@ class Target:
         self.critical_angle = critical_angle
         self.depth = math.inf
         self._place = TargetPlace(context.parameters, context.share)
-        self._felt_here = False  # this contact has been used
+        self._estimated_here = False  # this contact has been used
         self.begin()
 
     def foresee(self, electrodes: ElectrodePose) -> None:
@@ -106,13 +106,13 @@ class Target:
         self._angles: list[float] = []
         self._passed = 0  # contacts in a row that leave clearance
         self._unsure = self._unsure_here = 0
-        self._felt: MisalignmentEstimate | None = None  # in this contact
+        self._estimate: MisalignmentEstimate | None = None  # in this contact
 
-    def allows_rest(self, felt: MisalignmentEstimate, stay: bool) -> bool:
+    def allows_rest(self, estimate: MisalignmentEstimate, stay: bool) -> bool:
         """Use the estimate of this contact; return whether the electrodes may rest here and current may flow.
 
         Args:
-            felt: the estimate, sure or not.
+            estimate: the estimate, sure or not.
             stay: they have been aligned before and may rest where they are, if they have clearance there.
 
         Raises:
@@ -120,22 +120,22 @@ class Target:
             EstimateUnsure: the estimates contradict the arm's own moves.
         """
         context, parameters = self._context, self._context.parameters
-        self._felt, context.status.aligned = felt, False
-        if not felt.usable:
+        self._estimate, context.status.aligned = estimate, False
+        if not estimate.usable:
             self._passed = 0
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._place.add(felt, x, y, context.contact.force, again=self._felt_here)
-        self._felt_here = True
-        context.status.estimate = self._place.combined(felt)
+        self._place.add(estimate, x, y, context.contact.force, again=self._estimated_here)
+        self._estimated_here = True
+        context.status.estimate = self._place.combined(estimate)
         if self._place.contradicts_itself and not stay:
-            context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=felt.horizontal)
+            context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=estimate.horizontal)
             raise EstimateUnsure(
                 "the pads' estimates contradict the arm's own moves; check whether frames repeat, the target "
                 "moves, or magnet_force and magnet_width are wrong"
             )
-        verdict = self._judge(felt)
+        verdict = self._judge(estimate)
         safe = verdict is Verdict.SAFE or (
             verdict is Verdict.PROBABLY_SAFE and self._passed >= parameters.clearance_contacts
         )
@@ -144,21 +144,21 @@ class Target:
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:  # the target has moved, so earlier contacts no longer count
             self._place = TargetPlace(parameters, context.share)
-            self._place.add(felt, x, y, context.contact.force)
+            self._place.add(estimate, x, y, context.contact.force)
             self._place.choose(self._moves, self._reaches)
         return settled and safe
 
-    def still_allows_rest(self, felt: MisalignmentEstimate) -> bool:
+    def still_allows_rest(self, estimate: MisalignmentEstimate) -> bool:
         """Use the estimate made with the arm at ease; return whether clearance remains."""
-        if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
-            self._context.status.estimate = self._place.settle(felt)
+        if estimate.usable and judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance:
+            self._context.status.estimate = self._place.settle(estimate)
             return True
         self._passed, self._context.status.aligned = 0, False
         return False
 
-    def combined_later(self, felt: MisalignmentEstimate) -> MisalignmentEstimate:
+    def combined_later(self, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
         """Return an estimate made while the electrodes rest, combined with all contacts."""
-        return self._place.combined(felt, later=True)
+        return self._place.combined(estimate, later=True)
 
     def rest(self) -> None:
         """Record that the electrodes rest here."""
@@ -176,9 +176,9 @@ class Target:
             EstimateUnsure: the estimate stayed unsure.
             CriticalAngle: it stayed unsure but shows a tilt beyond the limit.
         """
-        context, self._felt_here = self._context, False
-        if self._felt is not None and not self._felt.usable:
-            return self._look_elsewhere(self._felt)
+        context, self._estimated_here = self._context, False
+        if self._estimate is not None and not self._estimate.usable:
+            return self._look_elsewhere(self._estimate)
         aside = self._place.plan.aside if self._pays else 0.0
         (x, y), risk = self._place.step(aside), self._place.risk
         if self._exhausted:
@@ -215,14 +215,14 @@ class Target:
     def _exhausted(self) -> bool:
         return self._moves >= self._context.parameters.alignments_max
 
-    def _judge(self, felt: MisalignmentEstimate) -> Verdict:
+    def _judge(self, estimate: MisalignmentEstimate) -> Verdict:
         """Judge this contact; after two contacts, also the mean angle."""
         parameters = self._context.parameters
-        self._angles.append(felt.angle)
-        verdict = record_verdict(self._context, felt, self.critical_angle)
+        self._angles.append(estimate.angle)
+        verdict = record_verdict(self._context, estimate, self.critical_angle)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
-        centred = replace(felt, angle=mean, across=0.0)
+        centred = replace(estimate, angle=mean, across=0.0)
         if (
             len(self._angles) >= parameters.clearance_contacts
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
@@ -230,7 +230,7 @@ class Target:
             raise CriticalAngle(too_tilted(mean))
         return verdict
 
-    def _look_elsewhere(self, felt: MisalignmentEstimate) -> tuple[float, float]:
+    def _look_elsewhere(self, estimate: MisalignmentEstimate) -> tuple[float, float]:
         """Return the move (m) before the next measurement: to where an unsure estimate points, or none.
 
         A pad that has lost its ridge across the bars still shows the direction. An unsure estimate only moves the arm;
@@ -240,15 +240,15 @@ class Target:
         self._unsure_here += 1
         self._unsure += 1
         place = context.position
-        yaw = self._place.least_yaw(felt, place[0], context.contact.force)
+        yaw = self._place.least_yaw(estimate, place[0], context.contact.force)
         if math.isfinite(yaw):
             if self._unsure_here >= parameters.unsure_here_max:
-                raise self._leaning(felt, yaw)
+                raise self._leaning(estimate, yaw)
             context.status.redockings += 1
             context.decide("again", "one pad carries nearly all the force: the contact is repeated", yaw_rad=yaw)
             return 0.0, 0.0
-        x, y = self._place.pointed_at(felt, place[0])
-        lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
+        x, y = self._place.pointed_at(estimate, place[0])
+        lost = estimate.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < parameters.unsure_max:
             self._unsure_here = 0
@@ -256,30 +256,31 @@ class Target:
             context.decide("elsewhere", "a pad has lost its ridge: the arm searches for it", x_m=x, y_m=y)
             return x, y
         if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
-            self._give_up(felt)
+            self._give_up(estimate)
         context.status.redockings += 1
         context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
         return 0.0, 0.0
 
-    def _leaning(self, felt: MisalignmentEstimate, yaw: float) -> Leaning:
+    def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
         seen = electrodes.sure_yaw(self._context.parameters.lean_sigmas) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
+        left, right = estimate.left_force, estimate.right_force
         return Leaning(
-            f"one pad carries nearly all the force ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): "
-            f"the target's faces are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, or it is far "
-            f"from its given place; move the robot to suggested_base_pose, which is to {in_words(yaw)}",
+            f"one pad carries nearly all the force ({left:.0f} N left, {right:.0f} N right): the target's faces are "
+            f"yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, or it is far from its given place; "
+            f"move the robot to suggested_base_pose, which is to {in_words(yaw)}",
             (x, y, z),
             yaw,
         )
 
-    def _give_up(self, felt: MisalignmentEstimate) -> None:
+    def _give_up(self, estimate: MisalignmentEstimate) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
-        if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
-            raise CriticalAngle(too_tilted(felt.angle))
-        what = "outside the estimator's range" if not felt.in_range else "unsure"
+        if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
+            raise CriticalAngle(too_tilted(estimate.angle))
+        what = "outside the estimator's range" if not estimate.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target")
 
 

@@ -54,16 +54,16 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     )
     if not reply.success or reply.estimate is None:
         raise TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
-    context.status.estimate = felt = with_pitch(context, reply.estimate)
-    text = "the first touch gives an estimate" if felt.usable else "the touch is too light for an estimate"
-    context.decide("touched", text, contact_current_A=context.contact.value, **felt.numbers)
-    if not felt.usable:
+    context.status.estimate = estimate = with_pitch(context, reply.estimate)
+    text = "the first touch gives an estimate" if estimate.usable else "the touch is too light for an estimate"
+    context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
+    if not estimate.usable:
         limit = min(target.critical_angle, parameters.critical_angle)
-        return felt if felt.contact and abs(felt.angle) >= limit else None
-    verdict = record_verdict(context, felt, target.critical_angle)
+        return estimate if estimate.contact and abs(estimate.angle) >= limit else None
+    verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
-        raise CriticalAngle(too_tilted(felt.angle))
-    return felt if verdict is Verdict.TOO_CLOSE else None
+        raise CriticalAngle(too_tilted(estimate.angle))
+    return estimate if verdict is Verdict.TOO_CLOSE else None
 
 
 def watch(context: Context, order: Order, target: Target) -> Script[str]:

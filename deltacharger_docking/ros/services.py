@@ -60,7 +60,7 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
-        self._felt: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_FELT)
+        self._estimates: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_FELT)
         self._renewals: deque[tuple[Any, float]] = deque()  # unanswered futures, with their start
         self._clock = node.get_clock()
         self._renewed = -math.inf
@@ -128,7 +128,7 @@ class Services:
         """Return the message of the machine's last estimate, with the refined values; NaN without an estimate."""
         if value is None:
             return unknown_misalignment(self._end_effector)
-        asked = (message for felt, message in list(self._felt) if felt.is_of(value))
+        asked = (message for measured, message in list(self._estimates) if measured.is_of(value))
         return next((refined(value, message) for message in asked), unknown_misalignment(self._end_effector))
 
     def contactor(self, wanted: bool, closed: bool) -> None:
@@ -176,10 +176,10 @@ class Services:
         """Return the fields of a reply in addition to success and message."""
         service = request.service
         if service is Service.ESTIMATE:
-            felt = estimate(answer.misalignment, with_classes=bool(request.model))
-            self._felt.append((felt, answer.misalignment))
+            measured = estimate(answer.misalignment, with_classes=bool(request.model))
+            self._estimates.append((measured, answer.misalignment))
             named = tuple(answer.sequences) if len(answer.sequences) == request.frames else ()
-            return {"estimate": felt, "sequences": named, "asked": asked}
+            return {"estimate": measured, "sequences": named, "asked": asked}
         if service is Service.PROBE:
             return {"resistance": answer.resistance, "target_voltage": answer.target_voltage}
         if service is not Service.DETECT:

@@ -82,7 +82,7 @@ class RunBuilder:
     def misalignment(self, time: float, message: Misalignment) -> None:
         """Take a continuous estimate."""
         values = (message.horizontal, message.vertical, message.angle) if message.contact else (math.nan,) * 3
-        self.run.felt.add(time, *values)
+        self.run.misalignment.add(time, *values)
 
     def power(self, time: float, message: ChargerPower) -> None:
         """Take charge current and contactor state."""

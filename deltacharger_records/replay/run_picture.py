@@ -193,7 +193,7 @@ def _force(axes: Axes, run: Run) -> None:
 
 
 def _misalignment(axes: Axes, run: Run) -> None:
-    live, decided = run.felt.arrays(), run.decided.arrays()
+    live, decided = run.misalignment.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     for contact, time in {touch.contact: touch.time for touch in reversed(run.touches)}.items():
         axes.annotate(str(contact), (time, 0.04), xycoords=("data", "axes fraction"), fontsize=8, ha="center")

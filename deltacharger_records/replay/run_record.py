@@ -115,7 +115,7 @@ class Run:
     Attributes:
         motion: measured z (m), contact force along z on the target (N), and that force as contact current (A).
         contact: contact current (A) as the charger reports it, without free-motion friction.
-        felt: continuous estimates: horizontal, vertical (m), angle (rad).
+        misalignment: continuous estimates: horizontal, vertical (m), angle (rad).
         decided: the estimates that the charger used, same columns.
         power: charge current (A) and whether the contactor is closed (0 or 1).
         phases: (time, name) at each change.
@@ -130,7 +130,7 @@ class Run:
 
     motion: Series = field(default_factory=lambda: Series("z", "force", "current"))
     contact: Series = field(default_factory=lambda: Series("current"))
-    felt: Series = field(default_factory=lambda: Series("horizontal", "vertical", "angle"))
+    misalignment: Series = field(default_factory=lambda: Series("horizontal", "vertical", "angle"))
     decided: Series = field(default_factory=lambda: Series("horizontal", "vertical", "angle"))
     power: Series = field(default_factory=lambda: Series("current", "closed"))
     phases: list[tuple[float, str]] = field(default_factory=list)
@@ -144,7 +144,7 @@ class Run:
 
     def shift(self, seconds: float) -> None:
         """Shift time 0 later by `seconds`."""
-        for series in (self.motion, self.contact, self.felt, self.decided, self.power):
+        for series in (self.motion, self.contact, self.misalignment, self.decided, self.power):
             series.shift(seconds)
         self.phases = [(time - seconds, phase) for time, phase in self.phases]
         self.touches = [replace(touch, time=touch.time - seconds) for touch in self.touches]

@@ -32,7 +32,7 @@ def full_run() -> Run:
         run.motion.add(time, 0.08 * min(time, 1.0), 17.0 * (time > 1.5), 0.45 * (time > 1.5))
         run.contact.add(time, 0.45 * (time > 1.5))
         run.power.add(time, 5.0 * (time > 2.2), float(time > 2.1))
-        run.felt.add(time, *((1e-3, -1e-3, 0.03) if time > 2.0 else (math.nan,) * 3))
+        run.misalignment.add(time, *((1e-3, -1e-3, 0.03) if time > 2.0 else (math.nan,) * 3))
     run.decided.add(2.1, 1e-3, -1e-3, 0.03)
     frame = np.zeros((10, 10))
     frame[4:6] = 2.0
