@@ -2,7 +2,7 @@
 """Build a virtual environment that holds deltacharger: python3 cmake/build_venv.py VENV [CONSTRAINTS].
 
 Checks first what building needs. Whatever fails ends in one line that says what to install or to do; what the tools
-printed is in VENV/build.log. Written for any Python 3, so that an old one is refused by name.
+printed is in VENV/build.log. Runs on Python 3.6 or newer, so that an old one is refused by name.
 """
 
 import importlib.util
@@ -53,7 +53,7 @@ def missing(folder):
 
 
 def steps(python, constraints):
-    """Return (what, command) of each step after the environment exists."""
+    """Yield (what, command) of each step after the environment exists."""
     pip = [python, "-m", "pip", "install", "--quiet"]
     read = "from pip._vendor import tomli; print(*tomli.load(open('pyproject.toml', 'rb'))['build-system']['requires'])"
     required = subprocess.check_output([python, "-c", read], universal_newlines=True).split()
@@ -86,7 +86,7 @@ def build(folder, constraints):
 
 
 def run(what, command, log):
-    """Run a step, tell how long it took, and keep what it printed in `log`."""
+    """Run a step, print how long it took, and keep what it printed in `log`."""
     began = time.monotonic()
     step = subprocess.run(
         command,

@@ -34,7 +34,8 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
         raise ArrayError(f"it has no header of an .npy file ({type(error).__name__})") from error
     plain = (kind.kind in "biuf" and kind.itemsize <= 8) or (kind.kind == "U" and kind.itemsize)
     if not plain or len(shape) > _MOST_AXES:
-        raise ArrayError(f"it holds {len(shape)} axes of {str(kind)[:80]} and must hold numbers or text")
+        held = f"it holds an array of {str(kind)[:80]} with {len(shape)} axes"
+        raise ArrayError(f"{held}; allowed are numbers, booleans or text with at most {_MOST_AXES} axes")
     needed = math.prod(shape) * kind.itemsize
     if needed != size - header or max(shape, default=0) > size:
         raise ArrayError(f"its header claims {needed} bytes, and {size - header} follow")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of earlier versions, so that a file that still has one is refused by the name that replaces it."""
+"""Names before 1.0.0 and what replaces each: the refusal of an old name states the new one."""
 
 from __future__ import annotations
 

@@ -205,7 +205,10 @@ def weigh(context: Context) -> Script[None]:
     while not springs.is_estimated and context.time < end:
         yield from context.read()
     if springs.is_estimated:
-        values = {"felt_Nm_per_rad": springs.stiffness, "told_Nm_per_rad": context.parameters.servo_stiffness}
+        values = {
+            "estimated_Nm_per_rad": springs.stiffness,
+            "configured_Nm_per_rad": context.parameters.servo_stiffness,
+        }
         context.decide("stiffness", "the estimated stiffness of the servos", **values)
 
 

@@ -121,7 +121,11 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
             current = context.observation.charge_current
             context.decide("full", flow.value, charge_current_A=current, mean_A=taper.mean, energy_J=context.energy)
             return "the target is full"
-        reason = order.is_met(context) if order.goal.start_charging else "charging was ended by a goal without it"
+        reason = (
+            order.is_met(context)
+            if order.goal.start_charging
+            else "a later goal with start_charging false ended charging"
+        )
         if reason:
             context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
             return reason

@@ -112,8 +112,8 @@ class MisalignmentEstimate:
 class Verdict(Enum):
     """What an estimate allows."""
 
-    SAFE = "safe at six standard deviations"
-    PROBABLY_SAFE = "safe at three standard deviations"
+    SAFE = "safe at clearance_sigmas_sure standard deviations"
+    PROBABLY_SAFE = "safe at clearance_sigmas standard deviations"
     TOO_CLOSE = "the offset across the bars leaves no clearance"
     CRITICAL = "the angle leaves no clearance even without an offset across the bars"
 

@@ -156,7 +156,7 @@ class Stuck(DockingError, code=Code.STUCK, retriable=True):
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
-    """The servos push but no taxel measures a force: the pads missed the target's ridges."""
+    """The servos push but no taxel measures a force: check coordinates, and what lies between pads and ridges."""
 
 
 class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
@@ -164,7 +164,7 @@ class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
 
 
 class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
-    """The target is tilted so far that the electrodes would short."""
+    """The target is rolled so far that the electrodes would short."""
 
 
 class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, restart_may_help=True):
@@ -230,7 +230,7 @@ REMEDIES: dict[Code, str] = {
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
     Code.DETECTION_STALE: "check the camera's rate and clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
-    Code.NO_CONTACT: "the target is not at the given place, or it moved",
+    Code.NO_CONTACT: "check that the target is there and its coordinates are right",
     Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` is wrong, as the message states; "
     "charge current: have the power stage's limiter checked",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
@@ -241,8 +241,8 @@ REMEDIES: dict[Code, str] = {
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",
     Code.MISALIGNED: "send the goal again; if the error returns, calibrate the pads",
     Code.LEANING: "yaw: turn the robot to `suggested_base_pose`; pitch: level the target or the charger",
-    Code.NO_CHARGE_CURRENT: "target full or its input off; electrodes dirty",
-    Code.SHORT_CIRCUIT: "check what lies between them; clean or realign them",
+    Code.NO_CHARGE_CURRENT: "if the target is not full: switch its input on, clean the electrodes",
+    Code.SHORT_CIRCUIT: "check what lies between the electrodes; clean or realign them",
     Code.POWER_STALE: "check the board's cable and tactile_node",
     Code.REVERSE_POLARITY: "rewire the target",
     Code.VOLTAGE_OUT_OF_RANGE: "as the message states: use another charger, or charge the charger's own battery",

@@ -63,7 +63,7 @@ def _duplicate(names: str) -> DuplicateSource:
 
 
 def check_battery(context: Context) -> None:
-    """Refuse an unfit battery before anything touches; an unmeasured one is judged at closing.
+    """Refuse a battery that is unfit or unmeasured before anything touches; without fresh data `energise` judges it.
 
     This protects the case of electrodes wired to an unmeasured battery: they would be live from the first contact.
 

@@ -250,7 +250,7 @@ class DockingOutcome(GoalOutcome):
 class DockingStatus:
     """The machine's state between commands.
 
-    `aligned`: this contact has clearance, another would not pay, and the estimated risk is at most `aligned_risk_max`.
+    `aligned`: this contact has clearance, no gain is expected from another, and the risk is at most `aligned_risk_max`.
     """
 
     state: State = State.IDLE

@@ -94,7 +94,9 @@ class DockingParameters(Bounded):
     back_off: float = tunable(0.030, 0.005, 0.06, "m", "distance to go back if the first push is too hard")
     lift: float = tunable(0.008, 0.008, 0.04, "m", "distance that the platform lifts before it moves sideways")
     current_min: float = tunable(0.4, 0.05, 2.0, "A", "lower end of the contact current's band")
-    current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end: the servos can hold it for four hours")
+    current_max: float = tunable(
+        0.5, 0.05, 2.0, "A", "upper end of the contact current's band; the servos can hold it for four hours"
+    )
     aim_below: float = tunable(0.02, 0.0, 0.1, "A", "distance of the aim for a known contact below the band's middle")
     band_margin: float = tunable(0.015, 0.0, 0.04, "A", "distance of an accepted reading from the band's ends")
     step_share: float = tunable(0.7, 0.1, 1.0, "", "largest share of the way to the band in one step")
@@ -121,7 +123,9 @@ class DockingParameters(Bounded):
     )
     release_pulls_max: int = tunable(3, 1, 10, "", "pulls after which a platform that does not move is stuck")
     ease_current_max: float = tunable(0.57, 0.05, 2.0, "A", "largest common current of the servos at ease")
-    ease_spared_max: float = tunable(0.03, 0.0, 0.5, "A", "largest reduction of that current by ease_current_max")
+    ease_spared_max: float = tunable(
+        0.03, 0.0, 0.5, "A", "largest reduction of the current at ease by ease_current_max"
+    )
     ease_tolerance: float = tunable(0.015, 0.001, 0.2, "A", "allowed error of a servo's current at ease")
     ease_time_min: float = tunable(0.4, 0.1, 10.0, "s", "shortest time of one easing round")
     ease_lags: float = tunable(4.0, 0.0, 50.0, "", "shortest time of a round in servo lags, damping / stiffness")
@@ -152,7 +156,11 @@ class DockingParameters(Bounded):
     landing_limit: float = tunable(0.0025, 0.001, 0.02, "m", "largest offset of a contact across the bars")
     overlap_loss_max: float = tunable(0.004, 0.001, 0.03, "m", "largest offset along the bars: lost overlap")
     redocking_gain_min: float = tunable(
-        0.004, 0.0, 1.0, "", "decrease of the risk to exceed these limits that is worth a second contact; x1.5 per move"
+        0.004,
+        0.0,
+        1.0,
+        "",
+        "decrease of the risk to exceed landing_limit or overlap_loss_max for which a contact is made; x1.5 per move",
     )
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "increase of contradiction_start per measured number")
@@ -162,7 +170,7 @@ class DockingParameters(Bounded):
         0.02, 0.0, 1.0, "", "largest estimated risk to exceed overlap_loss_max or landing_limit when aligned"
     )
     horizontal_scale: float = number(0.83, 0.1, 3.0, "", "true / reported standard deviation of horizontal estimates")
-    horizontal_shared: float = number(0.00055, 0.0, 0.01, "m", "part of it that all contacts of a docking share")
+    horizontal_shared: float = number(0.00055, 0.0, 0.01, "m", "error of horizontal estimates that all contacts share")
     place_stddev: float = number(0.005, 1e-4, 0.05, "m", "standard deviation of the pose in a goal")
     yaw_stddev: float = number(
         math.radians(1.2), 0.0, 0.2, "rad", "standard deviation of an unknown yaw; 0 = parallel by construction"
@@ -178,7 +186,9 @@ class DockingParameters(Bounded):
     )
     pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
     probe_offset: float = tunable(0.006, 0.001, 0.02, "m", "offset from the target where the magnets' pull is probed")
-    probe_gain_min: float = tunable(0.03, 0.0, 1.0, "", "decrease of that risk that is worth a contact made to probe")
+    probe_gain_min: float = tunable(
+        0.03, 0.0, 1.0, "", "decrease of that risk (redocking_gain_min) for which a contact only probes"
+    )
     force_repeatability: float = number(0.045, 0.001, 0.5, "", "relative scatter of a pad's force between contacts")
     force_error: float = number(0.06, 0.0, 0.5, "", "relative error of the pads' force that all contacts share")
     magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
@@ -220,7 +230,9 @@ class DockingParameters(Bounded):
     unsafe_max: int = number(2, 1, 20, "", "successive checks without clearance that end charging")
     blind_max: int = number(3, 1, 20, "", "successive failed or unsure checks that end charging")
     taper_time: float = tunable(2.0, 0.1, 600.0, "s", "time constant of the charge current's mean")
-    taper_share: float = tunable(0.5, 0.0, 1.0, "", "share of that mean below which charge current was cut off")
+    taper_share: float = tunable(
+        0.5, 0.0, 1.0, "", "share of the mean (taper_time) below which charge current was cut off"
+    )
     full_time: float = tunable(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
     fault_delay: float = number(0.15, 0.0, 1.0, "s", "longest delay of the fault report after a refused renewal")
     pause_max: float = number(1.0, 0.1, 5.0, "s", "longest pause of docking while the electrodes are live")

@@ -164,7 +164,7 @@ class Target:
         """Record that the electrodes rest here."""
         self._place.learn()
         aligned, (x, y) = self._context.status.aligned, self._place.off
-        text = "another contact would not pay" if aligned else "the electrodes have clearance here"
+        text = "no gain is expected from another contact" if aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)
 
     def correction(self) -> tuple[float, float]:
@@ -287,6 +287,6 @@ class Target:
 def too_tilted(angle: float) -> str:
     """Return the message that an angle (rad) is too large."""
     return (
-        f"the target is tilted by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "
+        f"the target is rolled by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "
         "level the target or the charger"
     )

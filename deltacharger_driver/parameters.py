@@ -58,8 +58,8 @@ class ServoNodeParameters(Bounded):
     position_p_gain: int = number(
         POSITION_P_GAIN, 1, GAIN_MAX, "", "servos' position P gain, register 84: 434 = 15 N·m/rad; the vendor's is 850"
     )
-    position_i_gain: int = number(0, 0, GAIN_MAX, "", "their position I gain, register 82")
-    position_d_gain: int = number(0, 0, GAIN_MAX, "", "their position D gain, register 80")
+    position_i_gain: int = number(0, 0, GAIN_MAX, "", "servos' position I gain, register 82")
+    position_d_gain: int = number(0, 0, GAIN_MAX, "", "servos' position D gain, register 80")
     joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
     joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
     reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "margin until a reply counts as missing")

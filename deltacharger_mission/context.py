@@ -125,7 +125,7 @@ class MissionContext:
         return reply
 
     def all_there(self, tasks: list[Task]) -> Script[None]:
-        """Wait until all needed nodes answer and docking_node is free.
+        """Wait until all needed nodes answer; docking_node must then be free.
 
         Raises:
             NotServed: a node is missing after wait_timeout.

@@ -23,12 +23,14 @@ class MissionParameters(Bounded):
     home_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "heading at home")
     electrodes_x: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
     electrodes_y: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
-    electrodes_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "direction that they face, from x toward y there")
+    electrodes_yaw: float = tunable(
+        0.0, -math.pi, math.pi, "rad", "direction that the electrodes face, from x toward y"
+    )
     view_distance: float = tunable(0.20, 0.08, 2.0, "m", "distance from the electrodes at which the search begins")
     search_turn: float = tunable(0.2, 0.02, 1.0, "rad", "turn between two views")
     search_turns: int = tunable(2, 0, 8, "", "turns to each side at each distance")
     search_step: float = tunable(0.15, 0.01, 1.0, "m", "step back between two rows of views")
-    search_steps: int = tunable(1, 0, 5, "", "steps back")
+    search_steps: int = tunable(1, 0, 5, "", "number of search_step taken back")
     look_timeout: float = tunable(3.0, 0.2, 60.0, "s", "time of one detection of the electrodes")
     stand_tolerance: float = tunable(0.03, 0.005, 0.5, "m", "largest distance from the right place when docking starts")
     stand_turn_tolerance: float = tunable(0.05, 0.01, 1.0, "rad", "largest error of the heading when docking starts")
@@ -59,7 +61,7 @@ class MissionNodeParameters(Bounded):
     navigation: str = choice("none", ("nav2", "none"), "nav2 drives the robot; none: the target comes to the charger")
     map_frame: str = words("map", "the navigator's frame: of home, and of targets if tf2_ros is installed")
     behavior_tree: str = words("", "file of the navigator's behavior tree; empty = the navigator's default")
-    precise_behavior_tree: str = words("", "the same for small moves near the target")
+    precise_behavior_tree: str = words("", "file of its behavior tree for small moves near the target; empty = default")
     base_frame: str = like(DockingNodeParameters, "base_frame", text="full name of the robot's frame")
     base_pose: tuple[float, ...] = like(
         DockingNodeParameters, "base_pose", text="charger_base on the robot, as in docking_node"

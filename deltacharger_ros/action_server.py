@@ -139,7 +139,8 @@ class WorkServer:
 
     def _on_cancel(self, handle: GoalHandle) -> CancelResponse:
         allowed = self._may_cancel(handle)
-        self._log.info(f"{self._title(handle)}: cancelled by a client" + ("" if allowed else " too late, it has ended"))
+        text = "cancelled by a client" if allowed else "a client's cancel came too late: the goal has ended"
+        self._log.info(f"{self._title(handle)}: {text}")
         return CancelResponse.ACCEPT if allowed else CancelResponse.REJECT
 
     def _execute(self, handle: GoalHandle) -> Any:

@@ -43,7 +43,7 @@ class Log:
             self._logger.warning(cut(streams.plain(line)))
 
     def error(self, line: str, pause: float = 0.0) -> None:
-        """Log what a person must fix; at most once in `pause` s, for messages that may occur at each tick.
+        """Log what a person must fix; of lines with a `pause`, whatever their text, at most one in `pause` s.
 
         rclpy's throttle distinguishes places of calls, and here all calls have the same place.
         """

@@ -96,7 +96,7 @@ def _dock_details(result: Any) -> dict[str, Any]:
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
-        "redockings": getattr(result, "redockings", 0),
+        **({"redockings": result.redockings} if hasattr(result, "redockings") else {}),
         "misalignment": {name: getattr(result.misalignment, name) for name in (*estimates, "sure", "in_range")},
         **{name: getattr(result, name) for name in numbers},
         "suggested_base_pose": _base(result.suggested_base_pose),

@@ -85,7 +85,7 @@ class Outcome:
     """How an action ended.
 
     Attributes:
-        action: "dock" or "undock".
+        action: "dock", "undock" or "charge_robot".
         success: whether the goal was reached.
         error_code: 0 or a code of Dock.Result; error_name: its name.
         error_message: what failed and what to do; after a success a notice about its limits ('' = none).
@@ -119,17 +119,18 @@ class Outcome:
         return f"{failed}, {self.error_code} {self.error_name}: {self.error_message}{retry}"
 
     def figures(self) -> str:
-        """Return the figures of a docking as text; '' for other actions, – = not measured."""
+        """Return the figures of a docking, or of a mission's last one, as text; '' for undock; – = not measured."""
         details = self.details
         if not details:
             return ""
         rest = details["misalignment"]
         x, y = (figure(1e3 * rest[axis], "", 1) for axis in ("horizontal", "vertical"))
         angle = figure(math.degrees(rest["angle"]), "", 1)
+        counts = ", ".join(f"{name} {details[name]}" for name in ("alignments", "redockings") if name in details)
         return (
             f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}; "
             f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}; "
-            f"alignments {details['alignments']}, redockings {details['redockings']}; rest ({x}, {y}) mm, {angle}°"
+            f"{counts}; rest ({x}, {y}) mm, {angle}°"
         )
 
 

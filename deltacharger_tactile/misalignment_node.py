@@ -3,7 +3,8 @@
 
 Topics: subscribes `tactile_frame` while a request waits or `rate` > 0; publishes `misalignment` if `rate` > 0.
 Services: `predict_misalignment` averages frames that are sampled after the request.
-Parameters: model, calibration, classifiers, frames, rate and timeout may be set while the node runs; max_age may not.
+Parameters: model, calibration, classifiers, frames, rate and timeout may be set while the node runs; max_age and
+frame_prefix may not.
 The node moves nothing.
 """
 

@@ -31,7 +31,7 @@ class DetectorNodeParameters(Bounded):
     color_topic: str = words(COLOR, "topic of the colour images")
     depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")
     camera_info_topic: str = words(CAMERA_INFO, "topic of the colour images' calibration")
-    mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces mount*")
+    mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces the three parameters mount…")
     mount_from_tf: bool = flag(
         False,
         "take the camera's pose from tf, by the frame_id of its images, instead of mount; tf has no covariance",

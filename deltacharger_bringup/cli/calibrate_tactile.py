@@ -137,7 +137,7 @@ def _places(mask: NDArray[np.bool_], most: int = 6) -> str:
 
 
 def _kinds(faults: PadFaults) -> dict[str, NDArray[np.bool_]]:
-    return {name: getattr(faults, name) for name in ("told", "silent", "loud", "noisy")}
+    return {name: getattr(faults, name) for name in ("reported", "silent", "loud", "noisy")}
 
 
 def _seen(calibration: TactileCalibration) -> NDArray[np.float64]:
@@ -194,7 +194,9 @@ def _as_text(found: _Found) -> str:
     source = ", simulated" if made.simulated else ""
     rows = [("dockings", f"{made.dockings} of rig {made.rig}{source}, {fit.in_range} in range of {made.model}")]
     rows += [
-        (f"dead, {name}", _places(mask)) for name, mask in _kinds(found.faults).items() if mask.any() or name == "told"
+        (f"dead, {name}", _places(mask))
+        for name, mask in _kinds(found.faults).items()
+        if mask.any() or name == "reported"
     ]
     rows += [
         ("gains", f"{gains.min():.2f} to {gains.max():.2f}, spread {100 * gains.std():.0f} %; misfit {fit.misfit:.2f}"),

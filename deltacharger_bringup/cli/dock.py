@@ -48,8 +48,10 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help=text)
     parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
     parser.add_argument("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
-    parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="charging time")
-    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered energy")
+    parser.add_argument(
+        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="end after this time of charging"
+    )
+    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="end after this energy")
     parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
     parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
     parser.add_argument(

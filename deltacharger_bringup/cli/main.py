@@ -32,8 +32,11 @@ from deltacharger_core.environment import UnsupportedRos
 
 GROUPS = {
     "scene": ("list, check or explain scenes", "Inspect scenes."),
-    "calibrate": ("measure this charger's dimensions, servos, camera and pads", "Calibrate."),
-    "report": ("measure a part and write a page", "Measure and report."),
+    "calibrate": (
+        "measure this charger's dimensions, servos, camera and pads",
+        "Measure this charger's dimensions, servos, camera and pads.",
+    ),
+    "report": ("measure a part and write a page", "Measure a part and write a page of the results."),
     "tactile": (
         "simulate tactile data, train and evaluate classifiers of misalignment",
         "Simulate tactile data, train and evaluate classifiers of misalignment.",

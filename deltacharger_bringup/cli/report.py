@@ -27,7 +27,7 @@ from deltacharger_bringup.cli.types import SEED, integer
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report kinematics`."""
     _add_common(parser, "report-kinematics", "fewer points and shorter timings")
-    points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
+    points = "points per set, 50 to 100000 (default: 5000, with --quick 200)"
     parser.add_argument("--points", type=integer(50, 100_000), metavar="N", help=points)
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed of every set (default: 1)")
 
@@ -41,7 +41,7 @@ def add_tactile(parser: argparse.ArgumentParser) -> None:
 def add_vision(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report vision`."""
     _add_common(parser, "report-vision", "a tenth of the images")
-    images = "per row, 2 to 1000 (default: 150, with --quick 15); rows with targets have more"
+    images = "images per row, 2 to 1000 (default: 150, with --quick 15); rows with targets have more"
     parser.add_argument("--images", type=integer(2, 1000), metavar="N", help=images)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
 

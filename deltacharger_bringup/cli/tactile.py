@@ -167,11 +167,11 @@ def _print_result(found: dict[str, Any]) -> None:
     print_text(f"{found['target']}")
     print_text(f"  accuracy                {100 * found['accuracy']:.1f} %")
     print_text(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
-    print_text(f"  sets hold the truth     {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
-    print_text(f"  may be acted on         {100 * found['act_rate']:.1f} %")
-    print_text(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
+    print_text(f"  sets with the true class{100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
+    print_text(f"  sure enough to act on   {100 * found['act_rate']:.1f} %")
+    print_text(f"  unlike training data    {100 * found['drift_rate']:.1f} %")
     if found.get("drifted_together", 0.0) > 0.0:
-        print_text("  all together look unlike training: calibrate or train again")
+        print_text("  all together are unlike the training data: calibrate or train again")
 
 
 def models(options: argparse.Namespace) -> int:
@@ -182,11 +182,11 @@ def models(options: argparse.Namespace) -> int:
         write_json({"success": True, "models": rows})
         return DONE
     print_text(
-        f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs not used for training"
+        f"{'model':<10}{'target':<12}{'accuracy, %':>12}{'kB':>7}{'ms':>8}   on simulated rigs not used for training"
     )
     for row in rows:
         percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
-        print_text(f"{row['name']:<10}{row['target']:<12}{percent:>9.1f}{size:>7.0f}{time_ms:>8.3f}")
+        print_text(f"{row['name']:<10}{row['target']:<12}{percent:>12.1f}{size:>7.0f}{time_ms:>8.3f}")
     return DONE
 
 

@@ -50,7 +50,9 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     text = "both sets of the paper, from a simulated charger in virtual time, without ROS"
     parser.add_argument("--protocol", choices=("paper",), help=text)
     parser.add_argument("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
-    parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle, sweep)")
+    parser.add_argument(
+        "--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)"
+    )
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
     parser.add_argument("--repeat", type=integer(1, 10_000), metavar="N", help=text)
     text = "offsets of the set position (-10 -5 0 5 10)"
@@ -64,7 +66,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
         target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     shared = parser.add_argument_group("for the complete data set")
     shared.add_argument("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
-    shared.add_argument("--sensor", default="", metavar="ID", help="of its pads, stored in the data set")
+    shared.add_argument("--sensor", default="", metavar="ID", help="id of the charger's pads, stored in the data set")
     shared.add_argument(
         "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
     )

@@ -31,7 +31,7 @@ def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, er
     if now.version_errors > before.version_errors:
         return BoardMismatch(port, f"the board speaks version {now.refused_version}")
     if now.packets > before.packets:
-        return NoAnswer(f"{port}: the board sends but does not answer", error.action, error.timeout)
+        return NoAnswer(f"{port} (the board sends other packets)", error.action, error.timeout)
     if now.bytes > before.bytes:
         count = now.bytes - before.bytes
         return BoardMismatch(port, f"received {count} bytes, but no intact packet: wrong baud rate or device")

@@ -13,7 +13,7 @@ from deltacharger_driver.board.contactor_guard import ContactorGuard
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.pass_through import PassThrough
 from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
+from deltacharger_driver.errors import DriverError, PortError, PortGone
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
 _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
@@ -129,7 +129,7 @@ class BoardKeeper:
             self.guard.tick()
             now = time.monotonic()
             if now - self._last_packet > _SILENCE:
-                raise NoAnswer(self.link.port, "START (no packet received)", _SILENCE)
+                raise PortError(self.link.port, f"the board has sent no packet for {_SILENCE:g} s")
             if self._rebooted or now - self._last_frame > _STREAM_SILENCE:
                 self._configure()
 

@@ -4,7 +4,7 @@
 Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), battery, target_battery and
 /diagnostics (1 Hz).
 Serves: tare, set_contactor, probe.
-Parameters: port, baud_rate, rate, pitch, heartbeat_priority.
+Parameters: port, baud_rate, rate, pitch, heartbeat_priority, frame_prefix.
 
 Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s. While it lives, the
 node relays it as the board's heartbeat; it never sends a heartbeat without a lease. The node refuses to close without

@@ -12,7 +12,7 @@ from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_WRITE
 
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault, WrongThread
 from deltacharger_driver.parameters import REPLY_MARGIN
-from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
+from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, SPEEDS, describe_status_error
 from deltacharger_driver.servos.port import PATIENCE, ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, instruction_packet
 
@@ -56,7 +56,8 @@ class ServoLink:
         self._owner = threading.current_thread()
         self._handler.baudrate = self.baud_rate
         if not self._handler.openPort():
-            raise DriverError(f"{self.port}: {self.baud_rate} bit/s is not a speed of this servo; see mx64.SPEEDS")
+            speeds = ", ".join(map(str, SPEEDS.values()))
+            raise DriverError(f"{self.port}: servos have no speed of {self.baud_rate} bit/s; give one of {speeds}")
 
     def close(self) -> None:
         """Release the port. Never raises; works from any thread."""

@@ -139,7 +139,10 @@ class _Campaign:
 
 
 TAKEN = {
-    **{f"world.target.{axis}": f"give target.{axis} (seen) and shift.{axis} (unseen)" for axis in (*"xyz", "roll")},
+    **{
+        f"world.target.{axis}": f"give target.{axis} (where the camera sees it) and shift.{axis} (its move after that)"
+        for axis in (*"xyz", "roll")
+    },
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
     "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",

@@ -83,7 +83,7 @@ def read_state(message: Any) -> DockingReport | None:
 
 
 def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
-    """Return the result of a docking that did not take place: all measurements are NaN."""
+    """Return the result of a docking that did not take place: measurements are NaN, the energy is 0."""
     return Dock.Result(
         misalignment=unknown_misalignment(frame_id),
         contact_current=math.nan,

@@ -135,7 +135,7 @@ def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
 
 
 def _clearance(axes: Axes, replay: Replay) -> None:
-    """Draw each measurement's clearance, down to three standard deviations, against the needed one."""
+    """Draw each measurement's clearance, less `clearance_sigmas` standard deviations, against the needed one."""
     needed = 1e3 * replay.parameters.clearance_min
     places = [(touch.time, *_left(touch, replay)) for touch in replay.run.touches]
     places = [place for place in places if math.isfinite(place[2])]
@@ -156,11 +156,11 @@ def _clearance(axes: Axes, replay: Replay) -> None:
 
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
-    """Return the clearance of a measurement, and that value minus three standard deviations, mm."""
+    """Return the clearance of a measurement, and that value less `clearance_sigmas` standard deviations, mm."""
     gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
     pose = touch.estimate
     left = clearance(pose.angle, pose.across, gap, length)
-    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(pose, gap, length))
+    return 1e3 * left, 1e3 * (left - replay.parameters.clearance_sigmas * clearance_stddev(pose, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:

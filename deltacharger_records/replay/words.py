@@ -126,7 +126,8 @@ def _tilted(replay: Replay, message: str) -> str:
     estimate, parameters = _mean(touches), replay.parameters
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
     left = clearance(estimate.angle, 0.0, gap, length)
-    worst = left - 3.0 * clearance_stddev(estimate, gap, length)
+    sigmas = parameters.clearance_sigmas
+    worst = left - sigmas * clearance_stddev(estimate, gap, length)
     needed = quantity(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(touches), len(touches))} contacts" if len(touches) > 1 else ""
     found = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
@@ -134,9 +135,8 @@ def _tilted(replay: Replay, message: str) -> str:
     if left < parameters.clearance_min:
         return text + f"{quantity(left, 'm')}, {needed} are needed"
     if worst < parameters.clearance_min:
-        return (
-            text + f"{quantity(left, 'm')}, {quantity(worst, 'm')} less three standard deviations, {needed} are needed"
-        )
+        less = f"{quantity(worst, 'm')} less {sigmas:g} standard deviations"
+        return text + f"{quantity(left, 'm')}, {less}, {needed} are needed"
     return f"the angle was measured as {found}{times}; {message}"
 
 
@@ -149,7 +149,8 @@ def _off(replay: Replay, message: str) -> str:
     return (
         f"{message}; the last measurement found {quantity(last.across, 'm')} ± {quantity(last.across_stddev, 'm')} "
         f"across the bars and {quantity(last.angle, 'rad')} ± {quantity(last.angle_stddev, 'rad')}, which leaves "
-        f"{quantity(judged[-1].clearance, 'm')} of clearance, and {needed} are needed at three standard deviations"
+        f"{quantity(judged[-1].clearance, 'm')} of clearance, and {needed} are needed "
+        f"at {replay.parameters.clearance_sigmas:g} standard deviations"
     )
 
 
@@ -167,7 +168,7 @@ _REASONS: dict[Code, Callable[[Replay, str], str]] = {
 
 
 def _mean(touches: list[Touch]) -> MisalignmentEstimate:
-    """Return the mean angle of several dockings without an offset, with the largest of their standard deviations."""
+    """Return the mean angle of several contacts without an offset, with the largest of their standard deviations."""
     names = ("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev")
     found = [touch.estimate for touch in touches]
     angle, vertical, horizontal, across = (max(getattr(each, name) for each in found) for name in names)

@@ -167,7 +167,7 @@ class MockServoNode(Node):
             check_age(age)
             trajectory = check(message.joint_names, points, self._limits)
         except TrajectoryRefused as refusal:
-            self.get_logger().warning(f"trajectory refused: {refusal}")
+            self.get_logger().warning(str(refusal))
             self._diagnostics.report(WARN, str(refusal), {}, "joint_trajectory")
             return
         now = time.monotonic()

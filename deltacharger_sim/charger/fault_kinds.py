@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.emulators.servo_faults import FAULTS
 from deltacharger_driver.servos.mx64 import SPEEDS
 
 if TYPE_CHECKING:
@@ -191,6 +190,10 @@ def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.board.set_dead(*place, dead=False)
 
 
+_DAMAGE = {
+    "drop": "lost", "corrupt": "changed", "truncate": "cut short", "duplicate": "sent twice",
+    "garbage": "preceded by noise",
+}  # fmt: skip
 _SHARE = Amount("a share of 0 to 1", 0.0, 1.0, 0.1)
 _DELAY = Amount("a delay of 0 to 2 s", 0.0, 2.0, 0.05)
 _VOLTS = Amount("a supply of 6 to 9.4 V", 6.0, 9.4, 9.0)
@@ -228,7 +231,7 @@ KINDS: dict[str, Kind] = {
         amount=_SPEED,
     ),
     "servo_duplicate_id": Kind(
-        "the servo takes the id `amount`; their replies collide", _servo_duplicate_id, servo=ONE, amount=_ID
+        "the servo takes the id `amount`, and replies of both collide", _servo_duplicate_id, servo=ONE, amount=_ID
     ),
     "servo_deaf": Kind(
         "nothing reaches the servos; they stop after 0.12 s", functools.partial(_wire, "servos", "deaf")
@@ -239,12 +242,12 @@ KINDS: dict[str, Kind] = {
     "servo_unplugged": Kind("the servo port disappears", functools.partial(_unplugged, "servo")),
     **{
         f"servo_{name}": Kind(
-            f"a share `amount` of the servos' replies is corrupted: {name}",
+            f"a share `amount` of the servos' replies is {text}",
             functools.partial(_servo_share, name),
             servo=SOME,
             amount=_SHARE,
         )
-        for name in FAULTS
+        for name, text in _DAMAGE.items()
     },
     "board_reboot": Kind("the board boots, in `amount` s", _board_reboot, lasts=False, amount=_BOOT),
     "board_trip": Kind("the power stage opens with fault `amount`", _board_trip, lasts=False, amount=_CODE),
@@ -259,11 +262,11 @@ KINDS: dict[str, Kind] = {
     "board_unplugged": Kind("the board's port disappears", functools.partial(_unplugged, "board")),
     **{
         f"board_{name}": Kind(
-            f"a share `amount` of the board's packets is corrupted: {name}",
+            f"a share `amount` of the board's packets is {text}",
             functools.partial(_board_share, name),
             amount=_SHARE,
         )
-        for name in FAULTS
+        for name, text in _DAMAGE.items()
     },
 }
 """Every fault by name."""

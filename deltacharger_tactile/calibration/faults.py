@@ -62,13 +62,13 @@ class PadFaults:
     """(2, 10, 10) masks of faulty taxels.
 
     Attributes:
-        told: reported dead by the board.
+        reported: dead according to the board.
         silent: reads almost nothing while its neighbours along the row read much.
         loud: reads something without pressure, or never changes.
         noisy: scatters without pressure.
     """
 
-    told: Mask
+    reported: Mask
     silent: Mask
     loud: Mask
     noisy: Mask
@@ -76,7 +76,7 @@ class PadFaults:
     @property
     def dead(self) -> Mask:
         """All faulty taxels."""
-        return self.told | self.silent | self.loud | self.noisy
+        return self.reported | self.silent | self.loud | self.noisy
 
 
 @dataclass(frozen=True)

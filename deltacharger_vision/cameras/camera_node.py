@@ -3,7 +3,7 @@
 
 Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour), color/camera_info, each converted
 only while it has subscribers; /diagnostics (1 Hz, and at every change).
-Parameters: width, height, rate, exposure_us, iso, lens_position, device_id; replay, replay_loop.
+Parameters: width, height, rate, exposure_us, iso, lens_position, device_id, frame_prefix; replay, replay_loop.
 
 If the camera is missing or unplugged, or depthai is not installed, the node reports it and keeps searching: a charger
 can dock to coordinates without a camera. All three messages of an image have one stamp, the middle of the colour

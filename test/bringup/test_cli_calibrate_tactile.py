@@ -47,7 +47,7 @@ def test_the_calibration_is_printed_and_written(
     assert f"wrote {out}" in err
     for word in (
         "60 of rig 661, simulated",
-        "dead, told",
+        "dead, reported",
         "spread",
         "load shift",
         "vertical error",
@@ -72,7 +72,7 @@ def test_one_object_in_si_units(capsys: pytest.CaptureFixture[str], data: Path, 
     assert found["success"] is True
     assert found["written"] == str(tmp_path / "pads.yaml")
     assert (found["rig"], found["dockings"], found["simulated"]) == (661, 60, True)
-    assert len(found["dead"]["told"]) == 1
+    assert len(found["dead"]["reported"]) == 1
     assert found["dead"]["silent"] == found["dead"]["loud"] == found["dead"]["noisy"] == []
     assert 0.05 < found["gain"]["stddev"] < 0.25
     assert abs(found["bias"]["vertical"]["used"]) <= abs(found["bias"]["vertical"]["found"]) < 1e-3

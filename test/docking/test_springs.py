@@ -161,7 +161,7 @@ def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: fl
     context = run.machine._context
     assert context.springs.stiffness == pytest.approx(true, rel=0.02)
     assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
-    weighed = [dict(each.values)["felt_Nm_per_rad"] for each in found if each.kind == "stiffness"]
+    weighed = [dict(each.values)["estimated_Nm_per_rad"] for each in found if each.kind == "stiffness"]
     # The weight hardly bends a stiff arm; the contact gives the estimate.
     assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
 
@@ -176,7 +176,7 @@ def test_the_estimate_is_kept_for_the_next_docking() -> None:
     second = run.dock()
     assert second.success, second.message
     weighed = next(each for each in found if each.kind == "stiffness")
-    assert dict(weighed.values)["felt_Nm_per_rad"] == pytest.approx(before, rel=0.1)
+    assert dict(weighed.values)["estimated_Nm_per_rad"] == pytest.approx(before, rel=0.1)
 
 
 def test_readings_during_a_motion_are_ignored() -> None:

@@ -43,7 +43,7 @@ from deltacharger_records.recording.session import LOST_AFTER
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 
-TILTED = "the target is tilted by 12.6°"
+TILTED = "the target is rolled by 12.6°"
 
 
 def recorder(folder: Path, max_bytes: int = 10**8, rate: float = 1.0) -> DockingRecorder:

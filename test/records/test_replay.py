@@ -31,7 +31,7 @@ pytestmark = pytest.mark.ros
 
 PNG = b"\x89PNG"
 TILTED = (
-    "the target is tilted by 12.6°: the electrodes would come too close to a short; level the target or the charger"
+    "the target is rolled by 12.6°: the electrodes would come too close to a short; level the target or the charger"
 )
 
 
@@ -45,7 +45,9 @@ def charged(path: Path, seconds: float = 5.0) -> Path:
     end = 3.0 + seconds
     tape = docking(
         measured(2.8, 3.0, vertical=1e-3),
-        decision(2.8, State.MEASURE, "verdict", "safe at six standard deviations", clearance_m=0.0041),
+        decision(
+            2.8, State.MEASURE, "verdict", "safe at clearance_sigmas_sure standard deviations", clearance_m=0.0041
+        ),
         decision(2.9, State.MEASURE, "aligned", "the target lies within the tolerance", x_m=0.0, y_m=1e-3),
         state(3.0, State.CHARGING, charging=True, docked=True),
         *readings(3.0, end, 5.0, rate=min(100.0, 3000.0 / seconds)),
@@ -72,7 +74,7 @@ def test_a_critical_angle_is_explained_by_the_remaining_clearance(tmp_path: Path
 def test_an_angle_that_is_critical_only_with_its_error_is_explained_by_the_error(tmp_path: Path) -> None:
     tape = docking(measured(2.7, 10.6), measured(2.9, 10.6), *refused(Code.CRITICAL_ANGLE, "tilted by 10.6°"))
     text = why(replay(write(tmp_path / "a.mcap", tape)))
-    assert "the clearance would be 0.9 mm, 0.3 mm less three standard deviations, 0.3 mm are needed" in text
+    assert "the clearance would be 0.9 mm, 0.3 mm less 3 standard deviations, 0.3 mm are needed" in text
 
 
 def test_a_given_roll_is_refused_before_any_contact(tmp_path: Path) -> None:
@@ -133,8 +135,8 @@ def test_the_story_is_in_order_with_every_state_and_decision(tmp_path: Path) -> 
 def test_numbers_have_the_unit_of_their_name() -> None:
     values = {"angle_rad": 0.1, "x_m": -0.00125, "share": 0.036467, "margin_3_sigma_m": 0.005, "v_V": float("inf")}
     assert numbers(values) == "angle 5.7°, x −1.2 mm, share 0.0365, margin at 3σ 5.0 mm, v infinite"
-    stiffness = {"felt_Nm_per_rad": 17.284, "told_Nm_per_rad": 15.0}
-    assert numbers(stiffness) == "felt 17.3 N·m/rad, told 15.0 N·m/rad"
+    stiffness = {"estimated_Nm_per_rad": 17.284, "configured_Nm_per_rad": 15.0}
+    assert numbers(stiffness) == "estimated 17.3 N·m/rad, configured 15.0 N·m/rad"
 
 
 def test_json_contains_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,7 +129,7 @@ def test_the_benefit_is_measured_on_held_out_dockings(model: PoseEstimator) -> N
 def test_a_sound_rig_has_only_the_dead_taxels_that_the_board_reports(count: int) -> None:
     faults = find(dock(count))
     assert np.array_equal(faults.dead, Rig.draw(FAMILY, RIG).dead)
-    assert np.array_equal(faults.dead, faults.told)
+    assert np.array_equal(faults.dead, faults.reported)
 
 
 def test_faulty_taxels_are_found() -> None:
@@ -145,9 +145,9 @@ def test_faulty_taxels_are_found() -> None:
     assert faults.silent[0, 4, 3]
     assert faults.loud[1, 5, 6]
     assert faults.noisy[0, 7, 7]
-    row = faults.loud[1, 2] | faults.told[1, 2]
+    row = faults.loud[1, 2] | faults.reported[1, 2]
     assert row.all()
-    assert faults.told[1, 8, 1]
+    assert faults.reported[1, 8, 1]
     assert faults.dead.sum() == 4 + 10 + Rig.draw(FAMILY, RIG).dead.sum()
 
 
