@@ -18,7 +18,12 @@ RENAMED = MappingProxyType(
         "response_told": "response_visible",
         "slept_max": "pause_max",
         "slip_taken_back": "slip_undo_share",
-        "unmeasured": "told_stiffness",
+        "told": "assumed",
+        "told_geometry": "assumed_geometry",
+        "told_gravity": "assumed_gravity",
+        "told_stiffness": "assumed_stiffness",
+        "told_torque_constant": "assumed_torque_constant",
+        "unmeasured": "assumed_stiffness",
     }
 )
-"""Parameters of docking_node and packaged campaigns before 1.0.0, and what replaces each."""
+"""Parameters of docking_node, keys and names of campaigns before 1.0.0, and what replaces each."""

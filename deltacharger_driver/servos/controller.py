@@ -27,10 +27,6 @@ from deltacharger_driver.servos.trajectory import HOLD, Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
 OPENING_TIME = 0.3  # s; after a request, longest time with torque on until the contactor is reported open
-_REFUSED = {
-    ServoPhase.OFF: "; call set_torque first",
-    ServoPhase.DISCONNECTED: "; wait until servo_node has reopened the port",
-}
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s are a fault
 
 
@@ -132,8 +128,8 @@ class ServoController:
         """
         with self._lock:
             if self._phase is not ServoPhase.ON:
-                remedy = _REFUSED.get(self._phase, f": {self.stop_reason}")
-                raise TrajectoryRefused(self._phase.value + remedy)
+                more = {ServoPhase.OFF: "; call set_torque first", ServoPhase.STOPPING: f": {self.stop_reason}"}
+                raise TrajectoryRefused(self._phase.value + more.get(self._phase, ""))
             self._submitted = trajectory, start
 
     def freeze(self) -> None:

@@ -68,11 +68,11 @@ def _numbers(ends: _Ends, name: str, default: float) -> tuple[float, float]:
 
 
 def _assumptions(ends: _Ends) -> Iterator[_Problem]:
-    if "told.gravity_tilt" in ends and False in ends.get("gravity.known", ()):
-        yield "gravity.known", False, "contradicts told.gravity_tilt, which sets known gravity; remove one of them"
-    if "told.gravity_azimuth" in ends and _is_nothing(ends, "told.gravity_tilt"):
-        value = ends["told.gravity_azimuth"][0]
-        yield "told.gravity_azimuth", value, "has no effect if told.gravity_tilt is 0; remove one"
+    if "assumed.gravity_tilt" in ends and False in ends.get("gravity.known", ()):
+        yield "gravity.known", False, "contradicts assumed.gravity_tilt, which sets known gravity; remove one of them"
+    if "assumed.gravity_azimuth" in ends and _is_nothing(ends, "assumed.gravity_tilt"):
+        value = ends["assumed.gravity_azimuth"][0]
+        yield "assumed.gravity_azimuth", value, "has no effect if assumed.gravity_tilt is 0; remove one"
 
 
 def _disturbed(ends: _Ends) -> Iterator[_Problem]:

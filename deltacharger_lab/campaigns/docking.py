@@ -9,10 +9,10 @@ from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
-from deltacharger_lab.campaigns import felt as feeling
+from deltacharger_lab.campaigns import estimates
 from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
-from deltacharger_lab.campaigns.felt import Felt
+from deltacharger_lab.campaigns.estimates import EstimateLog
 from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.campaigns.pads import FIRST, make_pads
 from deltacharger_lab.campaigns.parts import AXES
@@ -34,9 +34,9 @@ RESULTS: dict[str, tuple[type, str]] = {
     "time": (float, "s from the goal to its outcome"),
     "moves": (int, "lateral corrections and repeated contacts"),
     "contact_current": (float, "A per servo at the outcome, as measured"),
-    "told_push": (float, "N, force of the servos on the target along z at the outcome, as docking reports it"),
+    "reported_push": (float, "N, force of the servos on the target along z at the outcome, as docking reports it"),
     "true_push": (float, "N, truth then, without magnets"),
-    "believed_stiffness": (float, "N·m/rad of a servo, as docking assumes it at the outcome"),
+    "assumed_stiffness": (float, "N·m/rad of a servo, as docking assumes it at the outcome"),
     "charge_current": (float, "A into the target at the outcome"),
     "rest_current": (
         float,
@@ -68,15 +68,15 @@ RESULTS: dict[str, tuple[type, str]] = {
     "final_angle": (float, "rad, as final_horizontal"),
     "final_misalignment": (float, "m, distance of the centres of a charged docking; NaN = not charged"),
     "clearance": (float, "m, truth at the outcome, between the nearest wrong bars; NaN = not in contact"),
-    "felt_horizontal": (float, "m, last estimate"),
-    "felt_horizontal_stddev": (float, "m, its reported standard deviation"),
-    "felt_vertical": (float, "m, last estimate"),
-    "felt_angle": (float, "rad, last estimate"),
+    "estimated_horizontal": (float, "m, last estimate"),
+    "estimated_horizontal_stddev": (float, "m, its reported standard deviation"),
+    "estimated_vertical": (float, "m, last estimate"),
+    "estimated_angle": (float, "rad, last estimate"),
     "estimates": (int, "estimates of the misalignment up to the outcome"),
     **{
         f"{which}_{axis}_{what}": (float, f"{unit}, {about} of the {which} estimate made in contact")
         for which in ("first", "last")
-        for axis, unit in zip(feeling.AXES, ("m", "m", "rad"), strict=True)
+        for axis, unit in zip(estimates.AXES, ("m", "m", "rad"), strict=True)
         for what, about in (("error", "estimate − truth"), ("stddev", "reported standard deviation"))
     },
     "last_across_stddev": (float, "m, reported standard deviation across the bars of the last estimate in contact"),
@@ -84,7 +84,7 @@ RESULTS: dict[str, tuple[type, str]] = {
     "error": (str, "of a docking that crashed, else empty"),
 }
 """Result columns, with type, unit and meaning."""
-_FELT = tuple(name for name in RESULTS if name.startswith("felt_"))
+_ESTIMATED = tuple(name for name in RESULTS if name.startswith("estimated_"))
 
 
 def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
@@ -130,7 +130,7 @@ def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact
 def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict[str, Any]:
     """Run one docking to its outcome and return the columns of `RESULTS`."""
     charger = make_charger(drawn, exact)
-    felt, effort = Felt(charger, drawn.estimator, drawn.seed), Effort(charger)
+    log, effort = EstimateLog(charger, drawn.estimator, drawn.seed), Effort(charger)
     nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
     try:
@@ -148,8 +148,8 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
             nudging.look()
         if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
             above += charger.now - before
-    felt.frozen = True
-    row = result(charger, charger.outcome, above) | _estimates(felt)
+    log.frozen = True
+    row = result(charger, charger.outcome, above) | _estimates(log)
     if charger.machine.status.charging:
         watched = SECONDS
         if nudging is not None:
@@ -177,7 +177,7 @@ def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
 
 def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:
     """Return columns of `RESULTS` at the `outcome` of a docking; later ones are empty."""
-    truth, felt = charger.world.snapshot(), outcome.estimate
+    truth, estimate = charger.world.snapshot(), outcome.estimate
     x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)
     return _nothing() | {
         "code": int(outcome.code),
@@ -188,9 +188,9 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "time": outcome.elapsed,
         "moves": outcome.alignments + outcome.redockings,
         "contact_current": outcome.contact_current,
-        "told_push": outcome.contact_force,
+        "reported_push": outcome.contact_force,
         "true_push": truth.push if outcome.success else math.nan,
-        "believed_stiffness": charger.machine.planner.springs.stiffness,
+        "assumed_stiffness": charger.machine.planner.springs.stiffness,
         "charge_current": outcome.charge_current,
         "time_above_band": above,
         "final_horizontal": x,
@@ -198,7 +198,11 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "final_angle": angle,
         "final_misalignment": math.hypot(x, y) if outcome.success else math.nan,
         "clearance": truth.clearance,
-        **({} if felt is None else {name: getattr(felt, name.removeprefix("felt_")) for name in _FELT}),
+        **(
+            {}
+            if estimate is None
+            else {name: getattr(estimate, name.removeprefix("estimated_")) for name in _ESTIMATED}
+        ),
         **_record(charger),
     }
 
@@ -219,17 +223,17 @@ def _record(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def _estimates(felt: Felt) -> dict[str, Any]:
+def _estimates(log: EstimateLog) -> dict[str, Any]:
     """Return the first and the last estimate with the truth."""
-    row: dict[str, Any] = {"estimates": felt.count}
-    for which, kept in (("first", felt.first), ("last", felt.last)):
+    row: dict[str, Any] = {"estimates": log.count}
+    for which, kept in (("first", log.first), ("last", log.last)):
         if kept is None:
             continue
-        for axis in feeling.AXES:
+        for axis in estimates.AXES:
             row[f"{which}_{axis}_error"], row[f"{which}_{axis}_stddev"] = kept.error[axis], kept.stddev[axis]
-    if felt.last is not None:
-        row["last_clearance"] = felt.last.clearance
-        row["last_across_stddev"] = felt.last.across_stddev
+    if log.last is not None:
+        row["last_clearance"] = log.last.clearance
+        row["last_across_stddev"] = log.last.across_stddev
     return row
 
 

@@ -12,13 +12,13 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.disturbances import Nudge
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.pads import FIRST
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family, target_lean
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_lab.campaigns.told import told_geometry
 from deltacharger_sim.parameters import TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import SecondParameters
@@ -100,7 +100,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         seed=source("seed").getrandbits(31),
         rig_seed=source("rig").getrandbits(31),
         estimator=EstimatorErrors(**nested(values, "estimator")),
-        geometry=told_geometry(values),
+        geometry=assumed_geometry(values),
         pads=str(values.get("pads", FIRST)),
         second=second_family(values),
         high_row=float(values.get("taxels.high_row", 0.0)),

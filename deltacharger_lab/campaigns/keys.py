@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 from deltacharger_core.parameters import Declaration, choice, declared, flag, like, number
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.assumed import Assumed
 from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
 from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
-from deltacharger_lab.campaigns.told import Told
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 from deltacharger_tactile.second.parameters import SecondParameters
@@ -131,7 +131,7 @@ class _Campaign:
     hand_eye: _HandEye = field(default_factory=_HandEye)
     gravity: _Gravity = field(default_factory=_Gravity)
     estimator: EstimatorErrors = field(default_factory=EstimatorErrors)
-    told: Told = field(default_factory=Told)
+    assumed: Assumed = field(default_factory=Assumed)
     taxels: Taxels = field(default_factory=Taxels)
     parked: Parked = field(default_factory=Parked)
     nudge: Nudge = field(default_factory=Nudge)
@@ -146,9 +146,9 @@ TAKEN = {
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
     "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",
-    "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give told.servo_stiffness",
-    "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give told.torque_constant",
-    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or told.gravity_tilt" for axis in "xyz"},
+    "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
+    "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
+    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or assumed.gravity_tilt" for axis in "xyz"},
     "docking.approach": "give --approach",
 }
 """Keys of world and docking that a campaign sets itself, with the keys to give instead."""

@@ -10,8 +10,8 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import declared, from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.campaigns.assumed import assumed_gravity, tilted_gravity
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import PlatformRestParameters, SecondParameters
@@ -37,13 +37,13 @@ def build_parts(
     target["tilt_x"], target["tilt_y"] = target_lean(values)
     content.update(_axes(gravity))
     world = from_mapping(content, WorldParameters, "world")
-    factor, constant = (float(values.get(f"told.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
+    factor, constant = (float(values.get(f"assumed.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
     given: dict[str, Any] = {
         "approach": approach,
         "servo_stiffness": factor * world.servo.stiffness,
         "torque_constant": constant * world.servo.torque_constant,
         "power": "none" if world.circuit.wired else "board",
-        **_axes(told_gravity(values, gravity)),
+        **_axes(assumed_gravity(values, gravity)),
     }
     if world.magnets.force == 0.0:  # a charger built without magnets is known to have none
         given["magnet_force"] = 0.0

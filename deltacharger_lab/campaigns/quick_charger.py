@@ -85,8 +85,8 @@ class QuickCharger(VirtualCharger):
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
         self._segment = 0
         self._current = math.nan  # A, into the target at the last observation
-        self._most_felt = 0.0  # N on the taxel with the largest reading
-        self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
+        self._largest = 0.0  # N on the taxel with the largest reading
+        self._read_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
@@ -202,17 +202,17 @@ class QuickCharger(VirtualCharger):
         """Return whether some taxel reads 1 N; a hardly changed contact is not computed again."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
         if (self.excess is None and pose is None) or not self._tared:
-            self._felt_at = None
+            self._read_at = None
             return False
         if self.excess is not None or not self._proportional:
             return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
         assert pose is not None
-        known = self._felt_at
+        known = self._read_at
         if known is None or not self._is_known(known, pose, force):
             frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.lean)[0]
-            self._most_felt = float(np.nanmax(frame - self.baseline))
-            self._felt_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
-        return self._most_felt * force >= CONTACT_FORCE * known[3]
+            self._largest = float(np.nanmax(frame - self.baseline))
+            self._read_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
+        return self._largest * force >= CONTACT_FORCE * known[3]
 
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
         """Return whether the last reading still holds: same contact and place, same force or far from threshold.
@@ -226,7 +226,7 @@ class QuickCharger(VirtualCharger):
             return False
         if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
             return False
-        far = self.world.mechanics.lean is None and abs(self._most_felt * force / pressed - CONTACT_FORCE) > _SURELY
+        far = self.world.mechanics.lean is None and abs(self._largest * force / pressed - CONTACT_FORCE) > _SURELY
         return far or abs(force - pressed) < _SAME_FORCE * pressed
 
     def _yaw(self) -> float:

@@ -96,7 +96,7 @@ class _Keeper:
         self.number = 0
         self._charger, self._recording = charger, recording
         self._since = 0.0
-        self._felt: dict[str, Any] = {}
+        self._sensed: dict[str, Any] = {}
 
     def begin(self, number: int) -> None:
         self.number = self.numbers[number]
@@ -114,11 +114,11 @@ class _Keeper:
         tared = (raw - charger.baseline).clip(min=0.0)
         frames = tared.reshape(recording.rows, recording.frames, *raw.shape[1:]).mean(axis=1)
         force = charger.world.mechanics.contact_force
-        self._felt = {"pose": pose, "force": force, "baseline": charger.baseline, "frames": frames}
+        self._sensed = {"pose": pose, "force": force, "baseline": charger.baseline, "frames": frames}
         return True
 
     def keep(self, touch: Rested) -> None:
-        known = {"commanded": touch.commanded, "current": touch.current, **self._felt}
+        known = {"commanded": touch.commanded, "current": touch.current, **self._sensed}
         self.touches.append(Pressed(self.number, self.session, **known))
 
     def kept(self) -> bool:
@@ -191,14 +191,14 @@ def dataset(recording: Protocol, touches: Sequence[tuple[Part, Pressed]]) -> Dat
     def column(values: Sequence[Any]) -> NDArray[Any]:
         return np.repeat(np.array(values), rows, axis=0)
 
-    felt = np.concatenate([touch.frames for _, touch in touches])
-    dead = np.isnan(felt)
-    felt = np.where(dead | (felt < recording.threshold), 0.0, felt).astype(np.float32)
+    loads = np.concatenate([touch.frames for _, touch in touches])
+    dead = np.isnan(loads)
+    loads = np.where(dead | (loads < recording.threshold), 0.0, loads).astype(np.float32)
     sessions = {name: index for index, name in enumerate(dict.fromkeys((p.name, t.session) for p, t in touches))}
     parameters = TactileParameters()
     return Dataset(
-        left=felt[:, 0],
-        right=felt[:, 1],
+        left=loads[:, 0],
+        right=loads[:, 1],
         tare=column([np.nan_to_num(touch.baseline) for _, touch in touches]).astype(np.float32),
         dead=dead,
         angle=column([math.radians(part.angle_deg) for part, _ in touches]),
@@ -207,7 +207,7 @@ def dataset(recording: Protocol, touches: Sequence[tuple[Part, Pressed]]) -> Dat
         contact_pose=column([touch.pose for _, touch in touches]),
         attempt=column(range(len(touches))),
         session=column([sessions[part.name, touch.session] for part, touch in touches]),
-        rig=np.full(len(felt), recording.rig),
+        rig=np.full(len(loads), recording.rig),
         subset=column([SUBSETS[part.set] for part, _ in touches]),
         current=column([touch.current for _, touch in touches]),
         force=column([touch.force for _, touch in touches]),

@@ -11,16 +11,28 @@ from typing import Any
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
+from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.contradictions import refuse_contradictions
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
-from deltacharger_lab.campaigns.told import told_geometry
 from deltacharger_scenes.scene import find_file, packaged_files, read_file
 
 DEFAULT = "default"
 SECTIONS = (
-    *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "told", "taxels", "pads", "parked"),
+    *(
+        "target",
+        "shift",
+        "electrode",
+        "camera",
+        "hand_eye",
+        "gravity",
+        "estimator",
+        "assumed",
+        "taxels",
+        "pads",
+        "parked",
+    ),
     *("nudge", "world", "tactile", "second", "docking"),
 )
 _BASE = "based_on"
@@ -203,7 +215,7 @@ def _check_contradictions(scene: CampaignScene) -> None:
     for values in listed:
         for end in (0, 1):
             corner = {name: spread.ends[end] for name, spread in scene.spreads.items()}
-            told_geometry({**corner, **values})
+            assumed_geometry({**corner, **values})
             build_parts({**corner, **values}, "guarded")
 
 

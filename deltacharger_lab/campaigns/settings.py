@@ -21,9 +21,12 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
     *("driver/errors.py", "driver/servos/mx64.py"),
-    *(f"lab/campaigns/{name}.py" for name in ("contradictions", "disturbances", "docking", "draw", "felt", "keys")),
+    *(
+        f"lab/campaigns/{name}.py"
+        for name in ("contradictions", "disturbances", "docking", "draw", "estimates", "keys")
+    ),
     *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "quick_charger", "quick_motion", "scene")),
-    *(f"lab/campaigns/{name}.py" for name in ("servo_load", "spread", "told", "virtual_charger")),
+    *(f"lab/campaigns/{name}.py" for name in ("servo_load", "spread", "assumed", "virtual_charger")),
 )
 
 

@@ -33,5 +33,5 @@ def test_an_old_parameter_is_refused_by_the_new_name(old: str) -> None:
 
 
 def test_a_campaign_based_on_an_old_one_is_refused_by_the_new_name() -> None:
-    with pytest.raises(ParameterError, match="told_stiffness"):
+    with pytest.raises(ParameterError, match="assumed_stiffness"):
         parse_campaign_scene({"based_on": "unmeasured"}, "mine")

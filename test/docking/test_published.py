@@ -23,7 +23,7 @@ ZERO: Step = (0.0, 0.0)
 RULE = {"published_clearance_rule": True}
 
 
-class Told:
+class Assumed:
     """Decisions and estimates of a docking; its estimates have scripted classes in place of the CNN's.
 
     Attributes:
@@ -60,10 +60,10 @@ class Told:
         return [each for each in self.decisions if each.kind == kind]
 
 
-def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Told:
+def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Assumed:
     """A charger of `approach: published` with its scripted estimates and these parameters."""
     parameters = {"approach": "published", **more.pop("parameters", {})}
-    return Told(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
+    return Assumed(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
 
 
 def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
@@ -206,7 +206,7 @@ def unproven(observation: Observation) -> Observation:
     return replace(observation, simulated=False)
 
 
-def real(scripted: Told) -> Told:
+def real(scripted: Assumed) -> Assumed:
     """The same charger, not known to be simulated."""
     run, observe = scripted.run, scripted.run.observe
     run.observe = lambda: unproven(observe())  # type: ignore[method-assign]

@@ -178,7 +178,7 @@ def test_before_the_nudge_the_docking_is_unchanged() -> None:
     plain = dock_once(load_campaign_scene("default"), 7, 1, "guarded")
     content = {"based_on": "default", "nudge": {"y": 0.002, "roll": 0.02}}
     row = dock_once(parse_campaign_scene(content, "x"), 7, 1, "guarded")
-    for name in ("seed", "goal_x", "place_y", "time", "final_vertical", "felt_angle", "moves", "last_clearance"):
+    for name in ("seed", "goal_x", "place_y", "time", "final_vertical", "estimated_angle", "moves", "last_clearance"):
         assert row[name] == plain[name], name
 
 
@@ -231,7 +231,7 @@ def test_the_pose_model_is_the_named_one() -> None:
     for name, threshold in zip(("packaged", "1N"), MODEL_PATHS, strict=True):
         drawn = draw(parse_campaign_scene({**QUICK, "estimator": {"model": name}}, "x"), 3, 0, "guarded")
         charger = make_charger(drawn, False)
-        docking.Felt(charger, drawn.estimator, drawn.seed)
+        docking.EstimateLog(charger, drawn.estimator, drawn.seed)
         assert charger.model.threshold == threshold
     assert pads.pose_model_from_one_newton() is pads.pose_model_from_one_newton()
 
@@ -257,16 +257,16 @@ def test_pads_with_a_dead_band_are_read_again(dead_band: bool, monkeypatch: pyte
     drawn = draw(parse_campaign_scene({**QUICK, "pads": "second"}, "x"), 3, 0, "guarded")
     charger = make_charger(drawn, False)
     charger.begin(docking.DockGoal(drawn.goal))
-    felt = []
-    while charger.outcome is None and len(felt) < 400:
+    found = []
+    while charger.outcome is None and len(found) < 400:
         charger.tick()
         if charger._tared and charger.world.misalignment is not None:
             seen = charger.observe().tactile_contact
             most = float(np.nanmax(charger.feel(1, 0.0)[0] - charger.baseline))
             if abs(most - 1.0) > 0.4:
-                felt.append((seen, most >= 1.0))
-    assert len(felt) > 20
-    assert all(seen is felt_now for seen, felt_now in felt)
+                found.append((seen, most >= 1.0))
+    assert len(found) > 20
+    assert all(seen is felt_now for seen, felt_now in found)
 
 
 @pytest.mark.parametrize("exact", [False, True])

@@ -116,4 +116,4 @@ def test_noise_of_the_estimator_reaches_the_estimate() -> None:
     clean = dock_once(scene(), 3, 0, "guarded")
     noisy = dock_once(scene({**QUICK, "estimator": {"position_stddev": 0.003}}), 3, 0, "guarded")
     assert noisy["moves"] != clean["moves"] or noisy["final_misalignment"] != clean["final_misalignment"]
-    assert not math.isnan(noisy["felt_horizontal"])
+    assert not math.isnan(noisy["estimated_horizontal"])

@@ -202,7 +202,7 @@ def test_headlines_are_listed_with_every_contradicting_campaign() -> None:
     names = {part.name: part for part in PARTS}
     beside = {world.name for world in grounds.WORLDS}
     assert beside <= names.keys()
-    contradicting = {name for name in names if name.startswith(("told_", "second", "random_second"))}
+    contradicting = {name for name in names if name.startswith(("assumed_", "second", "random_second"))}
     assert contradicting | {"high_row", "parked", "nudged"} <= beside
     parts = {name: docking_summary.summarise(rows(4)) for name in ("default", "second")}
     assert [world.name for world, _ in grounds.worlds(parts)] == ["default", "second"]
@@ -226,9 +226,9 @@ def leaning(yaws: list[float], pitches: list[float], **changes: Any) -> Columns:
         "contacts": 1,
         "lifted_live": 0,
         "bar_heat": 0.1,
-        "felt_horizontal": 0.002,
+        "estimated_horizontal": 0.002,
     }
-    found = rows(len(yaws), **(usual | {"felt_horizontal_stddev": 0.0005} | changes))
+    found = rows(len(yaws), **(usual | {"estimated_horizontal_stddev": 0.0005} | changes))
     tilts = {"y": yaws, "x": pitches}
     return found | {f"world.target.tilt_{axis}": np.radians(each) for axis, each in tilts.items()}
 
@@ -259,8 +259,8 @@ def test_late_or_unnamed_refusals_do_not_count_as_soon() -> None:
 
 
 def test_the_reported_offset_is_compared_with_the_electrodes_rest() -> None:
-    assert lean.figures(leaning([0.0], [0.0]))["told"]["rms"] == pytest.approx((0.002 - 0.001) / 0.0005)
-    assert lean.figures(leaning([0.0], [0.0], charged=False, code_name="LEANING"))["told"]["n"] == 0
+    assert lean.figures(leaning([0.0], [0.0]))["reported"]["rms"] == pytest.approx((0.002 - 0.001) / 0.0005)
+    assert lean.figures(leaning([0.0], [0.0], charged=False, code_name="LEANING"))["reported"]["n"] == 0
 
 
 @pytest.mark.parametrize(

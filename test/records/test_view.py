@@ -196,7 +196,7 @@ def test_a_calibrated_geometry_is_drawn(docking: Path, tmp_path: Path, capsys: p
 
     scene = tmp_path / "long.yaml"
     scene.write_text("parameters: {kinematics_node: {arm: 0.11}}\nsimulation: {}\n")
-    settled = tmp_path / "told.mcap"
+    settled = tmp_path / "assumed.mcap"
     file = McapFile(docking)
     with McapWriter(settled, {topic: ServoState for topic in file.types if topic.endswith("/servo_state")}) as writer:
         for message in itertools.islice((each for each in file.messages() if each.topic.endswith("/servo_state")), 50):

@@ -14,13 +14,13 @@ from deltacharger_lab.reports.docking import summary
 from deltacharger_lab.reports.docking.summary import Array, Columns, Figures
 from deltacharger_lab.reports.report import at_least, at_most, none
 
-STIFFNESS = ("told_stiffness", "told_stiffness_exact")
+STIFFNESS = ("assumed_stiffness", "assumed_stiffness_exact")
 """Campaigns in which docking assumes a quarter to four times the servos' true stiffness."""
-SCENES = ("default", *STIFFNESS, "soft_servos", "told_torque_constant", "calibrated")
+SCENES = ("default", *STIFFNESS, "soft_servos", "assumed_torque_constant", "calibrated")
 """Campaigns of the table, if they were run."""
 BINS = (2.0, 3.0, 6.0, 12.0, 25.0, 40.0)  # N·m/rad
 CHARGED_LEAST, BAND_LEAST, SECONDS_MOST = 99.0, 99.0, 12.0  # %, % and s
-PUSH_MOST = {"told_torque_constant": 25.0, "calibrated": 5.0}  # %, of 95 in 100
+PUSH_MOST = {"assumed_torque_constant": 25.0, "calibrated": 5.0}  # %, of 95 in 100
 
 
 def figures(rows: Columns) -> Figures:
@@ -33,8 +33,8 @@ def figures(rows: Columns) -> Figures:
         "stuck": total["refused"].get(Code.STUCK.name, 0),
         "unsafe": total["unsafe"]["hits"],
         "shorts": total["shorts"],
-        "push": _sizes((rows["told_push"] / rows["true_push"] - 1.0)[charged]),
-        "felt": _sizes((rows["believed_stiffness"] / true - 1.0)[charged]),
+        "push": _sizes((rows["reported_push"] / rows["true_push"] - 1.0)[charged]),
+        "stiffness": _sizes((rows["assumed_stiffness"] / true - 1.0)[charged]),
         "bins": [
             {"low": low, "high": high, "charged": each["charged"], "time": each["time"], "n": each["n"]}
             for low, high, inside in summary.binned(rows, true, BINS)
@@ -78,4 +78,4 @@ def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
     for name, most in PUSH_MOST.items():
         yield at_least(f"contact current at rest in 0.4–0.5 A, {name}", share(name, "in_band"), 100.0, "%")
         error = found[name]["push"]["p95"] if name in found else None
-        yield at_most(f"error of the told push, {name}, 95 % of dockings", error, most, "%")
+        yield at_most(f"error of the reported push, {name}, 95 % of dockings", error, most, "%")

@@ -97,14 +97,14 @@ def figures(rows: Columns) -> Figures:
         "lifted": int(np.sum(rows["lifted_live"] > 0)),
         "shorts": int(np.sum(rows["shorts"])),
         "bar_heat": summary.quantiles(rows["bar_heat"]),
-        "told": reported_offset_errors(rows),
+        "reported": reported_offset_errors(rows),
     }
 
 
 def reported_offset_errors(rows: Columns) -> Figures:
     """Return the errors of the offset along the bars that charged dockings reported at their outcome."""
-    error = (rows["felt_horizontal"] - rows["final_horizontal"]).astype(float)
-    stddev = rows["felt_horizontal_stddev"].astype(float)
+    error = (rows["estimated_horizontal"] - rows["final_horizontal"]).astype(float)
+    stddev = rows["estimated_horizontal_stddev"].astype(float)
     known = rows["charged"].astype(bool) & np.isfinite(error) & (stddev > 0.0)
     z = error[known] / stddev[known]
     size = {"n": len(z), "rms": math.nan, "max": math.nan, "error": math.nan, "stddev": math.nan}

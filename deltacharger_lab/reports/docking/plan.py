@@ -71,14 +71,19 @@ PARTS = (
     CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
     CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
     CampaignPart(
-        "told_stiffness", "told_stiffness", 2_000, "`default`, servos of 2–40 N·m/rad, assumed ¼ to 4 times as stiff"
+        "assumed_stiffness",
+        "assumed_stiffness",
+        2_000,
+        "`default`, servos of 2–40 N·m/rad, assumed ¼ to 4 times as stiff",
     ),
     CampaignPart(
-        "told_torque_constant", "told_torque_constant", 2_000, "`default`, assumed torque constant wrong by 20 %"
+        "assumed_torque_constant", "assumed_torque_constant", 2_000, "`default`, assumed torque constant wrong by 20 %"
     ),
     CampaignPart("calibrated", "calibrated", 2_000, "the same arms after `deltacharger calibrate servos`"),
-    CampaignPart("told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10°, unknown to docking"),
-    CampaignPart("told_geometry", "told_geometry", 1_000, "`default`, arms built inaccurately and not calibrated"),
+    CampaignPart("assumed_gravity", "assumed_gravity", 1_000, "`default`, on slopes of up to 10°, unknown to docking"),
+    CampaignPart(
+        "assumed_geometry", "assumed_geometry", 1_000, "`default`, arms built inaccurately and not calibrated"
+    ),
     CampaignPart("high_row", "high_row", 2_000, "`default`, a row of taxels reads 1–2 N too much after the tare"),
     CampaignPart("parked", "parked", 1_000, "`default`, robots that stand askew by up to 5°"),
     CampaignPart("nudged", "nudged", 1_000, "`default`, targets that are moved while they charge"),
@@ -98,7 +103,9 @@ PARTS = (
     CampaignPart("second_upright", "second_upright", 500, "`upright`, pads and bars of the second contact physics"),
     CampaignPart("lean2_exact", "lean2", 500, "`lean2`, every tick and frame computed", exact=True),
     CampaignPart("lean5_exact", "lean5", 500, "`lean5`, every tick and frame computed", exact=True),
-    CampaignPart("told_stiffness_exact", "told_stiffness", 500, "`told_stiffness`, every tick and frame", exact=True),
+    CampaignPart(
+        "assumed_stiffness_exact", "assumed_stiffness", 500, "`assumed_stiffness`, every tick and frame", exact=True
+    ),
     CampaignPart("rigid_exact", "rigid", 500, "`rigid`, every tick and frame computed", exact=True),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),

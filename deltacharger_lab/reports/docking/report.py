@@ -27,7 +27,7 @@ _PAIRS = (
     ("random", "published_clearance"),
     ("exact", "random"),
     ("strike", "default"),
-    *((f"{name}_exact", name) for name in ("told_stiffness", "rigid", "lean2", "lean5")),
+    *((f"{name}_exact", name) for name in ("assumed_stiffness", "rigid", "lean2", "lean5")),
 )
 _UNCHARGED_MOST = 60  # rows listed one by one
 

@@ -247,8 +247,8 @@ def estimated_clearance(rows: Columns, sigmas: float) -> Array:
 
     known = DockingParameters()
     gap, half = known.electrode_half_gap, known.electrode_half_length
-    angle = rows["felt_angle"].astype(float)
-    across = rows["felt_vertical"] * np.cos(angle) - rows["felt_horizontal"] * np.sin(angle)
+    angle = rows["estimated_angle"].astype(float)
+    across = rows["estimated_vertical"] * np.cos(angle) - rows["estimated_horizontal"] * np.sin(angle)
     slope = gap * np.abs(np.sin(angle)) + half * np.cos(angle)
     spread = np.hypot(slope * rows["last_angle_stddev"], rows["last_across_stddev"])
     clear = gap * (1.0 + np.cos(angle)) - half * np.abs(np.sin(angle)) - np.abs(across)

@@ -14,11 +14,11 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_lab.campaigns.assumed import Assumed, assumed_geometry
 from deltacharger_lab.campaigns.docking import dock_once, make_charger
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
-from deltacharger_lab.campaigns.told import Told, told_geometry
 from deltacharger_sim.parameters import ServoParameters
 
 from .campaigns import QUICK, comparable
@@ -27,19 +27,19 @@ from .campaigns import QUICK, comparable
 @pytest.mark.parametrize(
     ("content", "key", "problem"),
     [
-        ({"told": {"servo_stifness": 2.0}}, "told.servo_stifness", "did you mean 'servo_stiffness'"),
-        ({"told": {"servo_stiffness": 5.0}}, "told.servo_stiffness", "0.25 to 4"),
-        ({"told": {"torque_constant": [0.4, 1.0]}}, "told.torque_constant[0]", "0.5 to 2"),
-        ({"told": {"geometry": {"arms": 0.001}}}, "told.geometry.arms", "did you mean 'arm'"),
-        ({"told": {"geometry": {"limb_3": {"arm": 0.001}}}}, "told.geometry.limb_3", "did you mean 'limb_"),
-        ({"told": {"geometry": {"limb_0": {"arm": 0.01}}}}, "told.geometry.limb_0.arm", "-0.005 to 0.005 m"),
-        ({"told": {"gravity_azimuth": 1.0}}, "told.gravity_azimuth", "no effect"),
-        ({"told": {"gravity_tilt": 0.0, "gravity_azimuth": 1.0}}, "told.gravity_azimuth", "no effect"),
-        ({"told": {"gravity_tilt": 0.1}, "gravity": {"tilt": 0.1, "known": False}}, "gravity.known", "contradicts"),
-        ({"docking": {"servo_stiffness": 9.0}}, "docking.servo_stiffness", "give told.servo_stiffness"),
-        ({"docking": {"torque_constant": 1.2}}, "docking.torque_constant", "give told.torque_constant"),
-        ({"docking": {"gravity_x": 1.2}}, "docking.gravity_x", "told.gravity_tilt"),
-        ({"dockings": [{"told": {"gravity_azimuth": 1.0}}]}, "told.gravity_azimuth", "no effect"),
+        ({"assumed": {"servo_stifness": 2.0}}, "assumed.servo_stifness", "did you mean 'servo_stiffness'"),
+        ({"assumed": {"servo_stiffness": 5.0}}, "assumed.servo_stiffness", "0.25 to 4"),
+        ({"assumed": {"torque_constant": [0.4, 1.0]}}, "assumed.torque_constant[0]", "0.5 to 2"),
+        ({"assumed": {"geometry": {"arms": 0.001}}}, "assumed.geometry.arms", "did you mean 'arm'"),
+        ({"assumed": {"geometry": {"limb_3": {"arm": 0.001}}}}, "assumed.geometry.limb_3", "did you mean 'limb_"),
+        ({"assumed": {"geometry": {"limb_0": {"arm": 0.01}}}}, "assumed.geometry.limb_0.arm", "-0.005 to 0.005 m"),
+        ({"assumed": {"gravity_azimuth": 1.0}}, "assumed.gravity_azimuth", "no effect"),
+        ({"assumed": {"gravity_tilt": 0.0, "gravity_azimuth": 1.0}}, "assumed.gravity_azimuth", "no effect"),
+        ({"assumed": {"gravity_tilt": 0.1}, "gravity": {"tilt": 0.1, "known": False}}, "gravity.known", "contradicts"),
+        ({"docking": {"servo_stiffness": 9.0}}, "docking.servo_stiffness", "give assumed.servo_stiffness"),
+        ({"docking": {"torque_constant": 1.2}}, "docking.torque_constant", "give assumed.torque_constant"),
+        ({"docking": {"gravity_x": 1.2}}, "docking.gravity_x", "assumed.gravity_tilt"),
+        ({"dockings": [{"assumed": {"gravity_azimuth": 1.0}}]}, "assumed.gravity_azimuth", "no effect"),
     ],
 )
 def test_what_is_refused(content: dict[str, Any], key: str, problem: str) -> None:
@@ -50,11 +50,11 @@ def test_what_is_refused(content: dict[str, Any], key: str, problem: str) -> Non
 
 
 def test_assumed_stiffness_and_torque_constant_do_not_change_the_true_ones() -> None:
-    world, _, docking = build_parts({"world.servo.stiffness": 5.0, "told.servo_stiffness": 2.5}, "guarded")
+    world, _, docking = build_parts({"world.servo.stiffness": 5.0, "assumed.servo_stiffness": 2.5}, "guarded")
     assert (world.servo.stiffness, docking.servo_stiffness) == (5.0, 12.5)
     world, _, docking = build_parts({"world.servo.torque_constant": 1.2}, "guarded")
     assert (world.servo.torque_constant, docking.torque_constant) == (1.2, 1.2)
-    world, _, docking = build_parts({"told.torque_constant": 0.8}, "guarded")
+    world, _, docking = build_parts({"assumed.torque_constant": 0.8}, "guarded")
     assert world.servo.torque_constant == TORQUE_CONSTANT
     assert docking.torque_constant == pytest.approx(0.8 * TORQUE_CONSTANT)
 
@@ -65,7 +65,7 @@ def test_every_stiffness_may_be_assumed_wrong_by_every_factor(true: str, factor:
         {key.name: key for key in declared(of)}[name]
         for of, name in (
             (ServoParameters, "stiffness"),
-            (Told, "servo_stiffness"),
+            (Assumed, "servo_stiffness"),
             (DockingParameters, "servo_stiffness"),
         )
     )
@@ -74,7 +74,7 @@ def test_every_stiffness_may_be_assumed_wrong_by_every_factor(true: str, factor:
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_a_servos_current_bound_follows_from_the_assumed_constant(exact: bool) -> None:
-    scene = parse_campaign_scene({**QUICK, "told": {"torque_constant": 0.8}}, "x")
+    scene = parse_campaign_scene({**QUICK, "assumed": {"torque_constant": 0.8}}, "x")
     charger = make_charger(draw(scene, 3, 0, "guarded"), exact)
     charger._trajectory = (Waypoint(1.0, (0.0, 0.0, 0.0), (0.3, 0.6, 0.9)),)
     charger._servos()
@@ -92,25 +92,29 @@ def test_assumed_gravity_differs_by_the_given_angle(true: tuple[float, float]) -
     assumed = []
     for azimuth in (0.0, 0.5 * math.pi):
         world, _, docking = build_parts(
-            {**stands, "told.gravity_tilt": 0.2, "told.gravity_azimuth": azimuth}, "guarded"
+            {**stands, "assumed.gravity_tilt": 0.2, "assumed.gravity_azimuth": azimuth}, "guarded"
         )
         down = world.gravity_x, world.gravity_y, world.gravity_z
         assert angle(docking.gravity, down) == pytest.approx(0.2)
         assert math.hypot(*docking.gravity) == pytest.approx(GRAVITY_STRENGTH)
         assumed.append(docking.gravity)
     assert angle(*assumed) == pytest.approx(math.acos(math.cos(0.2) ** 2))
-    world, _, docking = build_parts({**stands, "told.gravity_tilt": 0.0}, "guarded")
+    world, _, docking = build_parts({**stands, "assumed.gravity_tilt": 0.0}, "guarded")
     assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
-    level, _, docking = build_parts({"told.gravity_tilt": 0.2, "told.gravity_azimuth": 0.5 * math.pi}, "guarded")
+    level, _, docking = build_parts({"assumed.gravity_tilt": 0.2, "assumed.gravity_azimuth": 0.5 * math.pi}, "guarded")
     assert docking.gravity[0] == pytest.approx(GRAVITY_STRENGTH * math.sin(0.2))
     assert (level.gravity_x, level.gravity_z) == (0.0, 0.0)
 
 
 def test_assumed_geometry_is_the_true_one_plus_error() -> None:
-    assert told_geometry({"target.x": 0.01}) is None
-    assert told_geometry({"told.geometry.arm": 0.0}) is None
-    values = {"told.geometry.arm": 0.001, "told.geometry.limb_1.arm": 0.0005, "told.geometry.limb_2.angle_offset": 0.01}
-    assumed, true = told_geometry(values), DeltaGeometry()
+    assert assumed_geometry({"target.x": 0.01}) is None
+    assert assumed_geometry({"assumed.geometry.arm": 0.0}) is None
+    values = {
+        "assumed.geometry.arm": 0.001,
+        "assumed.geometry.limb_1.arm": 0.0005,
+        "assumed.geometry.limb_2.angle_offset": 0.01,
+    }
+    assumed, true = assumed_geometry(values), DeltaGeometry()
     assert assumed is not None
     assert assumed.limb(0).arm == pytest.approx(true.arm + 0.001)
     assert assumed.limb(1).arm == pytest.approx(true.arm + 0.0015)
@@ -120,7 +124,7 @@ def test_assumed_geometry_is_the_true_one_plus_error() -> None:
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_docking_moves_by_the_assumed_geometry_in_the_true_world(exact: bool) -> None:
-    content = {**QUICK, "told": {"geometry": {"limb_0": {"angle_offset": 0.01}}}}
+    content = {**QUICK, "assumed": {"geometry": {"limb_0": {"angle_offset": 0.01}}}}
     drawn = draw(parse_campaign_scene(content, "x"), 3, 0, "guarded")
     charger = make_charger(drawn, exact)
     assert charger.world.geometry == DeltaGeometry()
@@ -135,7 +139,9 @@ def test_docking_moves_by_the_assumed_geometry_in_the_true_world(exact: bool) ->
 
 
 @pytest.mark.parametrize("exact", [False, True])
-@pytest.mark.parametrize("name", ["told_stiffness", "told_torque_constant", "told_gravity", "told_geometry"])
+@pytest.mark.parametrize(
+    "name", ["assumed_stiffness", "assumed_torque_constant", "assumed_gravity", "assumed_geometry"]
+)
 def test_a_packaged_scene_docks(name: str, exact: bool) -> None:
     row = dock_once(load_campaign_scene(name), 7, 0, "guarded", exact)
     assert row["error"] == ""
@@ -143,7 +149,7 @@ def test_a_packaged_scene_docks(name: str, exact: bool) -> None:
 
 
 def test_pairs_stay_pairs() -> None:
-    base, wrong = load_campaign_scene("default"), load_campaign_scene("told_geometry")
+    base, wrong = load_campaign_scene("default"), load_campaign_scene("assumed_geometry")
     for number in range(4):
         one, two = (draw(scene, 7, number, "guarded") for scene in (base, wrong))
         assert (one.world, one.goal, one.docking, one.seed) == (two.world, two.goal, two.docking, two.seed)
@@ -154,6 +160,8 @@ def test_pairs_stay_pairs() -> None:
 def test_true_assumptions_change_no_row() -> None:
     true = {"servo_stiffness": 1.0, "torque_constant": 1.0, "geometry": {"arm": 0.0, "limb_1": {"rod": 0.0}}}
     names = list(dock_once(parse_campaign_scene(QUICK, "x"), 3, 0, "guarded"))
-    rows = [dock_once(parse_campaign_scene({**QUICK, **more}, "x"), 3, 0, "guarded") for more in ({}, {"told": true})]
+    rows = [
+        dock_once(parse_campaign_scene({**QUICK, **more}, "x"), 3, 0, "guarded") for more in ({}, {"assumed": true})
+    ]
     (one,), (two,) = (comparable([{name: row[name] for name in names}]) for row in rows)
     assert one == two

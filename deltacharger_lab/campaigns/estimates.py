@@ -17,7 +17,7 @@ from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 AXES = ("horizontal", "vertical", "angle")
 
 
-class Felt:
+class EstimateLog:
     """Between the pads' model and docking: adds the drawn errors to each estimate, and keeps the first and the last.
 
     Args:
@@ -64,23 +64,23 @@ class Felt:
                 self.first = self.first or self.last
         return replace(reply, estimate=estimate)
 
-    def _spoil(self, felt: MisalignmentEstimate, truth: tuple[float, float, float] | None) -> MisalignmentEstimate:
+    def _spoil(self, estimate: MisalignmentEstimate, truth: tuple[float, float, float] | None) -> MisalignmentEstimate:
         wrong = self._errors
         gauss = self._noise.gauss
         noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
         noise += [wrong.angle_stddev * gauss(0.0, 1.0)]
-        values = {axis: getattr(felt, axis) for axis in (*AXES, "across")}
+        values = {axis: getattr(estimate, axis) for axis in (*AXES, "across")}
         if wrong.tail is not None and truth is not None:
             x, y, angle = truth
             cosine, sine = math.cos(angle), math.sin(angle)
             for axis, real in (("horizontal", x), ("across", y * cosine - x * sine), ("angle", angle)):
-                values[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
+                values[axis] = real + getattr(estimate, f"{axis}_stddev") * self._student(wrong.tail)
             values["vertical"] = (values["across"] + values["horizontal"] * sine) / cosine
         off = [getattr(wrong, f"bias_{axis}") + more for axis, more in zip(AXES, noise, strict=True)]
         moved = {axis: values[axis] + more for axis, more in zip(AXES, off, strict=True)}
-        moved["across"] = values["across"] + off[1] * math.cos(felt.angle) - off[0] * math.sin(felt.angle)
-        spread = {name: wrong.stddev_scale * getattr(felt, name) for name in (f"{axis}_stddev" for axis in values)}
-        return replace(felt, **moved, **spread)
+        moved["across"] = values["across"] + off[1] * math.cos(estimate.angle) - off[0] * math.sin(estimate.angle)
+        spread = {name: wrong.stddev_scale * getattr(estimate, name) for name in (f"{axis}_stddev" for axis in values)}
+        return replace(estimate, **moved, **spread)
 
     def _student(self, freedom: float) -> float:
         """Return a draw of Student's t, scaled to variance 1."""

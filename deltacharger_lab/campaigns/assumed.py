@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong assumptions of docking about arm and gravity: keys `told`, and the assumed values that they give."""
+"""Wrong assumptions of docking about arm and gravity: keys `assumed`, and the assumed values that they give."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from deltacharger_lab.campaigns.spread import Value
 
 _WRONG = 0.005  # m; a larger error is seen when the arm is built or measured
 _TURNED = 0.1  # rad; a zero that errs by more puts the platform 12 mm off, which homing shows
-_GEOMETRY = "told.geometry."
+_GEOMETRY = "assumed.geometry."
 _COMMON = ("base_radius", "arm", "rod", "platform_radius", "z_offset")
 
 
 @dataclass(frozen=True)
-class ToldLimb:
+class AssumedLimb:
     """Errors of docking's parameters of one limb."""
 
     radius_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of base radius − platform radius of this limb")
@@ -32,7 +32,7 @@ class ToldLimb:
 
 
 @dataclass(frozen=True)
-class ToldGeometry:
+class AssumedGeometry:
     """Errors of docking's dimensions of the arm: assumed − true."""
 
     base_radius: float = number(
@@ -42,13 +42,13 @@ class ToldGeometry:
     rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all rods")
     platform_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the platform's radius")
     z_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of the motor plane's position along z")
-    limb_0: ToldLimb = field(default_factory=ToldLimb)
-    limb_1: ToldLimb = field(default_factory=ToldLimb)
-    limb_2: ToldLimb = field(default_factory=ToldLimb)
+    limb_0: AssumedLimb = field(default_factory=AssumedLimb)
+    limb_1: AssumedLimb = field(default_factory=AssumedLimb)
+    limb_2: AssumedLimb = field(default_factory=AssumedLimb)
 
 
 @dataclass(frozen=True)
-class Told:
+class Assumed:
     """Docking's assumptions about arm and gravity."""
 
     servo_stiffness: float = number(1.0, 0.25, 4.0, "", "servo stiffness that docking assumes, over the true one")
@@ -59,19 +59,19 @@ class Told:
         0.0, 0.0, math.pi, "rad", "angle from true gravity to the gravity that docking assumes"
     )
     gravity_azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that angle, as gravity.azimuth")
-    geometry: ToldGeometry = field(default_factory=ToldGeometry)
+    geometry: AssumedGeometry = field(default_factory=AssumedGeometry)
 
 
-def told_gravity(values: Mapping[str, Value], true: Vector) -> Vector:
+def assumed_gravity(values: Mapping[str, Value], true: Vector) -> Vector:
     """Return the gravity (m/s², charger_base) that docking assumes.
 
-    `told.gravity_tilt` turns the true gravity: first −y, as `gravity.tilt` and `gravity.azimuth` do, then the result by
-    the shortest rotation that brings −y to the true direction. Without it docking assumes the true gravity if
+    `assumed.gravity_tilt` turns the true gravity: first −y, as `gravity.tilt` and `gravity.azimuth` do, then the result
+    by the shortest rotation that brings −y to the true direction. Without it docking assumes the true gravity if
     `gravity.known`, else −y.
     """
-    if "told.gravity_tilt" not in values:
+    if "assumed.gravity_tilt" not in values:
         return true if values.get("gravity.known", False) else GRAVITY
-    tilt, azimuth = float(values["told.gravity_tilt"]), float(values.get("told.gravity_azimuth", 0.0))
+    tilt, azimuth = float(values["assumed.gravity_tilt"]), float(values.get("assumed.gravity_azimuth", 0.0))
     return _turned(tilted_gravity(tilt, azimuth), true)
 
 
@@ -97,7 +97,7 @@ def _turned(vector: Vector, true: Vector) -> Vector:
     return x - share * ax - 2.0 * y * ax, y - share * (ay - 1.0) - 2.0 * y * ay, z - share * az - 2.0 * y * az
 
 
-def told_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
+def assumed_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
     """Return the dimensions that docking assumes for the arm; None = the true ones."""
     names = (name for name in values if name.startswith(_GEOMETRY))
     errors = {name.removeprefix(_GEOMETRY): float(values[name]) for name in names}
@@ -112,7 +112,7 @@ def told_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
 def _limb(common: DeltaGeometry, index: int, errors: Mapping[str, float]) -> LimbAdjustment:
     """Return the assumed differences of a limb from the common dimensions."""
     found: dict[str, Any] = {}
-    for item in declared(ToldLimb):
+    for item in declared(AssumedLimb):
         error = errors.get(f"limb_{index}.{item.name}", 0.0)
         if error:
             found[item.name] = error + (getattr(common, item.name) if item.name in ("arm", "rod") else 0.0)

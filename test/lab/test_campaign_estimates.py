@@ -14,7 +14,7 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.docking import columns, dock_once
-from deltacharger_lab.campaigns.felt import AXES, Felt
+from deltacharger_lab.campaigns.estimates import AXES, EstimateLog
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.paper import PaperClasses
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
@@ -36,27 +36,27 @@ TRUTH = (-0.002, 0.0012, 0.052)
 
 
 def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
-    """Return a charger with what `Felt` needs."""
+    """Return a charger with what `EstimateLog` needs."""
     world = SimpleNamespace(misalignment=truth, snapshot=lambda: SimpleNamespace(clearance=0.004))
     return SimpleNamespace(world=world, answer={}, model=None, parameters=DockingParameters())
 
 
-def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[MisalignmentEstimate]]:
+def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[EstimateLog, list[MisalignmentEstimate]]:
     """Return the changed `ESTIMATE`, this many times."""
     stand_in = charger()
-    felt = Felt(stand_in, errors, seed)
+    log = EstimateLog(stand_in, errors, seed)
     replies = [stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE)) for _ in range(count)]
-    return felt, [reply.estimate for reply in replies]
+    return log, [reply.estimate for reply in replies]
 
 
 def test_without_errors_an_estimate_is_unchanged() -> None:
-    felt, found = answers(EstimatorErrors(), 2)
+    log, found = answers(EstimatorErrors(), 2)
     assert found == [ESTIMATE, ESTIMATE]
-    assert felt.count == 2
-    assert felt.last is not None
-    assert felt.last.error == pytest.approx({"horizontal": -0.001, "vertical": -0.0002, "angle": -0.002})
-    assert felt.last.stddev == {axis: getattr(ESTIMATE, f"{axis}_stddev") for axis in AXES}
-    assert felt.last.clearance == 0.004
+    assert log.count == 2
+    assert log.last is not None
+    assert log.last.error == pytest.approx({"horizontal": -0.001, "vertical": -0.0002, "angle": -0.002})
+    assert log.last.stddev == {axis: getattr(ESTIMATE, f"{axis}_stddev") for axis in AXES}
+    assert log.last.clearance == 0.004
 
 
 def test_bias_and_scale_are_exact() -> None:
@@ -96,10 +96,10 @@ def test_the_tail_does_not_change_the_noise() -> None:
 
 def test_estimates_without_contact_are_counted_and_have_no_error() -> None:
     stand_in = charger(None)
-    felt = Felt(stand_in, EstimatorErrors(tail=3.0), 1)
+    log = EstimateLog(stand_in, EstimatorErrors(tail=3.0), 1)
     reply = stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE))
     assert reply.estimate == ESTIMATE
-    assert (felt.count, felt.first, felt.last) == (1, None, None)
+    assert (log.count, log.first, log.last) == (1, None, None)
     assert stand_in.answer[Service.ESTIMATE](Reply(2, False)) == Reply(2, False)
 
 
@@ -115,7 +115,7 @@ def test_a_row_has_the_values_at_rest_and_the_estimates_with_the_truth() -> None
     assert row["rest_current"] / 2 < sum(servos) / 3 < 2 * row["rest_current"]
     assert 10.0 < row["rest_push"] <= row["servo_push"] <= 25.0
     assert row["energised"] > SECONDS
-    assert row["last_vertical_error"] == pytest.approx(row["felt_vertical"] - row["final_vertical"], abs=1e-4)
+    assert row["last_vertical_error"] == pytest.approx(row["estimated_vertical"] - row["final_vertical"], abs=1e-4)
     assert row["last_clearance"] == pytest.approx(row["clearance"], abs=3e-4)
     assert row["estimates"] > row["moves"]
     refused = dock_once(parse_campaign_scene({"shift": {"roll": 0.25}}, "x"), 3, 0, "guarded")
@@ -129,7 +129,7 @@ def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     row = dock_once(parse_campaign_scene({**QUICK, **content}, "x"), 3, 0, "guarded")
     assert row["error"] == ""
     assert row["first_angle_stddev"] == 0.0
-    assert math.degrees(row["felt_angle"]) == pytest.approx(round(math.degrees(row["felt_angle"])))
+    assert math.degrees(row["estimated_angle"]) == pytest.approx(round(math.degrees(row["estimated_angle"])))
     assert row["last_horizontal_stddev"] == row["last_vertical_stddev"] == 0.0
     classes = PaperClasses().predict(*np.random.default_rng(1).uniform(0.0, 4.0, (2, 10, 10)))
     assert {classes.horizontal, classes.vertical} <= {-0.01, -0.005, 0.0, 0.005, 0.01}
@@ -142,7 +142,7 @@ def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_uses_the_estima
     assert printed["error"] == ""
     assert printed["charged"], "no estimate, however wrong, keeps it from charging"
     assert (printed["first_angle_stddev"] == 0.0) == paper
-    assert printed["felt_angle"] == pytest.approx(printed["last_angle_error"] + printed["final_angle"], abs=0.01)
+    assert printed["estimated_angle"] == pytest.approx(printed["last_angle_error"] + printed["final_angle"], abs=0.01)
     rule = {"docking": {"published_clearance_rule": True}}
     ruled = dock_once(parse_campaign_scene({**content, **rule}, "x"), 3, 0, "published")
     assert ruled["error"] == ""
