@@ -109,7 +109,7 @@ class Context:
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
         self.observation = observation
-        self._calls.hear(observation.replies)
+        self._calls.receive(observation.replies)
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
             self.energy += power * min(self.time - before, self.parameters.energy_gap_max)

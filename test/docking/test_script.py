@@ -73,7 +73,7 @@ def test_a_script_that_is_replaced_or_forgotten_is_closed() -> None:
 def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
     calls: Calls[Told] = Calls()
     asked, untold = calls.number(), calls.number(awaited=False)
-    calls.hear([Told(untold), Told(asked, "first"), Told(asked, "second"), Told(99)])
+    calls.receive([Told(untold), Told(asked, "first"), Told(asked, "second"), Told(99)])
     assert calls.take(asked) == Told(asked, "first")
     assert calls.take(asked) is None
     assert calls.take(untold) is None
@@ -83,9 +83,9 @@ def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
 def test_replies_to_forgotten_requests_are_dropped() -> None:
     calls: Calls[Told] = Calls()
     early, late = calls.number(), calls.number()
-    calls.hear([Told(early)])
+    calls.receive([Told(early)])
     calls.forget()
-    calls.hear([Told(late)])
+    calls.receive([Told(late)])
     assert calls.take(early) is None
     assert calls.take(late) is None
     assert not calls.open
