@@ -116,7 +116,7 @@ class DockingRecorder:
             now: s.
             alive: whether docking_state has a publisher.
         """
-        self._session.hear(now, alive)
+        self._session.note_publisher(now, alive)
         if self._session.is_over(now):
             self._end()
         if self._file is None:
