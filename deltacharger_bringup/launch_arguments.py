@@ -24,7 +24,7 @@ def is_launched_itself(file: str) -> bool:
     return by_path or any(pair == (_PACKAGE, own.name) for pair in pairwise(sys.argv))
 
 
-def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> None:
+def refuse_unknown_arguments(file: str, words: Iterable[str], known: Collection[str]) -> None:
     """Refuse unknown arguments if the launch file was started directly; an including file has its own.
 
     Args:

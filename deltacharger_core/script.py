@@ -98,7 +98,7 @@ class Calls(Generic[R]):
             self.open.add(number)
         return number
 
-    def hear(self, replies: Iterable[R]) -> None:
+    def receive(self, replies: Iterable[R]) -> None:
         """Take the replies; the first one of each number counts."""
         for reply in replies:
             if reply.number in self.open:

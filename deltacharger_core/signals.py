@@ -30,7 +30,7 @@ def listen() -> threading.Event:
     global _event
     if _event is None:
         _event = threading.Event()
-        for number in heard():
+        for number in ending_signals():
             signal.signal(number, _on_signal)
         follow_starter()
     return _event
@@ -40,11 +40,11 @@ def ignore() -> None:
     """Ignore further signals while the process ends."""
     global _event
     _event = None
-    for number in heard():
+    for number in ending_signals():
         signal.signal(number, signal.SIG_IGN)  # at exit the interpreter would restore a Python handler
 
 
-def heard() -> list[signal.Signals]:
+def ending_signals() -> list[signal.Signals]:
     """Return the signals that end this process."""
     return [each for each in ENDING if each != signal.SIGHUP or signal.getsignal(each) != signal.SIG_IGN]
 

@@ -41,7 +41,7 @@ def plain(text: str) -> str:
     return text.translate(_CONTROLS)
 
 
-def brief(text: str) -> str:
+def shortened(text: str) -> str:
     """Return a message; the middle of a very long one is cut out."""
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
 

@@ -89,7 +89,7 @@ class Busy(Rejected, retriable=True):
     """Another goal is being served. Example: a second fleet manager sends a goal."""
 
 
-class Unplaced(Rejected, retriable=True):
+class PoseUnknown(Rejected, retriable=True):
     """The pose of the goal's frame is unknown at present. Example: localization has stopped."""
 
 

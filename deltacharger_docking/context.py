@@ -64,7 +64,7 @@ class Context:
         self.status = DockingStatus()
         self.observation = Observation(time=0.0)
         self.time = 0.0  # s, the observations' clock; stands still if that is set back
-        self.slept = 0.0  # s that this observation came later than expected, or its clock was set back
+        self.pause = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
         self.live = False  # the contactor was ordered to close and has not been seen open since
         self.doubtful = False  # there was a second source since the last estimate was requested
@@ -85,7 +85,7 @@ class Context:
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
 
-    def decide_by(self, parameters: DockingParameters) -> None:
+    def use_parameters(self, parameters: DockingParameters) -> None:
         """Use other parameters; those that describe the machine must be unchanged."""
         self.parameters = self.planner.parameters = parameters
 
@@ -99,7 +99,7 @@ class Context:
         before, jump = self.time, max(self.observation.time - observation.time, 0.0)
         self._set_back += jump
         self.time = observation.time + self._set_back
-        self.slept = max(jump, self.time - max(before, self.waits.until))
+        self.pause = max(jump, self.time - max(before, self.waits.until))
         self.waits = NEXT
         for reading in observation.earlier:
             self.contact.update(*reading)
@@ -109,7 +109,7 @@ class Context:
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
         self.observation = observation
-        self._calls.hear(observation.replies)
+        self._calls.receive(observation.replies)
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
             self.energy += power * min(self.time - before, self.parameters.energy_gap_max)

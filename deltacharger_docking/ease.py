@@ -24,10 +24,10 @@ def ease(context: Context) -> Script[bool]:
         return False
     context.enter(State.CONTACT, parameters.contact_timeout)
     place, hottest = context.position, _hottest(context)
-    fades, response = True, 1.0 / context.springs.compliance
+    holds, response = True, 1.0 / context.springs.compliance
     for _ in range(parameters.ease_rounds):
         before = context.contact.currents
-        wanted = _wanted(context, fades)
+        wanted = _wanted(context, holds)
         asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
         known = all(map(math.isfinite, (*asked, *context.goal_angles)))
         if not known or max(map(abs, asked)) <= parameters.ease_tolerance:
@@ -35,14 +35,14 @@ def ease(context: Context) -> Script[bool]:
         slipped = yield from _adjust(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
         yield from context.rest()
         if slipped:
-            fades = False
+            holds = False
             continue
         got = sum(a * (now - then) for a, now, then in zip(asked, context.contact.currents, before, strict=True))
         share = got / sum(a * a for a in asked)
         response *= min(max(share, parameters.response_min), parameters.response_max)
     context.decide(
         "eased",
-        "friction carries the weight" if fades else "friction carries a part of the weight",
+        "friction carries the weight" if holds else "friction carries a part of the weight",
         hottest_before_A=hottest,
         hottest_A=_hottest(context),
         contact_current_A=context.contact.value,
@@ -55,15 +55,18 @@ def _hottest(context: Context) -> float:
     return max(map(abs, context.contact.currents))
 
 
-def _wanted(context: Context, fades: bool) -> Vector:
-    """Return currents (A) that press in the middle of the band: equal ones, or with what carries the weight now."""
+def _wanted(context: Context, holds: bool) -> Vector:
+    """Return currents (A) that press in the middle of the band.
+
+    Equal ones if friction still `holds` the weight, else the present ones plus what the push lacks.
+    """
     x, y, z = context.position
     contact, kinematics, parameters = context.contact, context.kinematics, context.parameters
     constant = parameters.torque_constant
     now = contact.currents
     a, b, c = (current * constant for current in now)
     missing = (parameters.current_target - contact.value) / contact.per_force
-    if fades:
+    if holds:
         alike = kinematics.force(x, y, z, (constant, constant, constant))[2]
         common = (kinematics.force(x, y, z, (a, b, c))[2] + missing) / alike if alike else math.nan
         common = max(min(common, parameters.ease_current_max), common - parameters.ease_spared_max)

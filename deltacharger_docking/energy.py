@@ -208,8 +208,8 @@ class Watch:
         """
         observation = self._context.observation
         self._was_closed |= observation.contactor_closed
-        if (slept := self._slept()) is not None:
-            return slept
+        if (problem := self._pause_problem()) is not None:
+            return problem
         if observation.power_fault:
             kind, words = POWER_FAULTS.get(observation.power_fault, (PowerStale, f"fault {observation.power_fault}"))
             return kind(f"the power stage opened the contactor: {words}")
@@ -218,19 +218,19 @@ class Watch:
     def problem_unmeasured(self) -> DockingError | None:
         """Return the present problem without measurements of the current: by arm and pads alone."""
         observation, parameters = self._context.observation, self._context.parameters
-        if (slept := self._slept()) is not None:
-            return slept
+        if (problem := self._pause_problem()) is not None:
+            return problem
         if observation.tactile_age > parameters.tactile_age_max:
             return TactileStale(
                 "tactile frames stopped while the electrodes were live; check the board's cable and tactile_node"
             )
         return self._servo_problem() or self._contact_problem()
 
-    def _slept(self) -> DockingError | None:
-        slept = self._context.slept
-        if not slept > self._context.parameters.pause_max:
+    def _pause_problem(self) -> DockingError | None:
+        pause = self._context.pause
+        if not pause > self._context.parameters.pause_max:
             return None
-        return PowerStale(f"docking itself was suspended for {slept:.1f} s while the electrodes were live")
+        return PowerStale(f"docking itself was suspended for {pause:.1f} s while the electrodes were live")
 
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation

@@ -121,7 +121,7 @@ class GoalDesk:
         is_open: whether a goal is being served.
         started: time of its start, s.
         deadline: time by which it must end, s.
-        wants_back: whether its client has cancelled it.
+        cancel_requested: whether its client has cancelled it.
         outcome: of the last goal, until the shell has taken it.
     """
 
@@ -130,14 +130,14 @@ class GoalDesk:
         self.is_open = False
         self.started = 0.0
         self.deadline = math.inf
-        self.wants_back = False
+        self.cancel_requested = False
         self.outcome: DockingOutcome | None = None
 
     def begin(self, request_id: str, observation: Observation) -> None:
         """Accept a goal."""
         context = self._context
         context.observe(observation)
-        self.is_open, self.wants_back, self.outcome = True, False, None
+        self.is_open, self.cancel_requested, self.outcome = True, False, None
         self.started = context.time
         self.renew()
         context.energy = math.nan if context.parameters.always_live else 0.0
@@ -180,6 +180,6 @@ class GoalDesk:
     def _end(self, outcome: DockingOutcome) -> None:
         if not self.is_open:
             return
-        self.is_open, self.wants_back, self.deadline, self.outcome = False, False, math.inf, outcome
+        self.is_open, self.cancel_requested, self.deadline, self.outcome = False, False, math.inf, outcome
         text = outcome.message if outcome.success else f"{outcome.code.name}: {outcome.message}"
         self._context.decide("ended", text, code=outcome.code, elapsed_s=outcome.elapsed, energy_J=outcome.energy)

@@ -144,7 +144,7 @@ class DockingMachine:
             return "the electrodes rest on the target under supervision; undock first"
         if self._desk.is_open or self._runner.is_running:
             return f"a goal is running: {self._activity()}"
-        self._context.decide_by(parameters)
+        self._context.use_parameters(parameters)
         return ""
 
     def start(self, script: Callable[[Context], Script[str]], observation: Observation) -> None:
@@ -166,7 +166,7 @@ class DockingMachine:
 
     def cancel(self) -> None:
         """End the goal with CANCELED as soon as possible; the arm still retracts. Without a goal nothing happens."""
-        self._desk.wants_back = self._desk.is_open
+        self._desk.cancel_requested = self._desk.is_open
 
     def step(self, observation: Observation) -> Command:
         """Advance by one tick and return what to do."""
@@ -221,7 +221,7 @@ class DockingMachine:
         context, observation, parameters = self._context, self._context.observation, self.parameters
         if not self._interruptible:
             return context.expired()  # even retracting has a limit
-        if self._desk.wants_back:
+        if self._desk.cancel_requested:
             return Canceled("cancelled by the client")
         refusal, self._refusal = self._refusal, None
         if refusal is not None:
@@ -277,7 +277,7 @@ class DockingMachine:
                 first = None  # the restart succeeded, so the earlier error no longer counts
             first = self._report(first, last)
             home = yield from self._retract()
-            if not (home and restarts and last.restart_may_help) or desk.wants_back:
+            if not (home and restarts and last.restart_may_help) or desk.cancel_requested:
                 break
             restarts -= 1
             context.decide("restart", f"docking begins again, {restarts} more times at most", code=last.code)

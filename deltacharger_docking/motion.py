@@ -29,7 +29,7 @@ class Planner:
         self._delta = Delta(geometry)
         self.springs = Springs(parameters)
 
-    def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
+    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, without the start itself.
 
         The commanded angles lead the desired ones by the servos' yield under the arm's weight. The goal may be outside
@@ -40,7 +40,6 @@ class Planner:
             start: present commanded position.
             goal: wanted position.
             speed: peak speed, m/s; the servos' own limits may make the line slower.
-            push: current bound (A) above each servo's free-motion current; None = the parameter.
 
         Raises:
             Unreachable: a point of the line has no good solution; nothing was moved.
@@ -55,8 +54,7 @@ class Planner:
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
         held = self._delta.holding_torque(line.positions, self.parameters.gravity)
         angles, velocities = self._command(line, held / self.springs.stiffness)
-        allowed = self.parameters.push_current if push is None else push
-        bound = np.abs(held) + allowed * self.parameters.torque_constant
+        bound = np.abs(held) + self.parameters.push_current * self.parameters.torque_constant
         return tuple(
             Waypoint(time, _vector(row), _vector(torque), _vector(rate))
             for time, row, torque, rate in list(zip(line.times.tolist(), angles, bound, velocities, strict=True))[1:]

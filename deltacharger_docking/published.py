@@ -28,7 +28,7 @@ from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEsti
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned
 from deltacharger_docking.context import Context
 from deltacharger_docking.press import approach, contact, first_push, press_again
-from deltacharger_docking.touch import Target, measure, record_verdict, too_tilted
+from deltacharger_docking.touch import Target, measure, record_verdict, rolled_too_far
 from deltacharger_kinematics.geometry import Vector
 
 
@@ -59,7 +59,7 @@ def align(context: Context, target: Target) -> Script[None]:
     estimate = yield from measure(context)
     classes = _classes_of(context, estimate)
     if not classes.angle < target.critical_angle:
-        raise CriticalAngle(too_tilted(classes.angle))
+        raise CriticalAngle(rolled_too_far(classes.angle))
     while not _is_zero(classes) and status.alignments < parameters.alignments_max:
         x, y = classes.horizontal, classes.vertical
         status.alignments += 1
@@ -92,7 +92,7 @@ def _see_clearance(context: Context, target: Target, estimate: MisalignmentEstim
         yield from press_again(context, target.depth, 0.0, 0.0)
         estimate = yield from measure(context)
     if verdict is Verdict.CRITICAL:
-        raise CriticalAngle(too_tilted(estimate.angle))
+        raise CriticalAngle(rolled_too_far(estimate.angle))
     if not verdict.leaves_clearance:
         raise Misaligned(
             f"there is no sure clearance after the moves by classes: {math.degrees(estimate.angle):.1f}°, "
@@ -103,7 +103,7 @@ def _see_clearance(context: Context, target: Target, estimate: MisalignmentEstim
 def _verdict(context: Context, target: Target, estimate: MisalignmentEstimate) -> Verdict:
     if not estimate.usable:
         if math.isfinite(estimate.angle) and abs(estimate.angle) >= target.critical_angle:
-            raise CriticalAngle(too_tilted(estimate.angle))
+            raise CriticalAngle(rolled_too_far(estimate.angle))
         raise EstimateUnsure("the tactile estimate is unsure, so clearance is unknown; check pads and target")
     return record_verdict(context, estimate, target.critical_angle)
 

@@ -227,7 +227,7 @@ class Target:
             len(self._angles) >= parameters.clearance_contacts
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
         ):
-            raise CriticalAngle(too_tilted(mean))
+            raise CriticalAngle(rolled_too_far(mean))
         return verdict
 
     def _look_elsewhere(self, estimate: MisalignmentEstimate) -> tuple[float, float]:
@@ -279,12 +279,12 @@ class Target:
     def _give_up(self, estimate: MisalignmentEstimate) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
-            raise CriticalAngle(too_tilted(estimate.angle))
+            raise CriticalAngle(rolled_too_far(estimate.angle))
         what = "outside the estimator's range" if not estimate.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target")
 
 
-def too_tilted(angle: float) -> str:
+def rolled_too_far(angle: float) -> str:
     """Return the message that an angle (rad) is too large."""
     return (
         f"the target is rolled by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "

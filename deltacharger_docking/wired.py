@@ -18,7 +18,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, wait_for_single_sources
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
-from deltacharger_docking.touch import Target, record_verdict, too_tilted, with_pitch
+from deltacharger_docking.touch import Target, record_verdict, rolled_too_far, with_pitch
 
 _UNKNOWN = "this charger does not measure, limit or interrupt it"
 DOCKED = (
@@ -62,7 +62,7 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
         return estimate if estimate.contact and abs(estimate.angle) >= limit else None
     verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
-        raise CriticalAngle(too_tilted(estimate.angle))
+        raise CriticalAngle(rolled_too_far(estimate.angle))
     return estimate if verdict is Verdict.TOO_CLOSE else None
 
 

@@ -79,7 +79,7 @@ class MissionContext:
     def observe(self, observation: MissionObservation) -> None:
         """Set the observation of this tick."""
         self.observation = observation
-        self._calls.hear(observation.replies)
+        self._calls.receive(observation.replies)
 
     def command(self) -> MissionCommand:
         """Return what was requested in this tick, and clear it."""

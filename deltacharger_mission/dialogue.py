@@ -146,7 +146,7 @@ class MissionStatus:
     request_id: str = ""
     elapsed: float = 0.0
     views: int = 0
-    stands: int = 0
+    moves: int = 0
     code: Code = Code.NONE
     message: str = ""
     place: Place | None = None

@@ -199,7 +199,7 @@ class MissionMachine:
                     raise dock_failure(reply)
                 yield from context.undock()
             context.enter(Stage.DRIVE, parameters.drive_timeout)
-            self.status.stands += 1
+            self.status.moves += 1
             yield from context.drive(better, precise=True)
 
     def _search(self, electrodes: Place | None, distance: float) -> Script[ElectrodePose]:
@@ -246,7 +246,7 @@ class MissionMachine:
     def _better(self, electrodes: Place | None, distance: float, turn: float) -> Place | None:
         """Return a better place to dock from, if a move is allowed and the error exceeds these limits (m, rad)."""
         here = self.status.place
-        if electrodes is None or here is None or self.status.stands >= self.parameters.stands_max:
+        if electrodes is None or here is None or self.status.moves >= self.parameters.stands_max:
             return None
         right = self._mount.before(electrodes, DOCK_DISTANCE)
         return right if here.distance(right) > distance or here.turn(right) > turn else None

@@ -39,5 +39,5 @@ def _where(status: MissionStatus) -> list[str]:
     at = (
         [] if place is None else [f"base at ({place.x:.2f}, {place.y:.2f}) m, yaw {place.yaw:.2f} rad of {place.frame}"]
     )
-    counts = (("views", status.views), ("stands", status.stands))
+    counts = (("views", status.views), ("moves", status.moves))
     return at + [f"{name} {count}" for name, count in counts if count]

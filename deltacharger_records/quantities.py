@@ -21,7 +21,7 @@ _UNITS: dict[str, tuple[float, str, int]] = {
 _STDDEV = "_stddev"
 
 
-def quantity(value: float, unit: str, digits: int | None = None) -> str:
+def in_unit(value: float, unit: str, digits: int | None = None) -> str:
     """Return an SI value with its unit for people: 0.0059 m is '5.9 mm'; 'unknown' for NaN."""
     if not math.isfinite(value):
         return "unknown" if math.isnan(value) else "infinite"
@@ -42,9 +42,9 @@ def numbers(values: Mapping[str, float]) -> str:
         if not unit:
             parts.append(f"{name.replace('_', ' ')} {value:.3g}")
             continue
-        text = f"{_label(base)} {quantity(value, unit)}"
+        text = f"{_label(base)} {in_unit(value, unit)}"
         spread = values.get(f"{base}{_STDDEV}_{unit}")
-        parts.append(text if spread is None else f"{text} ± {quantity(spread, unit)}")
+        parts.append(text if spread is None else f"{text} ± {in_unit(spread, unit)}")
     return ", ".join(parts)
 
 

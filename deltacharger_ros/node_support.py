@@ -61,7 +61,7 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
         environment.announce()
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own types for arguments, log folder and domain
-        streams.write(streams.brief(f"cannot start: {ros_problem(error) or error}"), sys.stderr)
+        streams.write(streams.shortened(f"cannot start: {ros_problem(error) or error}"), sys.stderr)
         return 2
     try:
         try:
@@ -70,7 +70,7 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
             problem = str(error) if isinstance(error, StartupError | OSError) else ros_problem(error)
             if not problem:
                 raise
-            streams.write(streams.brief(problem), sys.stderr)
+            streams.write(streams.shortened(problem), sys.stderr)
             return 0 if stop.is_set() else 2
         spinner = Spinner(node)
         try:

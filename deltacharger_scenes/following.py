@@ -24,7 +24,7 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 """Of each node, its parameters, with the world's keys that they follow."""
-_TOLD_AS = {"circuit.wired": {False: "board", True: "none"}}
+_PARAMETER_VALUES = {"circuit.wired": {False: "board", True: "none"}}
 """Of a key, the following parameter's value for each of the key's values."""
 
 
@@ -90,4 +90,4 @@ def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:
 
 
 def _parameter_value(key: str, value: Any) -> Any:
-    return _TOLD_AS.get(key, {}).get(value, value)
+    return _PARAMETER_VALUES.get(key, {}).get(value, value)

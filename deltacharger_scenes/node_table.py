@@ -26,7 +26,7 @@ class NodeSpec:
         plays: the nodes whose topics it publishes from a recording; they cannot run beside it.
         sees_target: whether it simulates what sees the target. A simulated world's target is then its own, and it never
             runs beside real hardware.
-        told_scene: whether its parameter `scene` is the scene's name.
+        takes_scene_name: whether its parameter `scene` is the scene's name.
         may_restart: whether it may restart alone beside the others: it moves nothing, carries no current,
             and its end loses no state.
         lacks: what is missing in a scene without it and without a substitute.
@@ -40,7 +40,7 @@ class NodeSpec:
     stands_in_for: str = ""
     plays: tuple[str, ...] = ()
     sees_target: bool = False
-    told_scene: bool = False
+    takes_scene_name: bool = False
     may_restart: bool = False
     lacks: str = ""
     needs: tuple[str, ...] = ()
@@ -147,7 +147,7 @@ NODES: dict[str, NodeSpec] = {
     "docking_recorder_node": NodeSpec(
         "deltacharger_records.recording.docking_recorder_node.DockingRecorderNode",
         parameters=("deltacharger_records.parameters.DockingRecorderNodeParameters",),
-        told_scene=True,
+        takes_scene_name=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
         needs_when_used=("lz4", "mcap", "zstandard"),

@@ -123,7 +123,7 @@ class Scene(SceneContent):
         if NODES[name].sees_target and self.simulation is not None:
             target = self.simulation.world.target
             parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters
-        if NODES[name].told_scene:
+        if NODES[name].takes_scene_name:
             parameters = {"scene": self.name} | parameters
         port = NODES[name].port
         path = (ports.get(port) or getattr(self.ports, port)) if port else ""

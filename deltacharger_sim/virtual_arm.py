@@ -27,7 +27,7 @@ class VirtualArm:
         seed: of the current noise.
         geometry: true dimensions.
         gains: of each servo's stiffness.
-        told_constant: assumed torque constant, N·m/A; converts torque bounds to current bounds.
+        assumed_constant: torque constant, N·m/A; converts torque bounds to current bounds.
 
     Attributes:
         now: elapsed time, s.
@@ -39,12 +39,12 @@ class VirtualArm:
         seed: int = 0,
         geometry: DeltaGeometry | None = None,
         gains: Vector = (1.0, 1.0, 1.0),
-        told_constant: float | None = None,
+        assumed_constant: float | None = None,
     ) -> None:
         self.world = World(parameters, seed=seed, geometry=geometry)
         self.now = 0.0
         self._gains = gains
-        self._constant = told_constant or parameters.servo.torque_constant
+        self._constant = assumed_constant or parameters.servo.torque_constant
         self._goals = whole_ticks(self.world.mechanics.angles)
         self._bound: Vector = (1.0, 1.0, 1.0)
         self._let(1.0)

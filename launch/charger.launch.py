@@ -45,7 +45,7 @@ from launch_ros.substitutions import ExecutableInPackage
 from launch_ros.utilities import prefix_namespace
 
 from deltacharger_bringup.cli.types import namespace
-from deltacharger_bringup.launch_arguments import is_launched_itself, refuse_slips
+from deltacharger_bringup.launch_arguments import is_launched_itself, refuse_unknown_arguments
 from deltacharger_core import environment, signals
 from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
@@ -76,7 +76,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _wire(context: LaunchContext) -> list[Any]:
-    refuse_slips(__file__, context.argv, ARGUMENTS)
+    refuse_unknown_arguments(__file__, context.argv, ARGUMENTS)
     args = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     if args["log_level"] not in LEVELS:
         raise ValueError(f"log_level is '{args['log_level']}'; give one of {', '.join(LEVELS)}")

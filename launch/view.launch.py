@@ -15,7 +15,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from deltacharger_bringup.launch_arguments import refuse_slips
+from deltacharger_bringup.launch_arguments import refuse_unknown_arguments
 from deltacharger_core.bounded_file import given_path
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_vision.mount import Mount
@@ -51,7 +51,7 @@ def _wire(context: LaunchContext) -> list[Any]:
     import xacro
     from launch_ros.parameter_descriptions import ParameterValue
 
-    refuse_slips(__file__, context.argv, ARGUMENTS)
+    refuse_unknown_arguments(__file__, context.argv, ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     given |= {name: _read(name, given[name]) for name in FILES if given[name]}
     description = xacro.process_file(

@@ -169,7 +169,7 @@ def _run(words: list[str]) -> int:
         if known is None:
             raise
         failure = known
-    text = streams.brief(str(failure))
+    text = streams.shortened(str(failure))
     log_line(text)
     if options.json:
         write_json({"success": False, "error": text, **failure.details})
@@ -180,7 +180,7 @@ def _require_plain(words: list[str]) -> None:
     """Refuse words that, when printed, would control the terminal, end the line or fill it."""
     for word in words:
         if streams.plain(word) != word:
-            shown = streams.plain(streams.brief(word))
+            shown = streams.plain(streams.shortened(word))
             raise CommandError(f"'{shown}' contains control characters: rename or retype it", WRONG_INPUT)
         if len(word) > _LONGEST_WORD:
             raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)

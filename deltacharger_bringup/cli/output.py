@@ -128,7 +128,7 @@ class Interrupts:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        for number in signals.heard():
+        for number in signals.ending_signals():
             self._before[number] = signal.signal(number, self._on_signal)
         return self
 

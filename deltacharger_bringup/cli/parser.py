@@ -44,7 +44,7 @@ class Parser(argparse.ArgumentParser):
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction) and message.endswith(f"required: {action.metavar}"):
                 message += f", one of {', '.join(action.choices)}"
-        message = streams.brief(message)
+        message = streams.shortened(message)
         if Parser.wants_json:
             write_json({"success": False, "error": message})
         super().error(message)

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_docking.ros.witness import Witness
+from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_ros.clock import ClockWatch
 from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.log import Log
@@ -61,7 +61,7 @@ class Inputs:
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
         sampled = QoSProfile(depth=_SPELL, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
-        self._witness = Witness()
+        self._frame_check = FrameCheck()
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
         self._double, self._looked = "", -math.inf
         self._heard: dict[type[Any], Any] = {}  # the latest message of each type
@@ -93,7 +93,7 @@ class Inputs:
             for message in (self._servo.take(), self._power.take(), self._newest_frame()):
                 if message is not None:
                     self._hear(message)
-            return self._compose(tuple(map(self._witness.checked, replies)), contactor_refusal)
+            return self._compose(tuple(map(self._frame_check.checked, replies)), contactor_refusal)
 
     def _newest_frame(self) -> TactileFrame | None:
         """Process all received frames; return the newest."""
@@ -107,7 +107,7 @@ class Inputs:
             except MessageRefused as refusal:
                 self.refused.add("tactile_frame", str(refusal))
                 continue
-            self._witness.hear(sequence, instant - (now - stamp))
+            self._frame_check.add(sequence, instant - (now - stamp))
             newest = data
         if not newest:
             return None

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.rotation import IDENTITY, Matrix, composed, inverted, lean, rotation
 from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
-from deltacharger_docking.codes import Rejected, Unplaced
+from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.trajectory_feed import Waypoint
@@ -127,7 +127,7 @@ def electrodes(
 def refusal(error: TransformError) -> Rejected:
     """Return the refusal of a goal whose frame has no known transform; it is retriable if that may pass by itself."""
     lasts = isinstance(error, UnknownFrame | Contradiction)
-    return Rejected(str(error)) if lasts else Unplaced(str(error))
+    return Rejected(str(error)) if lasts else PoseUnknown(str(error))
 
 
 def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDetection:

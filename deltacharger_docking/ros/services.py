@@ -31,7 +31,7 @@ _RENEWAL = 0.1  # s between renewals of the lease
 _DISCOVERY = 1.5  # s for a service to appear: discovery takes that long for nodes that start together
 _HOLDER = "docking_node"
 _GIVEN_UP = 2.0  # s after which the answer to a renewal is no longer expected
-_FELT = 8  # estimates whose messages are kept: the machine reports the last one it used, which may not be the newest
+_ESTIMATES_KEPT = 8  # with their messages: the machine reports the last one it used, which may not be the newest
 _SAFE = (Service.OPEN, Service.TORQUE_OFF)  # requests that are still sent after a goal has failed
 _LOOKING = 0.9  # of the time for a detection: the detector's reason must arrive before docking gives up
 
@@ -60,7 +60,7 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
-        self._estimates: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_FELT)
+        self._estimates: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_ESTIMATES_KEPT)
         self._renewals: deque[tuple[Any, float]] = deque()  # unanswered futures, with their start
         self._clock = node.get_clock()
         self._renewed = -math.inf

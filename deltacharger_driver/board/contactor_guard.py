@@ -62,12 +62,6 @@ class ContactorGuard:
         self._refused = 0  # closes, since the start
         self._last_refusal = ""
 
-    @property
-    def holder(self) -> str:
-        """Holder of the lease; '' if there is none."""
-        with self._lock:
-            return self._lease.holder if self._lease.is_live(time.monotonic()) else ""
-
     def lease_record(self) -> dict[str, object]:
         """Return holder and remaining time of the lease, and counts since the start, for diagnostics."""
         with self._lock:

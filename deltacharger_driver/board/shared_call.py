@@ -34,11 +34,6 @@ class SharedCall(Generic[Result]):
         self._last: _Run[Result] | None = None  # the last success, if several callers awaited it
         self._priority = 0  # number of blocks that wait to enter before the next call
 
-    @property
-    def is_running(self) -> bool:
-        """Whether the action is running."""
-        return self._running is not None
-
     def __call__(self) -> Result:
         """Return the action's result, or raise its error."""
         with self._changed:

@@ -53,7 +53,7 @@ def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
 def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
     fit, found = measured.fit, []
     if fit.scatter > UNEXPLAINED:
-        turned = gravity_felt(measured, task)
+        turned = gravity_by_currents(measured, task)
         angle = math.acos(float(np.clip(turned @ np.array(task.gravity) / np.linalg.norm(task.gravity), -1.0, 1.0)))
         hint = ", ".join(f"{9.81 * value:.1f}" for value in turned)
         found.append(
@@ -101,7 +101,7 @@ def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
     return found
 
 
-def gravity_felt(measured: MeasuredArm, task: ServoTask) -> Array:
+def gravity_by_currents(measured: MeasuredArm, task: ServoTask) -> Array:
     """Return the direction (3,) of gravity that fits the currents best."""
     angles = np.array([reading.angles for reading in measured.readings])
     currents = np.array([reading.currents for reading in measured.readings])

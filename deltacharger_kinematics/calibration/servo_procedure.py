@@ -39,13 +39,15 @@ class MeasuredArm:
     seconds: float
 
 
-def measure_servos(arm: ServoArm, task: ServoTask, say: Callable[[float], None] = lambda share: None) -> MeasuredArm:
+def measure_servos(
+    arm: ServoArm, task: ServoTask, progress: Callable[[float], None] = lambda share: None
+) -> MeasuredArm:
     """Measure the servos of an arm.
 
     Args:
         arm: with torque on and free to move.
         task: known properties of the arm.
-        say: called with the progress, 0 to 1.
+        progress: called with the share done, 0 to 1.
 
     Raises:
         ServoTrouble: the arm is blocked or does not come to rest, or the currents do not follow the weight.
@@ -53,7 +55,7 @@ def measure_servos(arm: ServoArm, task: ServoTask, say: Callable[[float], None] 
     walk, planner, readings = ArmWalk(arm, task), PosePlanner(task), list[StaticReading]()
     angles = _begin(walk, planner)
     while walk.spent < _AT_REST * task.seconds:
-        say(walk.spent / task.seconds)
+        progress(walk.spent / task.seconds)
         turn = _TURN if walk.fitted else _FIRST_TURN
         way = planner.next(arm.goals(), angles, walk.model, turn, walk.settling + walk.reading_time)
         reading = _surely_turned(walk.visit(way), angles)
@@ -69,7 +71,7 @@ def measure_servos(arm: ServoArm, task: ServoTask, say: Callable[[float], None] 
     play = sweep_play(walk, planner, fit, max(task.seconds - walk.spent, 0.0))
     if not np.isnan(play.width).all():
         fit = fit_servos(readings, task, np.nan_to_num(play.width))
-    say(1.0)
+    progress(1.0)
     return MeasuredArm(tuple(readings), fit, play, walk.spent)
 
 

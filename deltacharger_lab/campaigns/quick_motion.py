@@ -38,10 +38,10 @@ class QuickPlanner(Planner):
         self._low = (x0 - _EDGE, y0 - _EDGE, z0 - _EDGE)
         self._high = (x1 + _EDGE, y1 + _EDGE, z1 + _EDGE)
 
-    def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
+    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, as `Planner.line`."""
-        quick = self._quick(start, goal, speed, push)
-        return super().line(start, goal, speed, push) if quick is None else quick
+        quick = self._quick(start, goal, speed)
+        return super().line(start, goal, speed) if quick is None else quick
 
     def check_way(self, speed: float, *places: Vector) -> None:
         """Refuse a path as `Planner.check_way` does; a path well inside the reach is checked at a few points only."""
@@ -56,7 +56,7 @@ class QuickPlanner(Planner):
     def _is_inside(self, point: Vector) -> bool:
         return all(low <= value <= high for low, value, high in zip(self._low, point, self._high, strict=True))
 
-    def _quick(self, start: Vector, goal: Vector, speed: float, push: float | None) -> tuple[Waypoint, ...] | None:
+    def _quick(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...] | None:
         """Return the line; None if a point of it needs the full check."""
         duration = max(PEAK_SPEED * math.dist(start, goal) / speed, 2.0 * _INTERVAL)
         count = max(math.ceil(duration / _INTERVAL), _FEWEST)
@@ -69,7 +69,7 @@ class QuickPlanner(Planner):
                 return None
             angles.append(solved[0])
         duration = max(duration, self._fastest(angles))
-        return tuple(self._waypoints(start, goal, ways, angles, duration, push))
+        return tuple(self._waypoints(start, goal, ways, angles, duration))
 
     def _fastest(self, angles: list[Vector]) -> float:
         """Return the shortest time (s) in which the arms can pass these angles (rad), equally spaced in time."""
@@ -87,14 +87,13 @@ class QuickPlanner(Planner):
         ways: tuple[float, ...],
         angles: list[Vector],
         duration: float,
-        push: float | None,
     ) -> Iterator[Waypoint]:
         parameters, geometry = self.parameters, self._scalar.geometry
         held = [
             self._scalar.holding_torque(*point, parameters.gravity)
             for point in (start, between(start, goal, 0.5), goal)
         ]
-        allowed = (parameters.push_current if push is None else push) * parameters.torque_constant
+        allowed = parameters.push_current * parameters.torque_constant
         softness, low, high = 1.0 / self.springs.stiffness, geometry.joint_min, geometry.joint_max
         for index in range(1, len(ways)):
             way, (a, b, c) = ways[index], angles[index]

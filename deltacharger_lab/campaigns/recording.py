@@ -101,10 +101,10 @@ class _Keeper:
     def begin(self, number: int) -> None:
         self.number = self.numbers[number]
 
-    def listen(self) -> None:
+    def start_frames(self) -> None:
         self._since = self._charger.now
 
-    def heard(self) -> bool:
+    def has_frames(self) -> bool:
         charger, recording = self._charger, self._recording
         count = recording.frames * recording.rows
         pose = charger.world.misalignment

@@ -212,7 +212,7 @@ class MissionNode(Node):
             "request_id": status.request_id,
             "elapsed": quantity(status.elapsed, ".1f", "s"),
             "views": status.views,
-            "stands": status.stands,
+            "moves": status.moves,
             "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
             "drives": self._drives,
         }

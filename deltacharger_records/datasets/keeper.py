@@ -115,11 +115,11 @@ class SessionKeeper:
         self._number = self._numbers[number]
         self._tape.start()
 
-    def listen(self) -> None:
+    def start_frames(self) -> None:
         """Count only frames sampled from now on."""
         self._since, self._looked, self._frames = self._now(), len(self._tape.messages), []
 
-    def heard(self) -> bool:
+    def has_frames(self) -> bool:
         """Take the new frames; TactileStale if they are unusable."""
         messages, wanted = self._tape.messages, self._settings.frames * self._settings.rows
         while self._looked < len(messages) and len(self._frames) < wanted:

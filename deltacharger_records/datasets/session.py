@@ -58,10 +58,10 @@ class Keeper(Protocol):
     def begin(self, number: int) -> None:
         """Docking `number` of the session (from 0) begins."""
 
-    def listen(self) -> None:
+    def start_frames(self) -> None:
         """The contact is at rest: frames sampled from now on count."""
 
-    def heard(self) -> bool:
+    def has_frames(self) -> bool:
         """Whether there are enough frames; DockingError if they are unusable."""
 
     def keep(self, touch: Rested) -> None:
@@ -144,9 +144,9 @@ class TouchSession:
         parameters, keeper = context.parameters, self.keeper
         context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + parameters.measure_timeout)
         yield from context.wait(self.dwell)
-        keeper.listen()
+        keeper.start_frames()
         positions = [context.position]
-        while not keeper.heard():
+        while not keeper.has_frames():
             yield NEXT
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))

@@ -116,7 +116,7 @@ class DockingRecorder:
             now: s.
             alive: whether docking_state has a publisher.
         """
-        self._session.hear(now, alive)
+        self._session.note_publisher(now, alive)
         if self._session.is_over(now):
             self._end()
         if self._file is None:
@@ -157,7 +157,7 @@ class DockingRecorder:
             about = head(self._about, message.received, seen.request_id)
             path, stream = self._folder.create(message.received, seen.request_id)
             try:
-                mcap = McapStream(stream, self._kinds, live=True, told=[(ABOUT, about)])
+                mcap = McapStream(stream, self._kinds, live=True, metadata=[(ABOUT, about)])
                 flush(stream)  # from now on the head shows that the file is ours, even after a crash
             except OSError:
                 self._folder.forget(path, stream)

@@ -35,7 +35,7 @@ class McapStream:
         stream: to write to.
         kinds: message class of each topic, by its full name.
         live: write message by message, so that flushed data outlive this process; False = in chunks.
-        told: metadata by name, written in this order directly after the header.
+        metadata: records by name, written in this order directly after the header.
 
     Raises:
         RecordingError: mcap or a message's .msg file is not installed.
@@ -48,7 +48,7 @@ class McapStream:
         kinds: Mapping[str, Any],
         *,
         live: bool,
-        told: Iterable[tuple[str, Mapping[str, str]]] = (),
+        metadata: Iterable[tuple[str, Mapping[str, str]]] = (),
     ) -> None:
         require_mcap()
         from mcap.writer import Writer
@@ -57,7 +57,7 @@ class McapStream:
         self._channels: dict[str, int] = {}
         self._writer: Any = Writer(stream, use_chunking=not live)
         self._writer.start(profile="ros2", library=LIBRARY)
-        for name, values in told:
+        for name, values in metadata:
             self.add_metadata(name, values)
         for topic, message in kinds.items():
             schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
@@ -134,7 +134,7 @@ def pack(path: Path, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
         OSError: the disk does not accept it.
     """
     file = McapFile(path)
-    writer = McapStream(stream, kinds, live=False, told=file.metadata)
+    writer = McapStream(stream, kinds, live=False, metadata=file.metadata)
     for message in file.messages():
         writer.add(message)
     writer.finish()

@@ -83,8 +83,8 @@ class Session:
         self._kinds.add(kind)
         return not known
 
-    def hear(self, now: float, alive: bool) -> None:
-        """Take whether docking_state has a publisher."""
+    def note_publisher(self, now: float, alive: bool) -> None:
+        """Note whether docking_state has a publisher."""
         self._lost_since = math.inf if alive else min(self._lost_since, now)
 
     def is_over(self, now: float) -> bool:

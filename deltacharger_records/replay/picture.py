@@ -13,7 +13,7 @@ import numpy as np
 
 from deltacharger_docking.clearance import clearance, clearance_stddev
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, RED
-from deltacharger_records.quantities import quantity
+from deltacharger_records.quantities import in_unit
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_picture import (
     MISALIGNMENT,
@@ -193,8 +193,8 @@ def _maps(figure: Figure, place: Any, replay: Replay) -> None:
 
 
 def _caption(touch: Touch) -> str:
-    place = f"{quantity(touch.horizontal, 'm')}, {quantity(touch.vertical, 'm')}, {quantity(touch.angle, 'rad')}"
-    return f"{quantity(touch.time, 's', 1)}   {place}{'' if touch.sure else '   unsure'}"
+    place = f"{in_unit(touch.horizontal, 'm')}, {in_unit(touch.vertical, 'm')}, {in_unit(touch.angle, 'rad')}"
+    return f"{in_unit(touch.time, 's', 1)}   {place}{'' if touch.sure else '   unsure'}"
 
 
 def _title(figure: Figure, replay: Replay) -> None:

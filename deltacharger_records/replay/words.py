@@ -9,7 +9,7 @@ from typing import Any
 
 from deltacharger_docking.clearance import MisalignmentEstimate, clearance, clearance_stddev
 from deltacharger_docking.codes import REMEDIES, Code
-from deltacharger_records.quantities import numbers, quantity
+from deltacharger_records.quantities import in_unit, numbers
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_record import Decided, Touch
 
@@ -21,13 +21,11 @@ def story(replay: Replay) -> list[str]:
     """Return one line for each phase and for each decision in it, in order."""
     events: list[tuple[float, int, str]] = []
     for phase in replay.phases:
-        length = f"for {quantity(phase.end - phase.start, 's', 1)}"
-        events.append(
-            (phase.start, 1, f"{quantity(phase.start, 's', 2):>9}  {phase.state.replace('_', ' ')}, {length}")
-        )
+        length = f"for {in_unit(phase.end - phase.start, 's', 1)}"
+        events.append((phase.start, 1, f"{in_unit(phase.start, 's', 2):>9}  {phase.state.replace('_', ' ')}, {length}"))
     for decision in replay.run.decisions:
         time = _time_of(replay, decision)
-        events.append((time, 0, f"{quantity(time, 's', 2):>9}    {_described(decision)}"))
+        events.append((time, 0, f"{in_unit(time, 's', 2):>9}    {_described(decision)}"))
     return [line for _, _, line in sorted(events, key=lambda event: event[:2])]
 
 
@@ -60,9 +58,9 @@ def _unfinished_text(replay: Replay) -> str:
     motion, power = replay.run.motion, replay.run.power
     closed = power.last("closed")
     contactor = "" if math.isnan(closed) else f", the contactor {'closed' if closed else 'open'}"
-    where = quantity(motion.last("z"), "m")
+    where = in_unit(motion.last("z"), "m")
     return (
-        f"The recording ends in {replay.last_phase.upper()} after {quantity(replay.end, 's', 1)} without an outcome: "
+        f"The recording ends in {replay.last_phase.upper()} after {in_unit(replay.end, 's', 1)} without an outcome: "
         f"{damage}. The arm was last seen at z {where}{contactor}. Check docking_node's log and the next record."
     )
 
@@ -70,20 +68,18 @@ def _unfinished_text(replay: Replay) -> str:
 def _docked(replay: Replay) -> str:
     result, touches = replay.result_of("dock"), replay.run.touches
     details = result.details if result is not None else {}
-    took = f" in {quantity(result.elapsed, 's', 1)}" if result is not None else ""
+    took = f" in {in_unit(result.elapsed, 's', 1)}" if result is not None else ""
     charging = not math.isnan(replay.charged)
     parts = [f"{'Docked and charging' if charging else 'Docked'}{took}"]
     if details.get("contact_current") is not None:
-        force = quantity(details["contact_force"], "N") if details.get("contact_force") is not None else "unknown"
-        parts.append(
-            f"the electrodes rest with {quantity(details['contact_current'], 'A')} of contact current, {force}"
-        )
+        force = in_unit(details["contact_force"], "N") if details.get("contact_force") is not None else "unknown"
+        parts.append(f"the electrodes rest with {in_unit(details['contact_current'], 'A')} of contact current, {force}")
     judged = [touch for touch in touches if not math.isnan(touch.clearance)]
     if judged:
         last = judged[-1]
         parts.append(
-            f"the target lies {quantity(last.horizontal, 'm')}, {quantity(last.vertical, 'm')} and "
-            f"{quantity(last.angle, 'rad')} off, which leaves {quantity(last.clearance, 'm')} of clearance"
+            f"the target lies {in_unit(last.horizontal, 'm')}, {in_unit(last.vertical, 'm')} and "
+            f"{in_unit(last.angle, 'rad')} off, which leaves {in_unit(last.clearance, 'm')} of clearance"
         )
     return "; ".join(parts) + "."
 
@@ -93,7 +89,7 @@ def _charged(replay: Replay) -> str:
         return ""
     current = replay.run.power.arrays()["current"]
     highest = (
-        f" at up to {quantity(float(current[current == current].max()), 'A')}" if (current == current).any() else ""
+        f" at up to {in_unit(float(current[current == current].max()), 'A')}" if (current == current).any() else ""
     )
     end = "The recording ends while it still charges." if replay.last_phase == "charging" else "Then it was undocked."
     return f"It charged for {_duration(replay.charged)}{highest}. {end}"
@@ -106,7 +102,7 @@ def _because(replay: Replay, ended: Mapping[str, Any]) -> str:
     phase = _phase_before(replay, when).upper().replace("_", " ")
     charging = not math.isnan(replay.charged)
     if code == Code.CANCELED:
-        text = f"The client canceled the goal in {phase} after {quantity(when, 's', 1)}."
+        text = f"The client canceled the goal in {phase} after {in_unit(when, 's', 1)}."
     elif code in _REASONS and not charging:
         text = f"Charging was refused: {_REASONS[Code(code)](replay, message)}."
     else:
@@ -128,15 +124,15 @@ def _tilted(replay: Replay, message: str) -> str:
     left = clearance(estimate.angle, 0.0, gap, length)
     sigmas = parameters.clearance_sigmas
     worst = left - sigmas * clearance_stddev(estimate, gap, length)
-    needed = quantity(parameters.clearance_min, "m")
+    needed = in_unit(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(touches), len(touches))} contacts" if len(touches) > 1 else ""
-    found = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
+    found = f"{in_unit(estimate.angle, 'rad')} ± {in_unit(estimate.angle_stddev, 'rad')}"
     text = f"the angle was measured as {found}{times}; even without an offset across the bars the clearance would be "
     if left < parameters.clearance_min:
-        return text + f"{quantity(left, 'm')}, {needed} are needed"
+        return text + f"{in_unit(left, 'm')}, {needed} are needed"
     if worst < parameters.clearance_min:
-        less = f"{quantity(worst, 'm')} less {sigmas:g} standard deviations"
-        return text + f"{quantity(left, 'm')}, {less}, {needed} are needed"
+        less = f"{in_unit(worst, 'm')} less {sigmas:g} standard deviations"
+        return text + f"{in_unit(left, 'm')}, {less}, {needed} are needed"
     return f"the angle was measured as {found}{times}; {message}"
 
 
@@ -144,12 +140,12 @@ def _off(replay: Replay, message: str) -> str:
     judged = [touch for touch in replay.run.touches if not math.isnan(touch.clearance)]
     if not judged:
         return message
-    needed = quantity(replay.parameters.clearance_min, "m")
+    needed = in_unit(replay.parameters.clearance_min, "m")
     last = judged[-1].estimate
     return (
-        f"{message}; the last measurement found {quantity(last.across, 'm')} ± {quantity(last.across_stddev, 'm')} "
-        f"across the bars and {quantity(last.angle, 'rad')} ± {quantity(last.angle_stddev, 'rad')}, which leaves "
-        f"{quantity(judged[-1].clearance, 'm')} of clearance, and {needed} are needed "
+        f"{message}; the last measurement found {in_unit(last.across, 'm')} ± {in_unit(last.across_stddev, 'm')} "
+        f"across the bars and {in_unit(last.angle, 'rad')} ± {in_unit(last.angle_stddev, 'rad')}, which leaves "
+        f"{in_unit(judged[-1].clearance, 'm')} of clearance, and {needed} are needed "
         f"at {replay.parameters.clearance_sigmas:g} standard deviations"
     )
 
@@ -179,7 +175,7 @@ def _mean(touches: list[Touch]) -> MisalignmentEstimate:
 def _way_back(replay: Replay) -> str:
     if replay.last_phase == "idle":
         home = any(each.kind == "retracted" for each in replay.run.decisions)
-        start = quantity(replay.phases[-1].start, "s", 1)
+        start = in_unit(replay.phases[-1].start, "s", 1)
         return f"The arm was {'home' if home else 'at rest'} again at {start}."
     return f"The recording ends in {replay.last_phase.upper()}: {replay.recording.damage or 'it stopped earlier'}."
 
@@ -196,6 +192,6 @@ def _name(code: int) -> str:
 
 def _duration(seconds: float) -> str:
     if seconds < 120.0:
-        return quantity(seconds, "s", 1)
+        return in_unit(seconds, "s", 1)
     minutes = seconds / 60.0
     return f"{minutes:.0f} min" if minutes < 120.0 else f"{minutes / 60.0:.1f} h"

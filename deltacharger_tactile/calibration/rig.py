@@ -34,7 +34,7 @@ GAIN_LOW, GAIN_HIGH = 0.2, 5.0
 SHIFT_LIMIT = 30.0
 """Largest load shift, N: about 0.15° of tilt on the simulated pads."""
 _BIAS_LIMIT = {"horizontal": 0.02, "vertical": 0.02, "angle": 0.2}
-_FELT = 0.25
+_LOADED = 0.25
 """Readings below it are noise and do not count as load, N; as in the pose model."""
 _SHARE = 0.3
 """Largest scaling of a pad's readings: beyond it, a light pad's noise would pass for its ridge."""
@@ -104,11 +104,13 @@ class TactileCalibration:
             pads[index] = np.where(self.dead[index], np.nan, pads[index] / self.gain[index])
         if self.load_shift == 0.0:
             return pads[0], pads[1]
-        loads = [np.where(pad >= _FELT, pad, 0.0).sum(axis=(-2, -1)) for pad in pads]
+        loads = [np.where(pad >= _LOADED, pad, 0.0).sum(axis=(-2, -1)) for pad in pads]
         lighter = np.minimum(*loads)
         most = np.where(lighter >= Limits().pad_force, _SHARE * lighter, 0.0)
         moved = np.clip(0.5 * self.load_shift, -most, most)
-        factors = [1.0 + sign * moved / np.maximum(load, _FELT) for sign, load in zip((-1.0, 1.0), loads, strict=True)]
+        factors = [
+            1.0 + sign * moved / np.maximum(load, _LOADED) for sign, load in zip((-1.0, 1.0), loads, strict=True)
+        ]
         return pads[0] * factors[0][..., None, None], pads[1] * factors[1][..., None, None]
 
     def correct(self, estimate: Estimate, limits: Limits | None = None) -> Estimate:

@@ -58,7 +58,7 @@ _FUTURE = 0.05  # s that a stamp may be ahead of this computer's clock
 class _Tally:
     """Counts of images so far."""
 
-    looked: int = 0
+    examined: int = 0
     found: int = 0
     stale: int = 0
     milliseconds: float = float("nan")
@@ -164,7 +164,7 @@ class ElectrodeDetectorNode(Node):
             except VisionError as error:
                 return None, str(error)
             self._tally.milliseconds = 1e3 * (time.perf_counter() - started)
-        self._tally.looked += 1
+        self._tally.examined += 1
         self._show(image, found, shot)
         if found is None:
             return None, "no electrodes in the image: turn the robot toward the target, clear the view, check the light"
@@ -225,7 +225,7 @@ class ElectrodeDetectorNode(Node):
         took = quantity(self._tally.milliseconds, ".1f", "ms")
         values = {**vars(self._tally), "milliseconds": took, "images": self._camera.shots}
         level = OK if not problem else ERROR if watched or self._missing else WARN
-        text = problem or ("looking" if watched else "idle; looks when asked")
+        text = problem or ("detecting" if watched else "idle; detects on request")
         self._diagnostics.report(level, text, values, "detector", self._camera.names[0])
 
 

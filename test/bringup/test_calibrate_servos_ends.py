@@ -67,7 +67,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> type[Arm]:
         pass
 
     monkeypatch.setattr(measuring, "MeasuringArm", OneArm)
-    monkeypatch.setattr(command, "measure_servos", lambda body, task, say: body.measure())
+    monkeypatch.setattr(command, "measure_servos", lambda body, task, progress: body.measure())
     return OneArm
 
 

@@ -14,8 +14,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.observation import Reply, Request, Service
+from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_docking.ros.services import Services
-from deltacharger_docking.ros.witness import Witness
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -145,10 +145,10 @@ def test_malformed_answers_are_refused_or_ignored(node: Node, services: Services
         return response
 
     node.create_service(kind, name, lie, callback_group=ReentrantCallbackGroup())
-    witness = Witness()
+    frames = FrameCheck()
     for number in range(1, 6):
         services.call(Request(number, service, frames=4, timeout=5.0))
-        answer = witness.checked(reply(services))
+        answer = frames.checked(reply(services))
         assert answer.number == number
         assert len(answer.message) < 2 * MESSAGE_MAX
         assert answer.estimate is None, "no frames stand behind it"

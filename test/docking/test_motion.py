@@ -41,10 +41,9 @@ def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> N
 
 
 def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> None:
-    for push, allowed in ((None, PARAMETERS.push_current), (0.25, 0.25)):
-        last = PLANNER.line(HOME, STANDOFF, 0.12, push)[-1]
-        held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
-        assert np.allclose(np.subtract(last.torque_bound, held), allowed * TORQUE_CONSTANT, atol=1e-12)
+    last = PLANNER.line(HOME, STANDOFF, 0.12)[-1]
+    held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
+    assert np.allclose(np.subtract(last.torque_bound, held), PARAMETERS.push_current * TORQUE_CONSTANT, atol=1e-12)
 
 
 def test_velocities_match_the_commanded_angles_and_end_at_rest() -> None:

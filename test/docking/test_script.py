@@ -11,7 +11,7 @@ from deltacharger_core.script import NEXT, Calls, Runner, Script, Wait
 
 
 @dataclass(frozen=True)
-class Assumed:
+class Reply:
     number: int
     text: str = ""
 
@@ -71,21 +71,21 @@ def test_a_script_that_is_replaced_or_forgotten_is_closed() -> None:
 
 
 def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
-    calls: Calls[Assumed] = Calls()
-    asked, untold = calls.number(), calls.number(awaited=False)
-    calls.hear([Assumed(untold), Assumed(asked, "first"), Assumed(asked, "second"), Assumed(99)])
-    assert calls.take(asked) == Assumed(asked, "first")
+    calls: Calls[Reply] = Calls()
+    asked, unawaited = calls.number(), calls.number(awaited=False)
+    calls.receive([Reply(unawaited), Reply(asked, "first"), Reply(asked, "second"), Reply(99)])
+    assert calls.take(asked) == Reply(asked, "first")
     assert calls.take(asked) is None
-    assert calls.take(untold) is None
+    assert calls.take(unawaited) is None
     assert calls.take(99) is None
 
 
 def test_replies_to_forgotten_requests_are_dropped() -> None:
-    calls: Calls[Assumed] = Calls()
+    calls: Calls[Reply] = Calls()
     early, late = calls.number(), calls.number()
-    calls.hear([Assumed(early)])
+    calls.receive([Reply(early)])
     calls.forget()
-    calls.hear([Assumed(late)])
+    calls.receive([Reply(late)])
     assert calls.take(early) is None
     assert calls.take(late) is None
     assert not calls.open

@@ -110,5 +110,4 @@ def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
     for _ in range(5):
         with pytest.raises(ValueError, match="no"):
             shared()
-        assert not shared.is_running  # a block does not wait for the answer
     assert time.monotonic() - began >= 0.25

@@ -326,11 +326,27 @@ def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
     assert "keeps the contactor closed" in answer.message
 
 
-def test_a_close_waits_for_another_clients_probe_and_precedes_the_next(rig: Rig) -> None:
+def signal_probe(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Return an event that is set when the board is asked for a probe."""
+    link, begun = rig.node._keeper.link, threading.Event()
+    measure = link.probe
+
+    def probe() -> Any:
+        begun.set()
+        return measure()
+
+    monkeypatch.setattr(link, "probe", probe)
+    return begun
+
+
+def test_a_close_waits_for_another_clients_probe_and_precedes_the_next(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig.dock()
+    begun = signal_probe(rig, monkeypatch)
     probes = [rig.client.probing()]
+    assert begun.wait(DEADLINE), "a running probe"
     probe = rig.node._keeper.guard._probe
-    wait_until(lambda: probe.is_running, "a running probe")
     closing = rig.client.contacting()
     wait_until(lambda: probe._priority, "the close to wait")
     probes += [rig.client.probing() for _ in range(AT_ONCE)]
@@ -389,11 +405,11 @@ def test_impossible_closes_are_refused_counted_and_followed_by_a_good_one(rig: R
     assert rig.node._keeper.guard.remaining() <= 0.25
 
 
-def test_an_open_does_not_wait_for_a_probe(rig: Rig) -> None:
-    answers: list[Any] = []
+def test_an_open_does_not_wait_for_a_probe(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, answers = signal_probe(rig, monkeypatch), list[Any]()
     prober = threading.Thread(target=lambda: answers.append(rig.client.probe()))
     prober.start()
-    wait_until(lambda: rig.node._keeper.guard._probe.is_running)
+    assert begun.wait(DEADLINE), "a running probe"
     began = time.monotonic()
     assert rig.client.contactor(False).success
     assert time.monotonic() - began < 0.12

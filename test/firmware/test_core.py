@@ -47,7 +47,7 @@ def test_firmware_and_host_have_the_same_constants() -> None:
     assert shared == {name: host[name] for name in shared}
     assert shared.keys() >= {"ROWS", "COLUMNS", "CONTACT_FORCE", "FULL_SCALE", "DEFAULT_RATE", "SHORT_RESISTANCE"}
     micros = {name.removesuffix("_US"): value * 1e-6 for name, value in written.items() if name.endswith("_US")}
-    for name in ("HEARTBEAT_TIMEOUT", "PROBE_LIFETIME", "PROBE_DEADLINE"):
+    for name in ("HEARTBEAT_TIMEOUT", "PROBE_LIFETIME", "PROBE_TIMEOUT"):
         assert micros[name] == pytest.approx(host[name])
 
 

@@ -91,7 +91,7 @@ def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
     x, y, z = world.seen().position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
-    assert world.machine.status.stands <= QUICK.stands_max
+    assert world.machine.status.moves <= QUICK.stands_max
 
 
 def test_parameters_change_only_between_missions() -> None:
@@ -200,7 +200,7 @@ def test_moves_are_bounded_if_docking_always_finds_the_target_out_of_reach() -> 
     world = quick({Task.DOCK: unreachable})
     outcome = world.run()
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
-    assert world.machine.status.stands == QUICK.stands_max
+    assert world.machine.status.moves == QUICK.stands_max
     assert sum(request.task is Task.DOCK for request in world.requests) <= QUICK.stands_max + 1
 
 
@@ -218,7 +218,7 @@ def test_a_target_detected_askew_is_faced_squarely_after_one_move(yaw: float, mo
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, yaw), mount=mount, lean_stddev=0.01))
     outcome = world.run()
     assert outcome.success, outcome
-    assert (world.machine.status.stands, len(world.bases)) == (1, 1)
+    assert (world.machine.status.moves, len(world.bases)) == (1, 1)
     world.base = world.bases[0]
     assert world.seen().yaw == pytest.approx(0.0, abs=1e-9)
     assert world.seen().position == pytest.approx((0.0, 0.0, DOCK_DISTANCE), abs=1e-9)
@@ -234,7 +234,7 @@ def test_the_robot_takes_a_suggested_base_pose_with_its_heading(
     world = quick({Task.DOCK: squarely(FIVE, code)}, Truth(TARGET.at(0.0, 0.0, yaw), mount=mount))
     outcome = world.run()
     assert outcome.success, outcome
-    assert (world.machine.status.stands, len(world.bases)) == (2, 2), "to dock at all, and once more"
+    assert (world.machine.status.moves, len(world.bases)) == (2, 2), "to dock at all, and once more"
     world.base = world.bases[0]
     assert world.seen().yaw == pytest.approx(yaw), "+y points up: a target that is turned to the left is yawed by +"
     world.base = world.bases[1]
@@ -264,7 +264,7 @@ def leaning(base: BasePose | None) -> Answer:
 
 
 @pytest.mark.parametrize(
-    ("base", "stands"),
+    ("base", "moves"),
     [
         (BasePose(0.0, 0.0, 0.0, 0.2), QUICK.stands_max),
         (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * QUICK.gain_turn_min), 1),
@@ -272,11 +272,11 @@ def leaning(base: BasePose | None) -> Answer:
     ],
     ids=["always askew", "a turn that is not worth it", "a pitch"],
 )
-def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePose | None, stands: int) -> None:
+def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePose | None, moves: int) -> None:
     world = quick({Task.DOCK: leaning(base)})
     outcome = world.run()
     assert (outcome.code, outcome.retriable, outcome.returned) == (Code.LEANING, False, True)
-    assert (world.machine.status.stands, len(world.bases)) == (stands, stands)
+    assert (world.machine.status.moves, len(world.bases)) == (moves, moves)
     assert "askew" in outcome.message
 
 
@@ -585,7 +585,7 @@ def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     assert outcome.success is (outcome.code is Code.NONE)
     assert outcome.code in set(Code)
     assert outcome.message
-    assert status.stands <= QUICK.stands_max
+    assert status.moves <= QUICK.stands_max
     per_search = (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
     assert status.views <= (QUICK.stands_max + 1) * per_search or not drives
     docks = sum(request.task is Task.DOCK for request in world.requests)

@@ -34,7 +34,7 @@ def make(folder: RecordFolder, number: int, size: int, ends: bool) -> tuple[Path
     """Make a record of `size` bytes after its head."""
     began, request = BEGAN + number * SECOND, f"id {number}"
     path, stream = folder.create(began, request)
-    McapStream(stream, {}, live=True, told=[(ABOUT, head({"version": "0"}, began, request))])
+    McapStream(stream, {}, live=True, metadata=[(ABOUT, head({"version": "0"}, began, request))])
     stream.write(b"x" * size)
     flush(stream)
     if ends:
@@ -80,7 +80,7 @@ def test_a_record_is_ours_with_any_request_id(tmp_path: Path, request_id: str) -
     for _ in range(2):
         path, stream = folder.create(BEGAN, request_id)
         about = head({"version": "0", "scene": "é" * 5000, "namespace": "/" + "a" * 5000}, BEGAN, request_id)
-        McapStream(stream, {}, live=True, told=[(ABOUT, about)])
+        McapStream(stream, {}, live=True, metadata=[(ABOUT, about)])
         flush(stream)
         assert look(path).problem == ""
         assert look(folder.finish(path, stream, "CRITICAL_ANGLE")).problem == ""
@@ -180,7 +180,7 @@ def _socket(path: Path) -> None:
 def _record(path: Path) -> None:
     """Put a record of ours there, renamed by a user."""
     with path.open("wb") as stream:
-        McapStream(stream, {}, live=True, told=[(ABOUT, head({}, BEGAN, "id 0"))])
+        McapStream(stream, {}, live=True, metadata=[(ABOUT, head({}, BEGAN, "id 0"))])
 
 
 FOREIGN: dict[str, Callable[[Path], object]] = {

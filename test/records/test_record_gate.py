@@ -147,10 +147,10 @@ def test_a_docking_ends_if_its_node_ends_but_not_if_the_node_returns() -> None:
     session = Session()
     session.begin()
     session.see(0.0, seen(State.CONTACT))
-    session.hear(1.0, alive=False)
+    session.note_publisher(1.0, alive=False)
     assert not session.is_over(1.0 + 0.9 * LOST_AFTER)
-    session.hear(2.0, alive=True)
-    session.hear(3.0, alive=False)
+    session.note_publisher(2.0, alive=True)
+    session.note_publisher(3.0, alive=False)
     assert not session.is_over(2.9 + LOST_AFTER)
     assert session.is_over(3.0 + LOST_AFTER)
 

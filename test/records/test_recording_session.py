@@ -45,10 +45,10 @@ class Ear:
     def begin(self, number: int) -> None:
         self._number = number
 
-    def listen(self) -> None:
+    def start_frames(self) -> None:
         self._frames = []
 
-    def heard(self) -> bool:
+    def has_frames(self) -> bool:
         self._frames.append(self._charger._frame.copy())
         self._truth = self._charger.world.snapshot()
         assert self._truth.misalignment is not None

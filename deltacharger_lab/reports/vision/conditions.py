@@ -47,7 +47,7 @@ class Condition:
         weight: number of images relative to a usual row.
         real: whether there are electrodes.
         takes: the camera that takes the image.
-        told: camera that the detector assumes.
+        assumed: camera that the detector assumes.
         color_only: whether there is no depth.
         renderer: RAYS or MUJOCO.
         stream: rows of one stream share their views.
@@ -60,7 +60,7 @@ class Condition:
     weight: float = 1.0
     real: bool = True
     takes: Intrinsics = OAK_D
-    told: Intrinsics = OAK_D
+    assumed: Intrinsics = OAK_D
     color_only: bool = False
     renderer: str = RAYS
     stream: int = 0
@@ -147,14 +147,14 @@ def _obstructed() -> list[Condition]:
 
 
 def _intrinsics() -> list[Condition]:
-    told = {"exact": OAK_D}
+    assumed = {"exact": OAK_D}
     for percent in (-2, -1, 1, 2):
         factor = 1 + percent / 100
-        told[f"focal length {percent:+d} %"] = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+        assumed[f"focal length {percent:+d} %"] = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
     for axis, shift in itertools.product("xy", (-5, 5)):
         moved = {f"c{axis}": getattr(OAK_D, f"c{axis}") + shift}
-        told[f"principal point {axis} {shift:+d} px"] = dataclasses.replace(OAK_D, **moved)
-    return [Condition(name, INTRINSICS, _DOCKED, told=each) for name, each in told.items()]
+        assumed[f"principal point {axis} {shift:+d} px"] = dataclasses.replace(OAK_D, **moved)
+    return [Condition(name, INTRINSICS, _DOCKED, assumed=each) for name, each in assumed.items()]
 
 
 LENSES = {
@@ -170,7 +170,7 @@ def _lenses() -> list[Condition]:
     for name, distortion in LENSES.items():
         lens = dataclasses.replace(OAK_D, distortion=distortion)
         draw = partial(_DOCKED, intrinsics=lens)
-        found.append(Condition(f"{name}, known", LENS, draw, takes=lens, told=lens))
+        found.append(Condition(f"{name}, known", LENS, draw, takes=lens, assumed=lens))
         found.append(Condition(f"{name}, ignored", LENS, draw, takes=lens))
     return found
 
@@ -178,7 +178,7 @@ def _lenses() -> list[Condition]:
 def _sizes() -> list[Condition]:
     draw = partial(views.plain, nearest=BAND[0], farthest=BAND[1])
     cameras = [OAK_D.scaled(*size) for size in SIZES]
-    return [Condition(f"{of.width} × {of.height} px", SIZE, draw, takes=of, told=of) for of in cameras]
+    return [Condition(f"{of.width} × {of.height} px", SIZE, draw, takes=of, assumed=of) for of in cameras]
 
 
 def _renderers() -> list[Condition]:

@@ -75,7 +75,7 @@ class Photographer:
             self._cameras[known] = (MujocoCamera if condition.renderer == MUJOCO else SimulatedCamera)(*known[:2])
         random = np.random.default_rng([seed, condition.stream, 1])
         image = self._cameras[known].render(view.scene, view.pose, random, condition.color_only)
-        return Sample(view, RgbdImage(image.color, image.depth, condition.told))
+        return Sample(view, RgbdImage(image.color, image.depth, condition.assumed))
 
     def close(self) -> None:
         """Release the cameras."""

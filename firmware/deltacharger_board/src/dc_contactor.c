@@ -29,7 +29,7 @@ static void abort_probe(dc_contactor *contactor)
 static void void_probe(dc_contactor *contactor)
 {
     contactor->closed = false;
-    contactor->probe_deadline = 0;
+    contactor->probe_valid_until = 0;
     abort_probe(contactor);
 }
 
@@ -40,7 +40,7 @@ void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, co
     contactor->probe_aborted = false;
     contactor->closed = false;
     contactor->fault = DC_NO_FAULT;
-    contactor->probe_due = contactor->probe_deadline = contactor->heartbeat_deadline = 0;
+    contactor->probe_answer_due = contactor->probe_valid_until = contactor->heartbeat_deadline = 0;
     contactor->next_check = now;
     read_power(contactor);
 }
@@ -54,7 +54,7 @@ uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now)
 {
     if (contactor->closed)
         return DC_NOT_NOW;
-    if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT || now >= contactor->probe_deadline)
+    if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT || now >= contactor->probe_valid_until)
         return DC_INTERLOCK;
     abort_probe(contactor); /* the probe's circuit must leave the electrodes before the battery is connected */
     contactor->closed = true;
@@ -87,7 +87,7 @@ uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now)
     if (contactor->reading.contactor_closed)
         return DC_NOT_NOW;
     contactor->probing = true;
-    contactor->probe_due = now + DC_PROBE_DEADLINE_US - dc_poll_period(contactor->stage.config);
+    contactor->probe_answer_due = now + DC_PROBE_TIMEOUT_US - dc_poll_period(contactor->stage.config);
     hardware->start_probe(hardware->context);
     return DC_DONE;
 }
@@ -107,12 +107,12 @@ dc_probe_event dc_contactor_poll_probe(dc_contactor *contactor, uint64_t now, fl
     if (!contactor->probing)
         return DC_PROBE_NONE;
     if (!hardware->poll_probe(hardware->context, resistance, target)) {
-        if (now < contactor->probe_due)
+        if (now < contactor->probe_answer_due)
             return DC_PROBE_NONE;
         *resistance = *target = DC_NAN; /* not measured in time */
     }
     end_probe(contactor);
-    contactor->probe_deadline = probe_allows(*resistance, *target) ? now + DC_PROBE_LIFETIME_US : 0;
+    contactor->probe_valid_until = probe_allows(*resistance, *target) ? now + DC_PROBE_LIFETIME_US : 0;
     return DC_PROBE_DONE;
 }
 

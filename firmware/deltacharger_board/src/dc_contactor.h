@@ -15,7 +15,7 @@ extern "C" {
 
 #define DC_HEARTBEAT_TIMEOUT_US 100000u
 #define DC_PROBE_LIFETIME_US 2000000u /* during which an answer allows a close */
-#define DC_PROBE_DEADLINE_US 250000u  /* longest time until a probe is answered */
+#define DC_PROBE_TIMEOUT_US 250000u   /* longest time until a probe is answered */
 #define DC_SHORT_RESISTANCE 1.0f      /* ohm, below it the electrodes are shorted */
 #define DC_CHECK_PERIOD_US 1000u      /* between readings of the active power stage */
 #define DC_IDLE_CHECK_PERIOD_US 10000u
@@ -29,8 +29,8 @@ typedef struct {
     uint8_t fault; /* latched until the next opening command, 0 = none */
     bool probing;
     bool probe_aborted;          /* not answered yet */
-    uint64_t probe_due;          /* us, latest answer to the running probe */
-    uint64_t probe_deadline;     /* us, the last answer allows a close until then */
+    uint64_t probe_answer_due;   /* us, latest answer to the running probe */
+    uint64_t probe_valid_until;  /* us, the last answer allows a close until then */
     uint64_t heartbeat_deadline; /* us */
     uint64_t next_check;         /* us */
     dc_power_reading reading;    /* the last one */

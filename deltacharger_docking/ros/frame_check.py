@@ -16,15 +16,15 @@ _SHARE = 0.5  # of an estimate's frames that docking must have received: a best-
 _BEFORE = 0.1  # s
 
 
-class Witness:
-    """Stores the sequence numbers of the frames of the last seconds."""
+class FrameCheck:
+    """Stores sequence numbers of recent frames, and checks estimates against them."""
 
     def __init__(self) -> None:
-        self._heard: deque[tuple[int, float]] = deque(maxlen=_KEPT)
+        self._frames: deque[tuple[int, float]] = deque(maxlen=_KEPT)
 
-    def hear(self, sequence: int, sampled: float) -> None:
+    def add(self, sequence: int, sampled: float) -> None:
         """Add a frame sampled at `sampled`, s monotonic."""
-        self._heard.append((sequence, sampled))
+        self._frames.append((sequence, sampled))
 
     def checked(self, reply: Reply) -> Reply:
         """Return the reply, or a refusal in its place if its estimate is not confirmed."""
@@ -42,11 +42,11 @@ class Witness:
             return "it does not name the frames that it averaged"
         if any(later <= earlier for earlier, later in pairwise(named)):
             return "it names tactile frames twice or out of order"
-        fresh = {sequence for sequence, sampled in self._heard if sampled > since}
+        fresh = {sequence for sequence, sampled in self._frames if sampled > since}
         known = len(fresh.intersection(named))
         if known < _SHARE * len(named) or not known:
             return f"docking received only {known} of its {len(named)} tactile frames after the request"
         first = min(fresh)  # an earlier frame with a higher number is from before a restart of tactile_node
-        if any(named[0] <= sequence < first for sequence, sampled in self._heard if sampled <= since):
+        if any(named[0] <= sequence < first for sequence, sampled in self._frames if sampled <= since):
             return "some of its tactile frames were sampled before the request"
         return ""

@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply
-from deltacharger_docking.ros.witness import Witness
+from deltacharger_docking.ros.frame_check import FrameCheck
 
 PERIOD = 1.0 / 120.0  # s
 ASKED = 100.0  # s
@@ -18,17 +18,17 @@ AFTER = range(1120, 1144)
 FELT = MisalignmentEstimate(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 
-def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:
-    """A witness that received a second of frames before ASKED, and every n-th frame after it."""
-    found = Witness()
+def frame_check(after: range = AFTER, before: range = BEFORE, every: int = 1) -> FrameCheck:
+    """One that received a second of frames before ASKED, and every n-th frame after it."""
+    found = FrameCheck()
     for frame in before:
-        found.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
+        found.add(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least this long
     for frame in after[::every]:
-        found.hear(frame, ASKED + (frame - after.start) * PERIOD)
+        found.add(frame, ASKED + (frame - after.start) * PERIOD)
     return found
 
 
-def is_believed(found: Witness, *named: int) -> bool:
+def is_believed(found: FrameCheck, *named: int) -> bool:
     reply = found.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
     assert reply.number == 7
     assert reply.success == (reply.estimate is not None)
@@ -37,9 +37,9 @@ def is_believed(found: Witness, *named: int) -> bool:
 
 
 def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() -> None:
-    assert is_believed(witness(), *AFTER)
-    assert is_believed(witness(every=2), *AFTER)
-    assert not is_believed(witness(every=3), *AFTER)
+    assert is_believed(frame_check(), *AFTER)
+    assert is_believed(frame_check(every=2), *AFTER)
+    assert not is_believed(frame_check(every=3), *AFTER)
 
 
 @pytest.mark.parametrize(
@@ -58,21 +58,21 @@ def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() 
     ],
 )
 def test_an_estimate_without_matching_frames_is_refused(named: tuple[int, ...], why: str) -> None:
-    assert not is_believed(witness(), *named), why
+    assert not is_believed(frame_check(), *named), why
 
 
 @pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
 def test_frames_after_a_restart_of_tactile_node_or_board_are_accepted(start: int) -> None:
     """The sequence restarts with the first, and jumps ahead with the second."""
     after = range(start, start + 24)
-    assert is_believed(witness(after), *after)
-    assert is_believed(witness(after, every=2), *after)
+    assert is_believed(frame_check(after), *after)
+    assert is_believed(frame_check(after, every=2), *after)
 
 
 def test_without_received_frames_no_estimate_is_accepted() -> None:
-    assert not is_believed(Witness(), *AFTER)
+    assert not is_believed(FrameCheck(), *AFTER)
 
 
 def test_answers_without_an_estimate_are_not_changed() -> None:
     reply = Reply(3, True, "tared", resistance=math.pi)
-    assert Witness().checked(reply) is reply
+    assert FrameCheck().checked(reply) is reply
