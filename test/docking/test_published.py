@@ -23,7 +23,7 @@ ZERO: Step = (0.0, 0.0)
 RULE = {"published_clearance_rule": True}
 
 
-class Assumed:
+class Scripted:
     """Decisions and estimates of a docking; its estimates have scripted classes in place of the CNN's.
 
     Attributes:
@@ -60,10 +60,10 @@ class Assumed:
         return [each for each in self.decisions if each.kind == kind]
 
 
-def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Assumed:
+def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Scripted:
     """A charger of `approach: published` with its scripted estimates and these parameters."""
     parameters = {"approach": "published", **more.pop("parameters", {})}
-    return Assumed(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
+    return Scripted(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
 
 
 def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
@@ -206,7 +206,7 @@ def unproven(observation: Observation) -> Observation:
     return replace(observation, simulated=False)
 
 
-def real(scripted: Assumed) -> Assumed:
+def real(scripted: Scripted) -> Scripted:
     """The same charger, not known to be simulated."""
     run, observe = scripted.run, scripted.run.observe
     run.observe = lambda: unproven(observe())  # type: ignore[method-assign]
