@@ -230,7 +230,7 @@ def charge(axes: Axes, run: Run) -> None:
 
 
 def _limit(axes: Axes, values: Any, band: tuple[float, float], unit: str) -> None:
-    """Scale a panel to most of the values and the band; short peaks beyond are cut and told in words."""
+    """Scale a panel to most of the values and the band; short peaks beyond are cut and stated in words."""
     known = values[np.isfinite(values)]
     known = known if len(known) else np.zeros(1)
     low, high = np.percentile(known, (100.0 * _PEAKS, 100.0 * (1.0 - _PEAKS)))

@@ -152,8 +152,8 @@ def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
 def _row(name: str, answer: str, remark: str, status: str = "", unit: str = "", **figures: float) -> dict[str, Any]:
     """Return a row of the table; a correct one has no remark."""
     unknown = {"margin": _NAN, "error": _NAN, "unit": unit, "round_trip": _NAN}
-    told = {"ok": not remark, "remark": remark}
-    return {"name": name, "status": status, "answer": answer, **unknown, **figures, **told}
+    verdict = {"ok": not remark, "remark": remark}
+    return {"name": name, "status": status, "answer": answer, **unknown, **figures, **verdict}
 
 
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:

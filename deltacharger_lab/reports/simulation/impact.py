@@ -94,12 +94,12 @@ def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, l
 
 def obey(moved: World, orders: Sequence[Order], duration: float, step: float) -> float:
     """Run a world with commands in steps of `step` s and return the largest force at an end of a step (N)."""
-    told, ends = 0, 0.0
+    sent, ends = 0, 0.0
     for index in range(round(duration / step)):
-        while told < len(orders) and orders[told][0] <= index * step + 1e-9:
+        while sent < len(orders) and orders[sent][0] <= index * step + 1e-9:
             for servo in range(3):
-                moved.command(servo, True, *orders[told][1:])
-            told += 1
+                moved.command(servo, True, *orders[sent][1:])
+            sent += 1
         moved.step(step)
         ends = max(ends, moved.mechanics.contact_force)
     return ends

@@ -22,7 +22,7 @@ STEPS = (1e-3, 5e-3, 1e-2, 2e-2)  # s, of the light model
 TARGET_STEP = 1e-2  # s
 COMPLIANCES = (0.0, 0.01, 0.02, 0.03)  # rad/(N·m)
 CONTACTS = (1e5, 1e6)  # N/m
-TOLD_YAWS = (1.0, 2.0, 5.0)  # °
+REPORTED_YAWS = (1.0, 2.0, 5.0)  # °
 MODEST = 3.5  # ° of lean, up to which the position is judged
 _REFERENCE_STEP = {False: 2e-4, True: 5e-4}  # s; by whether the plan is quick
 _FINEST = 1e-3  # s, smallest step of every point of the rough treatment; only some take the shorter one
@@ -118,9 +118,9 @@ def errors(case: LeanCase, name: str, finest: float) -> list[dict[str, Any]]:
 
 def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
     """Return the remaining yaw at rest for each yaw of the target (°), and the pitch that lifts a complete bar (°)."""
-    angles = TOLD_YAWS if quick else (*tuple(0.25 * index for index in range(23)), 5.7)
+    angles = REPORTED_YAWS if quick else (*tuple(0.25 * index for index in range(23)), 5.7)
     yaws = []
-    for yaw in dict.fromkeys((*angles, *TOLD_YAWS)):
+    for yaw in dict.fromkeys((*angles, *REPORTED_YAWS)):
         found = _at_rest(LeanCase(yaw, 0.0, compliance, contact))
         yaws.append({"yaw": yaw, "rest": yaw - math.degrees(found["tilt"][1]), "share": found["share"]})
     low, high = 0.0, math.degrees(0.1)

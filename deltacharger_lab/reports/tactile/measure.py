@@ -108,8 +108,8 @@ def _judge_shifts(
             if model.threshold not in windows:
                 windows[model.threshold] = drifted(model, rows)
             where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
-            told = evaluate(model, rows)
-            found["shifts"].append({**where, "shift": shift.name, **told, "windows": windows[model.threshold]})
+            result = evaluate(model, rows)
+            found["shifts"].append({**where, "shift": shift.name, **result, "windows": windows[model.threshold]})
             if shift is NONE:
                 found["diagrams"].append({**where, **_diagram(model, rows)})
     found["second"] = second.judge_models(models, known, subset, device, drifted)
@@ -121,8 +121,8 @@ def _windows(model: Classifier, rows: Examples, size: int, count: int) -> float:
     assert model.reliability is not None
     random = np.random.default_rng(size)
     chosen = (random.choice(len(rows), size, replace=False) for _ in range(count))
-    told = [model.reliability.drifted_together(rows.frames[rows_], model.threshold) for rows_ in chosen]
-    return float(np.mean(told))
+    result = [model.reliability.drifted_together(rows.frames[rows_], model.threshold) for rows_ in chosen]
+    return float(np.mean(result))
 
 
 def _diagram(model: Classifier, rows: Examples) -> dict[str, Any]:

@@ -40,9 +40,9 @@ def compare(rig: int, seed: int) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"model": model, "threshold": cut}
         for target in TARGETS:
             examples = labels.examples(known, target)
-            told = _learnt(model, examples, target, cut, seed) if model else _estimated(examples, target, cut)
-            row[target] = float(np.mean(told == examples.labels))
-            row[f"{target} abstained"] = float(np.mean(told < 0))
+            predicted = _learnt(model, examples, target, cut, seed) if model else _estimated(examples, target, cut)
+            row[target] = float(np.mean(predicted == examples.labels))
+            row[f"{target} abstained"] = float(np.mean(predicted < 0))
         rows.append(row)
     return rows
 
@@ -67,10 +67,10 @@ _NO_SHARES = ("model", "threshold")
 
 def _learnt(model: str, examples: Examples, target: str, cut: float, seed: int) -> NDArray[np.int64]:
     """Return the class (N,) from a model trained on the other two thirds."""
-    told = np.empty(len(examples), dtype=np.int64)
+    predicted = np.empty(len(examples), dtype=np.int64)
     for learns, judges in splits.thirds(examples, seed):
-        told[judges] = fitted(model, target, examples.part(learns), seed, cut).predict(examples.frames[judges])
-    return told
+        predicted[judges] = fitted(model, target, examples.part(learns), seed, cut).predict(examples.frames[judges])
+    return predicted
 
 
 def _estimated(examples: Examples, target: str, cut: float) -> NDArray[np.int64]:

@@ -184,10 +184,10 @@ def _confusion(results: dict[str, Any], path: Path) -> None:
                 matrix = np.array(results["diagrams"][name][target]["matrix"], dtype=float)
                 shares = 100.0 * matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1.0)
                 axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=100.0, aspect="auto")
-                for (row, told), value in np.ndenumerate(shares):
+                for (row, predicted), value in np.ndenumerate(shares):
                     if value >= 0.05:
                         text = f"{value:.0f}" if value >= 9.95 else f"{value:.1f}"
-                        axes.text(told, row, text, ha="center", va="center", fontsize=8,
+                        axes.text(predicted, row, text, ha="center", va="center", fontsize=8,
                                   color="white" if value > 55 else INK)  # fmt: skip
                 words = ticks.get(target, ["−10", "−5", "0", "5", "10"])
                 axes.set_xticks(range(len(words)), words)

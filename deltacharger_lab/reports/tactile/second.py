@@ -61,8 +61,8 @@ def judge_models(
     found = []
     for (name, target), model in models.items():
         judged = labels.examples(fresh, target)
-        told = evaluate(model, judged)
-        kept = {key: told[key] for key in SHARES}
+        result = evaluate(model, judged)
+        kept = {key: result[key] for key in SHARES}
         where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
         found.append({**where, **kept, "windows": windows(model, judged)})
     return found
@@ -109,7 +109,7 @@ def variants() -> dict[str, SecondParameters]:
         changed = {name: dataclasses.replace(getattr(base, name), **values) for name, values in groups.items()}
         return dataclasses.replace(base, **changed)
 
-    told, free = {"dead_band": 0.0, "dead_band_spread": 0.0}, {"rate": 0.0, "preload": 0.0}
+    result, free = {"dead_band": 0.0, "dead_band_spread": 0.0}, {"rate": 0.0, "preload": 0.0}
     upright, twice = {"lean_bias": 0.0, "lean_spread": 0.0}, {"line_share": 2.0}
     stiff = twice | {"compliance": 0.1 * base.platform.compliance}
     plain = dict.fromkeys(
@@ -118,15 +118,15 @@ def variants() -> dict[str, SecondParameters]:
     )  # fmt: skip
     return {
         _WHOLE: base,
-        "no dead band": other(sheet=told),
+        "no dead band": other(sheet=result),
         "bars bear nothing": other(bars=free),
         "no lean": other(platform=upright),
         "the force acts at twice the offset": other(platform=twice),
         "plain sheets, but for the dead band": other(sheet=plain),
-        "plain sheets without dead band": other(sheet=plain | told),
-        "the same, bars bear nothing": other(sheet=plain | told, bars=free),
-        "the same, the force at twice the offset": other(sheet=plain | told, bars=free, platform=twice),
-        "the same, the platform ten times as stiff": other(sheet=plain | told, bars=free, platform=stiff),
+        "plain sheets without dead band": other(sheet=plain | result),
+        "the same, bars bear nothing": other(sheet=plain | result, bars=free),
+        "the same, the force at twice the offset": other(sheet=plain | result, bars=free, platform=twice),
+        "the same, the platform ten times as stiff": other(sheet=plain | result, bars=free, platform=stiff),
     }
 
 
@@ -134,28 +134,28 @@ def _counts(data: Dataset, cut: float) -> Row:
     """Return counts and sums of one estimate over a data set, which can be added over several."""
     model, truth = default_model(cut), data.contact_pose
     left, right = data.robot_frames()
-    told = model.predict(left, right)
-    used, sure = np.asarray(told.in_range), np.asarray(told.sure)
-    acts = _acts(told)
+    result = model.predict(left, right)
+    used, sure = np.asarray(result.in_range), np.asarray(result.sure)
+    acts = _acts(result)
     _, across, angle = to_seat(truth).T
     short = _clearances(angle, across) < 0.0
     found: Row = {
-        "n": len(data), "contact": int(np.sum(told.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),
+        "n": len(data), "contact": int(np.sum(result.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),
         "drift": int(model.drifted(left, right).sum()), "acts": int(acts.sum()), "unsafe": int((acts & short).sum()),
     }  # fmt: skip
     for name, (axis, scale, _) in AXES.items():
-        error = (np.asarray(getattr(told, name)) - truth[:, axis])[used]
-        z = error / np.asarray(getattr(told, f"{name}_stddev"))[used]
+        error = (np.asarray(getattr(result, name)) - truth[:, axis])[used]
+        z = error / np.asarray(getattr(result, f"{name}_stddev"))[used]
         found[name] = [float(np.sum((scale * error) ** 2)), float(np.sum(z**2)), int(np.sum(np.abs(z) > 3.0))]
     return found
 
 
-def _acts(told: Estimate) -> Any:
+def _acts(result: Estimate) -> Any:
     """Return (N,) whether an estimate is sure and leaves docking's minimum clearance at docking's number of σ."""
     half = _DOCKING.electrode_half_length
-    spread = np.hypot(half * np.asarray(told.angle_stddev), np.asarray(told.across_stddev))
-    left = _clearances(told.angle, told.across) - _DOCKING.clearance_sigmas * spread
-    return np.asarray(told.sure) & (left >= _DOCKING.clearance_min)
+    spread = np.hypot(half * np.asarray(result.angle_stddev), np.asarray(result.across_stddev))
+    left = _clearances(result.angle, result.across) - _DOCKING.clearance_sigmas * spread
+    return np.asarray(result.sure) & (left >= _DOCKING.clearance_min)
 
 
 def _clearances(angles: Any, across: Any) -> Any:

@@ -104,8 +104,8 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
     if found is None:
         return [0.0, 0.0, *nothing, 0.0]
     error, roll = _off(found, pose)
-    told = bool(np.all(np.isfinite(found.normal)))
-    tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if told else math.nan
+    known = bool(np.all(np.isfinite(found.normal)))
+    tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if known else math.nan
     off, nees = float(np.linalg.norm(error)), _nees(error, found)
     sure = float((off > SURE_ERROR and nees > SURE_SIGMAS**2) or tilt > SURE_TILT)
     if not real or off > WRONG_POSITION or abs(roll) > WRONG_ROLL:
@@ -157,8 +157,8 @@ def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]
         seen = float(np.linalg.norm(found.position - pose[:3, 3]))
         sizes = (seen, float(np.linalg.norm(error)), float(np.hypot(*error[:2])), abs(float(error[2])))
         lean = _lean_errors(placed, target)
-        told = (math.degrees(abs(roll)), _nees(error, placed))
-        rows.append([float(seed), 1.0, *(1e3 * each for each in sizes), *told, *lean])
+        measured = (math.degrees(abs(roll)), _nees(error, placed))
+        rows.append([float(seed), 1.0, *(1e3 * each for each in sizes), *measured, *lean])
     return level, rows
 
 
