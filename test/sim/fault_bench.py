@@ -34,6 +34,7 @@ _LINE = 40.0  # s of that motion
 _PULL = 4.0  # N·m of each servo, enough for the magnets
 _TOUCH = 1.0  # N
 _AT_REST = 0.005  # rad/s
+_RESTS = 0.1  # s of the world
 
 
 class Phase(enum.Enum):
@@ -180,7 +181,19 @@ class Bench:
         self.client.send([(0.4, self._angles(_PRESSED))])
         self.wait(self._is_pressed, "the goal behind the target's face")
         self.wait(lambda: np.nanmax(self.client.taxels()) >= _TOUCH, "the pads to measure the target")
-        self.wait(lambda: max(map(abs, self.world.mechanics.rates)) < _AT_REST, "the arm at rest")
+        self.wait(self._rests(), "the arm at rest")
+
+    def _rests(self) -> Callable[[], bool]:
+        """Return a condition: the arm has been at rest for `_RESTS`; an instant is also the end of a bounce."""
+        moved = self.world.time
+
+        def rests() -> bool:
+            nonlocal moved
+            if max(map(abs, self.world.mechanics.rates)) >= _AT_REST:
+                moved = self.world.time
+            return self.world.time - moved > _RESTS
+
+        return rests
 
 
 def contactor_opened(bench: Bench, mark: Mark) -> float:
