@@ -156,7 +156,7 @@ class Stuck(DockingError, code=Code.STUCK, retriable=True):
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
-    """The servos push but no taxel measures a force: check coordinates, and what lies between pads and ridges."""
+    """The servos push but no taxel measures a force: the pads missed the target's ridges."""
 
 
 class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
@@ -235,7 +235,7 @@ REMEDIES: dict[Code, str] = {
     "charge current: have the power stage's limiter checked",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
-    Code.NO_TACTILE_CONTACT: "the pads missed the target's ridges",
+    Code.NO_TACTILE_CONTACT: "check coordinates, and what lies between pads and ridges",
     Code.TACTILE_STALE: "check the board's cable, tactile_node and misalignment_node",
     Code.CRITICAL_ANGLE: "level the target or the charger",
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",
