@@ -12,7 +12,6 @@ import pytest
 
 from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
-from deltacharger_lab.reports.tactile import measure
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import PICTURES
@@ -132,11 +131,6 @@ def test_a_task_without_its_library_names_it() -> None:
     with pytest.raises(ModuleNotFoundError) as missing:
         work([ReportTask("import", importlib.import_module, ("no_such_library",))], lambda message: None)
     assert missing.value.name == "no_such_library"
-
-
-def test_without_pytorch_there_is_no_cuda_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    assert measure.cuda_timing(tactile_plan.quick_plan(1)) == {"device": "", "trainers": []}
 
 
 def test_the_html_file_contains_its_pictures(tmp_path: Path) -> None:

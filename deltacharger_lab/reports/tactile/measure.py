@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,6 @@ BINS = 10
 WINDOWS = (WINDOW, 2 * WINDOW)
 """Dockings in one window of the drift check."""
 PAPER = tuple(name for name in NAMES if kind(name) != "physical")
-CUDA = ("nn", "cnn")
-"""The paper's models that train on a CUDA device, if there is one."""
 _WARM_UP = 20  # predictions that are not counted
 _PASSES = 300  # forward passes; their median counts
 
@@ -166,37 +163,25 @@ def generation() -> float:
 
 def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
     """Return every run time; runs without other work, in a process with one thread."""
-    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # before PyTorch is imported: these times are of one core
     generation()  # loading and first allocation are not counted
     return {
         "predictions": predictions(plan, kept),
         "generation_s": min(generation() for _ in range(3)),
-        "trainers": trainers(plan, PAPER),
+        "trainers": trainers(plan),
     }
 
 
-def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
+def trainers(plan: TactilePlan) -> list[dict[str, Any]]:
     """Return the paper's times for the angle: training, s, and one forward pass in the trainer's library, ms."""
     rows = labels.examples(paper_set(plan.rigs[0], plan.seeds[0]), "angle")
     learns, judges = splits.by_docking(rows, plan.seeds[0])
     found = []
-    for name in (name for name in names if name in plan.names):
+    for name in (name for name in PAPER if name in plan.names):
         for _ in range(2):  # the first imports the trainer
             model = fitted(name, "angle", rows.part(learns), plan.seeds[0])
         times = [_timed(model.trainer_proba, rows.frames[judges[index % len(judges)]]) for index in range(_PASSES)]
         found.append({"model": name, "fit_s": model.fit_time, "forward_ms": float(np.median(times))})
     return found
-
-
-def cuda_timing(plan: TactilePlan) -> dict[str, Any]:
-    """Return the same for models that train on CUDA, with the device's name; '' without device or PyTorch."""
-    try:
-        import torch
-    except ImportError:
-        return {"device": "", "trainers": []}
-    if not torch.cuda.is_available():
-        return {"device": "", "trainers": []}
-    return {"device": torch.cuda.get_device_name(), "trainers": trainers(plan, CUDA)}
 
 
 def _timed(predict: Callable[[Any], Any], frame: Any) -> float:

@@ -17,7 +17,7 @@ from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 from deltacharger_lab.reports.tactile import parity, recorded, second, splits
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
-from deltacharger_lab.reports.tactile.measure import WINDOWS, cuda_timing, judge_rig, timing
+from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig, timing
 from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default, kind, title
 from deltacharger_lab.reports.tactile.shifts import NONE
@@ -90,7 +90,6 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
         found = work(tasks(plan, kept), progress)
         progress("run times, alone")
         times = work([ReportTask("run times", timing, (plan, kept))], progress)["run times"][0]
-        cuda = work([ReportTask("CUDA", cuda_timing, (plan,))], progress)["CUDA"][0]
     rigs = found["rig"]
     raw = {key: joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams", "second")}
     results["accuracy"] = accuracies(raw["accuracy"], plan.names)
@@ -109,7 +108,6 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
     results["parity"] = parity.table(joined(found.get("parity", [])), results["accuracy"])
     results["recorded"] = recorded.table(found.get("recorded", []), raw["accuracy"])
     results["trainers"] = {row["model"]: row for row in times["trainers"]}
-    results["cuda"] = {"device": cuda["device"], "trainers": {row["model"]: row for row in cuda["trainers"]}}
     results["times"] = {
         name: {row["target"]: row for row in each} for (name,), each in grouped(times["predictions"], "model")
     }
