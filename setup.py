@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import configparser
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -59,6 +60,7 @@ def run_cmake() -> None:
         "-DDELTACHARGER_PYTHON_PACKAGES=OFF", f"-DPython3_EXECUTABLE={sys.executable}", "-Wno-dev",
     ]  # fmt: skip
     install = ["cmake", "--build", str(BUILD), "--target", "install"]
+    shutil.rmtree(STAGE, ignore_errors=True)  # what an older version installed is not part of this one
     for step in (command, install):
         if subprocess.run(step, env=environment, stdout=sys.stderr).returncode:
             sys.exit("deltacharger: CMake cannot build the ROS interfaces; see the reason above")
