@@ -17,7 +17,7 @@ _OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_t
 def is_launched_itself(file: str) -> bool:
     """Return whether `ros2 launch` started this launch file, and not one that includes it.
 
-    The command line must have its path, or its package and name: a robot's launch file may have the same name.
+    The command line must contain its path, or package and name together: another launch file may have the same name.
     """
     own = Path(file)
     by_path = any(Path(word).name == own.name and Path(word).resolve() == own.resolve() for word in sys.argv)

@@ -18,7 +18,7 @@ _CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.EROFS)  # file systems and devices
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; at the end sync that file to the disk and rename it to `path`.
 
-    If the body raises, `path` stays unchanged. A killed process leaves only a file that `forget_unfinished` removes.
+    If the body raises, `path` stays unchanged. A killed process leaves only a file that `remove_unfinished` removes.
     A pipe or device such as /dev/stdout is written directly. Links are followed.
 
     Raises:
@@ -73,7 +73,7 @@ def make_folder(path: Path) -> None:
         sync_folder(path.absolute().parent)
 
 
-def forget_unfinished(folder: Path) -> None:
+def remove_unfinished(folder: Path) -> None:
     """Remove unfinished files of killed processes from `folder`."""
     for path in folder.glob(f"{_UNFINISHED}*"):
         path.unlink(missing_ok=True)

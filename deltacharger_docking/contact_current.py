@@ -124,7 +124,7 @@ class ContactCurrent:
         return a, b, c
 
     @property
-    def stands_still(self) -> bool:
+    def repeats_itself(self) -> bool:
         """Whether all currents of the window are equal, as when servo_state repeats itself."""
         return all(reading[2] == self._window[0][2] for reading in self._window)
 

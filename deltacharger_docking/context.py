@@ -275,7 +275,7 @@ class Context:
         yield from self.wait(self.parameters.contact_window + _READING, reads=True)
         after, span = self.observation.angles, self.time - began
         slow = all(abs(now - then) <= _SLOW for now, then in zip(after, before, strict=True))
-        live = math.isfinite(self.goal_angles[0]) and not self.contact.stands_still
+        live = math.isfinite(self.goal_angles[0]) and not self.contact.repeats_itself
         if slow and live and not self._is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
             self.springs.add_reading(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)

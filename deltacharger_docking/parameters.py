@@ -272,7 +272,7 @@ class DockingParameters(Bounded):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
 
     @property
-    def classes_of(self) -> str:
+    def class_model(self) -> str:
         """Packaged model whose classes are requested with an estimate; '' = none."""
         return "cnn" if self.approach == "published" else ""
 

@@ -122,7 +122,7 @@ def _classes_of(context: Context, estimate: MisalignmentEstimate) -> Misalignmen
     if classes is None or missing:
         raise EstimateUnsure(
             f"no class for {', '.join(missing)}: {' and '.join(f'{each}_probability' for each in missing)} of "
-            f"the model '{context.parameters.classes_of}' are missing or NaN; check misalignment_node"
+            f"the model '{context.parameters.class_model}' are missing or NaN; check misalignment_node"
         )
     context.decide(
         "classes",

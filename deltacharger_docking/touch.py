@@ -45,7 +45,7 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
         TactileStale,
         parameters.service_timeout,
         parameters.estimate_frames,
-        parameters.classes_of,
+        parameters.class_model,
     )
     estimate = reply.estimate
     if not reply.success or estimate is None:

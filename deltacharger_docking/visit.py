@@ -46,7 +46,7 @@ class TargetVisit:
             order.critical_angle = goal.critical_angle
             live = context.status.charging or context.parameters.always_live
             known = context.status.estimate if live else None
-            if known and self._is_too_tilted(known, goal.critical_angle):
+            if known and self._forbids_current(known, goal.critical_angle):
                 return CriticalAngle("the goal's critical_angle is below what was measured on this target")
         if context.parameters.always_live:
             if not goal.hold:
@@ -58,7 +58,7 @@ class TargetVisit:
             self._is_new = True
         return None
 
-    def _is_too_tilted(self, known: MisalignmentEstimate, limit: float) -> bool:
+    def _forbids_current(self, known: MisalignmentEstimate, limit: float) -> bool:
         """Return whether the last estimate forbids current with this critical angle, rad."""
         parameters = self._context.parameters
         if parameters.keeps_clearance:

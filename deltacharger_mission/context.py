@@ -124,7 +124,7 @@ class MissionContext:
             yield NEXT
         return reply
 
-    def all_there(self, tasks: list[Task]) -> Script[None]:
+    def wait_for_nodes(self, tasks: list[Task]) -> Script[None]:
         """Wait until all needed nodes answer; docking_node must then be free.
 
         Raises:

@@ -173,7 +173,7 @@ class MissionMachine:
         """Do the mission and return the success message."""
         context, parameters = self._context, self.parameters
         yield NEXT  # so that WAIT is also reported
-        yield from context.all_there([task for task in Task if task is not Task.DRIVE or self._home is not None])
+        yield from context.wait_for_nodes([task for task in Task if task is not Task.DRIVE or self._home is not None])
         electrodes = goal.electrodes if self._home is not None else None
         distance = parameters.view_distance
         if electrodes is not None:

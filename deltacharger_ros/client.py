@@ -82,7 +82,7 @@ class ChargerClient(Guest):
         """Whether both actions have a server and their inputs have publishers now."""
         return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
 
-    def finds_electrodes(self) -> bool:
+    def has_detector(self) -> bool:
         """Whether the service detect_electrodes has a server now."""
         return self.node.count_services("detect_electrodes") > 0
 

@@ -23,9 +23,9 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
         **{axis: (axis,) for axis in _GRAVITY},
     },
 }
-"""Of each node, its parameters, with the world's keys that they follow."""
+"""For each node: its parameters, and the keys of the world that they follow."""
 _PARAMETER_VALUES = {"circuit.wired": {False: "board", True: "none"}}
-"""Of a key, the following parameter's value for each of the key's values."""
+"""For a key of the world: each of its values, and the value of the parameter that follows it."""
 
 
 def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def servos_apart(nodes: Collection[str], parameters: Mapping[str, Mapping[str, A
         if first and file != files[first]:
             yield (
                 f"parameters.{node}.servos_file",
-                f"is {brief(file)}, but {first}'s is {brief(files[first])}: give {', '.join(files)} one",
+                f"is {brief(file)}, but {first}'s is {brief(files[first])}: give {', '.join(files)} the same file",
             )
 
 

@@ -24,8 +24,8 @@ class NodeSpec:
         port: the scene's port for its parameter `port` ("servo", "board" or "" for none).
         stands_in_for: the node whose topics and services it provides, if it is a mock or a simulation.
         plays: the nodes whose topics it publishes from a recording; they cannot run beside it.
-        sees_target: whether it simulates what sees the target. A simulated world's target is then its own, and it never
-            runs beside real hardware.
+        sees_target: whether it simulates a camera that sees the target. In a simulated scene it uses the world's
+            target; it never runs beside real hardware.
         takes_scene_name: whether its parameter `scene` is the scene's name.
         may_restart: whether it may restart alone beside the others: it moves nothing, carries no current,
             and its end loses no state.

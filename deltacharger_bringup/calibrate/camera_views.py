@@ -94,7 +94,7 @@ def read_rows(folder: Path) -> list[Row]:
         for line, cells, numbers in zip(table.lines, table.rows, values.tolist(), strict=True)
     ]
     if len(rows) > MOST:
-        raise ViewsError(path, f"has {len(rows)} rows, more than {MOST}")
+        raise ViewsError(path, f"has {len(rows)} rows; give at most {MOST}")
     _refuse_doubled(path, rows)
     return rows
 
@@ -115,7 +115,7 @@ def gather(
         position, slope = _stand(folder / VIEWS, row, kinematics)
         path = folder / row.image
         if not path.is_file():
-            raise ViewsError(folder / VIEWS, f"line {row.line}: there is no image {row.image} in {folder}")
+            raise ViewsError(folder / VIEWS, f"line {row.line}: there is no image {row.image} in {folder}; copy it there, or delete the line")
         sighting = board.detect(_pixels(path, intrinsics))
         if sighting is None:
             without.append(row.image)
@@ -190,7 +190,7 @@ def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
 
 
 def _group(path: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns with the platform's position."""
+    """Return the columns with the platform's position or the arm's angles."""
     given = [group for group in _GROUPS if set(group) & set(names)]
     if _IMAGE not in names or len(given) != 1 or not set(given[0]) <= set(names):
         groups = " or ".join(",".join(group) for group in _GROUPS)
@@ -210,7 +210,7 @@ def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:
     lines: dict[str, int] = {}
     for row in rows:
         if row.image in lines:
-            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {lines[row.image]}")
+            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {lines[row.image]}; delete one of the lines")
         lines[row.image] = row.line
 
 

@@ -196,8 +196,8 @@ def _slips(away: tuple[float, float]) -> list[str]:
     if away[0] < _FAR[0] and away[1] < _FAR[1]:
         return []
     return [
-        f"that is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed mount: if this is "
-        "wrong, check the signs of --board-…-mm (x to the left, y up, z toward the target) and --mount"
+        f"the fitted mount is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed one: if that "
+        "cannot be, check the signs of --board-…-mm (x to the left, y up, z toward the target) and --mount"
     ]
 
 

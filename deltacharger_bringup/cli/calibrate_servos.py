@@ -24,7 +24,7 @@ from deltacharger_kinematics.calibration.servo_checks import Gains, differing, d
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS
 from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
 
-_SHARE = 0.1  # of the time between two lines of progress
+_SHARE = 0.1  # of the measuring time, between two lines of progress
 _HEADS = ("servo 1", "servo 2", "servo 3", "arm")
 
 

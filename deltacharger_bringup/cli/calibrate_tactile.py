@@ -29,7 +29,7 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import SensorCalibrationError, TactileError
 from deltacharger_tactile.estimator import PoseEstimator
 
-_FEW = 30  # dockings; with fewer most gains keep their old value
+_FEW = 30  # dockings; with fewer, most gains stay near 1
 _JITTERS = 3.0  # docking jitters; limit of the errors of a well-mounted rig
 _DEGREE = math.radians(1.0)
 _UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", _DEGREE)}

@@ -45,9 +45,9 @@ _DEFAULT_SCENES = "default"
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """Add its options and the action `compare`."""
-    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help="dockings (default: 100, or the list's)")
+    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help="dockings (default: 100, or all that the campaign lists)")
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
-    scenes = f"packaged campaign or YAML file with the distributions ({_DEFAULT_SCENES})"
+    scenes = f"packaged campaign or YAML file with the distributions (default: {_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
     parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="approach rules (guarded)")
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")

@@ -22,7 +22,7 @@ from deltacharger_bringup.cli.files import picture_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, log_line
 from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
-from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, POSITIVE, deadline
+from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, NOT_NEGATIVE, deadline
 from deltacharger_core import environment
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, place
 
@@ -45,13 +45,13 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
     parser.add_argument("--camera", action="store_true", help="use the camera even if the scene has coordinates")
     text = "stricter critical angle than the charger's"
-    parser.add_argument("--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help=text)
+    parser.add_argument("--critical-angle-deg", type=NOT_NEGATIVE, default=0.0, metavar="DEG", help=text)
     parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
     parser.add_argument("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
     parser.add_argument(
-        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="end after this time of charging"
+        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging"
     )
-    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="end after this energy")
+    parser.add_argument("--stop-energy-j", type=NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
     parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
     parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
     parser.add_argument(
@@ -170,7 +170,7 @@ class _Run:
             if outcome.success:
                 more["undock"] = self._undock()
             unsafe = self._truth(more)
-            # Drawing blocks the interpreter for seconds; nodes in this process would detect a broken cable.
+            # Drawing blocks the interpreter for seconds; nodes in this process would take that for a broken cable.
             self.recorder.close()
             self.composition.close()
         more["picture"] = self._draw()
@@ -207,7 +207,7 @@ class _Run:
 
     def _advice(self, outcome: Outcome) -> str:
         """Return what to do if the camera was requested and there is none; else ''."""
-        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self.client.finds_electrodes():
+        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self.client.has_detector():
             return ""
         return (
             "no detector of electrodes runs: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "

@@ -193,7 +193,7 @@ def _known(error: Exception) -> CommandError | None:
         return CommandError(str(error), WRONG_INPUT)
     if name in _EXTRA_OF:
         return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]", FAILED)
-    if "rclpy" in sys.modules:  # many commands need no ROS, not even to fail
+    if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
         from deltacharger_ros.node_support import ros_problem
 
         problem = ros_problem(error)

@@ -28,7 +28,7 @@ class CommandError(Exception):
 
     Args:
         message: what is wrong and what to do.
-        exit_code: FAILED or WRONG_INPUT.
+        exit_code: of the process; one of the codes above.
         details: further keys of the JSON object.
     """
 

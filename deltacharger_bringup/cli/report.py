@@ -57,7 +57,7 @@ def add_docking(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only", action="append", default=[], metavar="NAME", help="run only this campaign; may be repeated"
     )
-    count = "dockings of each campaign (default: as planned, 200 to 20000)"
+    count = "dockings of each campaign (default: as planned, 160 to 20000)"
     parser.add_argument("-n", "--n", type=integer(1, 10_000_000), metavar="N", help=count)
     parser.add_argument("--seed", type=SEED, metavar="S", help="random seed of all campaigns (default: the report's)")
     parser.add_argument(

@@ -34,7 +34,7 @@ from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.training import fit_dataset
 
-_CALIBRATED = 0.8  # share of the dockings for training; the rest calibrates when a prediction may be acted on
+_TRAINING_SHARE = 0.8  # share of the dockings for training; the rest calibrates when a prediction may be acted on
 _TIMED = 30  # predictions; their median time is printed
 
 TARGETS = ("angle", "vertical", "horizontal", "pose")
@@ -101,7 +101,7 @@ def generate(options: argparse.Namespace) -> int:
 
 def train(options: argparse.Namespace) -> int:
     """Train a classifier, or the pose estimator, on a data set."""
-    if (options.target == "pose") != (options.model == "pose") and options.target == "pose":
+    if options.target == "pose" and options.model != "pose":
         raise CommandError(f"--model {options.model} predicts classes; give --model pose", WRONG_INPUT)
     out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
     with wrong_input(TactileError):
@@ -114,7 +114,7 @@ def train(options: argparse.Namespace) -> int:
 
 def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
     rows = examples(data, options.target)
-    learns, checks = by_docking(rows, options.seed, _CALIBRATED)
+    learns, checks = by_docking(rows, options.seed, _TRAINING_SHARE)
     cut = data.threshold
     model = Classifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_FORCE)
     model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
@@ -150,7 +150,7 @@ def evaluate(options: argparse.Namespace) -> int:
             found = judgement.evaluate(model, examples(data, model.target))
     if "protocol" in data.meta and trained_on == data.meta:  # files of other programs do not record their origin
         log_line(
-            f"warning: {options.model} was trained on {options.data}: figures are too good; evaluate it on other data"
+            f"warning: {options.model} was trained on {options.data}: the figures are too optimistic; evaluate it on other data"
         )
     if options.json:
         write_json(found)
@@ -167,11 +167,11 @@ def _print_result(found: dict[str, Any]) -> None:
     print_text(f"{found['target']}")
     print_text(f"  accuracy                {100 * found['accuracy']:.1f} %")
     print_text(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
-    print_text(f"  sets with the true class{100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
+    print_text(f"  sets with true class    {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
     print_text(f"  sure enough to act on   {100 * found['act_rate']:.1f} %")
     print_text(f"  unlike training data    {100 * found['drift_rate']:.1f} %")
     if found.get("drifted_together", 0.0) > 0.0:
-        print_text("  all together are unlike the training data: calibrate or train again")
+        print_text("  taken together, the rows are unlike the training data: calibrate or train again")
 
 
 def models(options: argparse.Namespace) -> int:

@@ -80,7 +80,7 @@ def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry
     held = [kinematics.forward(*angles) for angles in folder.angles]
     left = [place for place in places if all(math.dist(place, other) > PLACES_APART for other in held)]
     if not left:
-        raise CommandError("by --mount the camera sees the board nowhere: correct --mount or --board-…-mm")
+        raise CommandError("according to --mount the camera sees the board at no further position: correct --mount or --board-…-mm")
     return left
 
 

@@ -65,7 +65,7 @@ def web_address(text: str) -> WebAddress:
         ) from None
 
 
-POSITIVE = between(0.0, 2e9)  # range of a Duration's seconds
+NOT_NEGATIVE = between(0.0, 2e9)  # range of a Duration's seconds
 MILLIMETRES = between(-10_000.0, 10_000.0)  # a larger number has the wrong unit
 DEGREES = between(-90.0, 90.0)
 SEED = integer(0, 2**32 - 1)
@@ -73,4 +73,4 @@ SEED = integer(0, 2**32 - 1)
 
 def deadline(text: str) -> float:
     """Return seconds; 0 means none, as for the other limits."""
-    return POSITIVE(text) or math.inf
+    return NOT_NEGATIVE(text) or math.inf

@@ -31,7 +31,7 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_bringup.cli.types import POSITIVE, web_address
+from deltacharger_bringup.cli.types import NOT_NEGATIVE, web_address
 from deltacharger_bringup.cli.web_viewer import WebAddress, WebViewer
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
@@ -71,7 +71,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--connect", metavar="URL", help="show it in a running viewer, rerun+http://HOST:9876/proxy")
     parser.add_argument("--camera", action="store_true", help="also subscribe to and show the image, at 5 Hz")
     parser.add_argument(
-        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="show it for this time (default: until Ctrl-C)"
+        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="show it for this time (default: until Ctrl-C)"
     )
     namespace_option(parser)
 
@@ -259,10 +259,10 @@ def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
 
     silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
     if silent:
-        hint = "no charger runs" if len(silent) == len(ALWAYS_THERE) else "their nodes do not run"
+        hint = "is a charger running" if len(silent) == len(ALWAYS_THERE) else "are their nodes running"
         log_line(
-            f"no messages for {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint}, or in another ROS domain than "
-            f"{environment.domain()} or another --namespace; still listening"
+            f"no messages for {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint} in ROS domain "
+            f"{environment.domain()}, in this namespace? Still listening"
         )
     return silent
 

@@ -91,7 +91,7 @@ class _Readable(Protocol):
 
 @dataclass(frozen=True)
 class _Images:
-    """Images of one camera; `count` is their number, of which `images` may leave out some."""
+    """Images of one camera; `count` is the number recorded; `images` may leave some out."""
 
     images: Iterable[_Readable]
     count: int
@@ -171,12 +171,12 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
                 write_picture(pictures / f"{each.name}.png", annotated(image, found))
             results.append({"name": each.name, **fields})
             progress.searched(found is not None)
-    except RecordingError as error:  # images before the damage count
+    except RecordingError as error:  # images before the damage are still reported
         if not results:
             raise
         log_line(str(error))
     if not results:
-        raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant", WRONG_INPUT)
+        raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant; record colour and depth with equal stamps", WRONG_INPUT)
     return _report_many(options, results, source.count)
 
 

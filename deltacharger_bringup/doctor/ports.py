@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of a serial port: opens, absent, forbidden, in use by which program, or no serial port."""
+"""Checks of a serial port: whether it exists, may be opened, is free (else who uses it) and is a serial port."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _group_advice(path: str) -> str:
         return "add yourself to the group that owns the port, usually dialout, and log in again"
     user = os.environ.get("USER", "")
     if user in members and number not in os.getgroups():
-        return f"you are in the group {group} since your last login: log in again"
+        return f"you were added to the group {group} after your last login: log out and in again"
     return f"sudo usermod -aG {group} $USER, then log in again; or {_RULES_ADVICE}"
 
 

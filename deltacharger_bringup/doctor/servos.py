@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit
-_PATIENCE = 0.15  # s for replies to a ping to all: ids up to about 50
+_PATIENCE = 0.15  # s to wait for replies to a broadcast ping; enough for ids up to about 50
 _READS = 50  # of each servo, for the quality of the line
 _SUPPLY_ADVICE = "check the 12 V supply, the cable and its plugs"
 _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
@@ -81,7 +81,7 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
     if len(matching) > 1 or one.garbled:
         where = " and ".join(str(one.speed) for one in matching)
         text = f"answers unintelligibly or twice (at {where} bit/s): two servos have this id, or there is noise"
-        return wrong(part, text, "unplug one and give it another id; else check the plugs")
+        return wrong(part, text, "if two servos have it, unplug one and give it another id; otherwise check the plugs")
     if one.protocol == 1:
         return wrong(part, f"uses Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
     if one.model != MODEL:
@@ -112,7 +112,7 @@ def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_m
                 yield from _settings(link, servo, current_max)
             except NoAnswer:
                 text = "answers pings but no reads: its status return level is 0, or the line is bad"
-                yield hint(f"servo {servo}", text, "servo_node sets the level when it starts; else check the plugs")
+                yield hint(f"servo {servo}", text, "start servo_node, which sets the level; if that does not help, check the plugs")
             except (CorruptReply, ServoFault) as error:
                 yield failed(f"servo {servo}", error, "check for noise, a bad plug or two servos with this id")
         yield from _line(link, servos)

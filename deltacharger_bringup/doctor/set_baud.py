@@ -21,7 +21,7 @@ _STEP = 0.05  # s
 
 
 def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[int] = ()) -> Iterator[Finding]:
-    """Write the speed of servos that have another one. Except torque off, nothing else is written.
+    """Write the speed of servos that have another one. Nothing else is written, except torque off.
 
     Args:
         path: of the port; no other program may have it open.
@@ -57,7 +57,7 @@ def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -
     one = matching[0]
     if len(matching) > 1 or one.garbled:
         text = "answers unintelligibly or twice: two servos have this id, or there is noise; nothing was written"
-        return wrong(part, text, "unplug one and give it another id first; else check the plugs")
+        return wrong(part, text, "if two servos have it, unplug one and give it another id first; otherwise check the plugs")
     if one.protocol == 1 or one.model != MODEL:
         text = f"is no MX-64 with Protocol 2.0 ({one}); nothing was written"
         return wrong(part, text, "update its firmware to 39 or later with the vendor's wizard")

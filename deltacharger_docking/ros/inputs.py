@@ -25,7 +25,7 @@ from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
 
 _ANOTHER_CLOCK = 1e6  # s; a stamp this old, or this far ahead, is from another clock
-_SPELL = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
+_BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
 _FRAME_MAX = 16_384  # bytes; a tactile frame has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
 SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
@@ -59,7 +59,7 @@ class Inputs:
         self._lock = threading.Lock()
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
-        sampled = QoSProfile(depth=_SPELL, reliability=ReliabilityPolicy.BEST_EFFORT)
+        sampled = QoSProfile(depth=_BACKLOG, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
         self._frame_check = FrameCheck()
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))

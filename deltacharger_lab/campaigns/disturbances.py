@@ -76,7 +76,7 @@ class Nudging:
         self.opened = math.nan
 
     def look(self) -> None:
-        """Start the nudge at its time; call after each tick."""
+        """Start the nudge when it is due, and record when the contactor opens; call after each tick."""
         if self._done:
             return
         live, closed = self._world.record.energised, self._world.circuit.closed

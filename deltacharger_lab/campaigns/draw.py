@@ -39,7 +39,7 @@ class Drawn:
         tactile: the family of pads.
         docking: parameters of docking.
         goal: pose of the electrodes in the goal.
-        seed: course of noise and jitter.
+        seed: of noise and jitter.
         rig_seed: which device's pads.
         estimator: errors added to each estimate.
         geometry: the arm's dimensions that docking assumes; None = the true ones.

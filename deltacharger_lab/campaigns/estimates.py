@@ -18,7 +18,7 @@ AXES = ("horizontal", "vertical", "angle")
 
 
 class EstimateLog:
-    """Between the pads' model and docking: adds the drawn errors to each estimate, and keeps the first and the last.
+    """Intercepts the estimates on their way to docking: adds the drawn errors, and keeps the first and the last.
 
     Args:
         charger: source of the estimates.
@@ -27,7 +27,7 @@ class EstimateLog:
 
     Attributes:
         count: estimates so far.
-        first, last: (estimate, its error by axis, true clearance m) of estimates in contact.
+        first, last: of the estimates in contact, compared with the truth; None before it.
         frozen: whether to keep no later ones.
     """
 
@@ -40,7 +40,7 @@ class EstimateLog:
         self.first: Kept | None = None
         self.last: Kept | None = None
         self.frozen = False
-        if errors.paper or charger.parameters.classes_of:
+        if errors.paper or charger.parameters.class_model:
             from deltacharger_lab.campaigns.paper import PaperClasses
 
             paper = PaperClasses()

@@ -29,7 +29,7 @@ def make_pads(
         tactile: family of rigs of the first physics.
         second: family of rigs of the second one; None = its defaults.
         rig_seed: seed of the device.
-        seed: course of noise and jitter.
+        seed: of noise and jitter.
     """
     if pads == SECOND:
         from deltacharger_tactile.second.source import SecondSource

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's classes from the packaged CNN: with our estimate, or as a certain estimate in its place."""
+"""The paper's classes from the packaged CNN: with our estimate, or in its place, as an estimate without uncertainty."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
+from deltacharger_lab.campaigns.quick_motion import QuickPlanner, OnePieceFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
@@ -37,13 +37,13 @@ from deltacharger_tactile.pad_source import PadSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last while the platform only follows its goal
-_MORE = 0.005  # s before the machine's window, from which on readings of the servos are made: half a tick
+_MORE = 0.005  # s before the machine's contact window at which servo readings begin: half a tick
 _NEAR = 0.005  # m of gap, below which the magnets may snap before the machine is stepped again
 _STILL = 1e-4  # m/s; a motion at this speed changes the contact current by less than its noise
 _SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads read the same, except for the force
 _SAME_FORCE = 0.2  # relative
 _SAME_LEAN = 2e-4  # rad of remaining yaw; moves 1.5 N from one pad to the other
-_SURELY = 0.4  # N from the threshold beyond which no frame's noise decides: four standard deviations
+_SURELY = 0.4  # N; farther from the threshold, noise cannot decide: four standard deviations
 
 
 class _Unclocked(SharedWorld):
@@ -60,7 +60,7 @@ class QuickCharger(VirtualCharger):
         world: the simulated world; its `step` is not used.
         parameters: of docking.
         pads: of `rig_seed` and `seed`.
-        seed: course of noise and jitter.
+        seed: of noise and jitter.
         rig_seed: seed of the device with the pads.
         geometry: the arm's dimensions that docking assumes; None = the true ones.
         proportional: whether the readings of pads on level faces grow with the force alone, so that an earlier
@@ -90,7 +90,7 @@ class QuickCharger(VirtualCharger):
 
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
-        feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
+        feed = OnePieceFeed(parameters.servo_damping / parameters.servo_stiffness)
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
     def tick(self) -> None:

@@ -108,7 +108,7 @@ class QuickPlanner(Planner):
             yield Waypoint(index / (len(ways) - 1) * duration, led, bound)
 
 
-class WholeFeed(TrajectoryFeed):
+class OnePieceFeed(TrajectoryFeed):
     """Sends each line at once and complete: a sender in virtual time never falls silent."""
 
     def piece(self, time: float, held: bool = False) -> Piece | None:

@@ -23,7 +23,7 @@ Report = Callable[[Sequence[Row]], None]
 
 
 def run_missing(
-    store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, tell: Callable[[str], None]
+    store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, log: Callable[[str], None]
 ) -> None:
     """Run and write the dockings that the store lacks, until all are there or `stop` returns true.
 
@@ -34,7 +34,7 @@ def run_missing(
         batch: dockings per write, 0 = automatic.
         report: called with the rows of every written batch.
         stop: whether to end.
-        tell: called with messages about workers.
+        log: called with messages about workers.
 
     Raises:
         CampaignError: workers died repeatedly, there is none, or they have other versions.
@@ -51,7 +51,7 @@ def run_missing(
     if workers == 1:
         _run_here(store, batch, record, stop)
     else:
-        _run_with_restarts(store, workers, batch, record, stop, tell)
+        _run_with_restarts(store, workers, batch, record, stop, log)
 
 
 def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
@@ -63,7 +63,7 @@ def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
 
 
 def _run_with_restarts(
-    store: Store, workers: int, batch: int, record: Record, stop: Stop, tell: Callable[[str], None]
+    store: Store, workers: int, batch: int, record: Record, stop: Stop, log: Callable[[str], None]
 ) -> None:
     """Run in local processes; if one dies, all restart with the dockings that are not written."""
     for _ in range(_TRIES):
@@ -73,7 +73,7 @@ def _run_with_restarts(
         except BrokenProcessPool:
             if stop():
                 return
-            tell("a worker process died; its unwritten dockings start again")
+            log("a worker process died; its unwritten dockings start again")
     raise CampaignError(f"worker processes died {_TRIES} times; check the free memory. The same command continues")
 
 
@@ -137,7 +137,7 @@ def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: S
 
 @contextlib.contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Make processes that start in this context ignore Ctrl-C, which a terminal sends to all; it arrives here after."""
+    """Make processes that start in this context ignore Ctrl-C, which a terminal sends to every process; this one gets it later."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -99,7 +99,7 @@ def _with_base(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
 
 
 def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge two nested mappings; a value in both, of any kind, is the upper one's; null removes it."""
+    """Merge two nested mappings; where both have a value, `over` wins; null in it removes the key."""
     merged = dict(under)
     for key, value in over.items():
         below = merged.get(key)

@@ -36,7 +36,7 @@ class Effort:
 
 
 class Rest:
-    """Continues a charging docking, and records its end.
+    """Continues a charging docking, and records the load at rest in its last second.
 
     Args:
         charger: right after its outcome.

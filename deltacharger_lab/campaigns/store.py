@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from deltacharger_core.bounded_file import open_file, read_text
-from deltacharger_core.files import atomic_write, forget_unfinished, write_text
+from deltacharger_core.files import atomic_write, remove_unfinished, write_text
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of
 
@@ -102,7 +102,7 @@ class Store:
         return lock
 
     def _open(self) -> None:
-        forget_unfinished(self.folder)
+        remove_unfinished(self.folder)
         if (self.folder / SETTINGS).exists():
             differences = read_settings(self.folder).differences(self.settings)
             if differences:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
 
-Thousands of dockings, equal on every machine, need more than real time. It models the nodes in between: the servo goal
-at 100 Hz, the delay of services, the contactor's lease. The machine gets only data that the robot's topics carry.
+Thousands of dockings must run faster than real time, and equally on every machine. What lies between machine and
+world is modelled here: the servo goal at 100 Hz, the delay of services, the contactor's lease. The machine gets only data that the robot's topics carry.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class VirtualCharger:
     Args:
         world: the simulated world; None = defaults.
         parameters: of docking, and servo_node's torque constant; None = defaults with the world's servo stiffness.
-        seed: course of noise and jitter.
+        seed: of noise and jitter.
         rig_seed: seed of the device with the pads.
         tactile: the pads; None = those of `rig_seed` and `seed`.
         geometry: the arm's dimensions that docking assumes; None = the true ones.

@@ -25,12 +25,12 @@ _TRANSFORMS = "tf2_msgs/TFMessage"
 _ROOT = Path(__file__).parents[2]
 _FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 _NOTICED = 10.0  # s for a node to notice a subscriber
-_WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder subscribes all the time
+_WHILE_SUBSCRIBED = "kinematics_node"  # subscribes only then; here the recorder subscribes all the time
 _HEAD = """# Topics, services, actions
 
 The endpoints of each node, read from running nodes, and every field of the package's messages, services and actions,
 from `msg/`, `srv/` and `action/`. Names are relative, so a second charger needs only a namespace; names with a leading
-/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while heard* only
+/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while subscribed* only
 while a client subscribes to the node's topics. Nodes subscribe to /tf and /tf_static if tf2_ros is installed,
 electrode_detector_node only with mount_from_tf. Mock nodes have the topics and services of the nodes that they
 replace. A subscriber that requests reliable delivery receives nothing from a best-effort topic.
@@ -96,7 +96,7 @@ def quality(profile: QoSProfile) -> str:
 def everything(nodes: Iterable[Node]) -> tuple[dict[str, set[Endpoint]], dict[str, set[Endpoint]]]:
     """Return each running node's endpoints of all times, and those at rest, in the order of names."""
     ordered = sorted(nodes, key=lambda node: node.get_name())
-    _wait_until_subscribed(ordered, _WHILE_HEARD)
+    _wait_until_subscribed(ordered, _WHILE_SUBSCRIBED)
     at_rest = {node.get_name(): endpoints(node) for node in ordered}
     with _looking(ordered):
         return {node.get_name(): endpoints(node) for node in ordered}, at_rest
@@ -148,8 +148,8 @@ def _section(name: str, found: set[Endpoint], at_rest: set[Endpoint]) -> str:
     lines = [f"## {name}", "", "| | name | type | quality of service |", "|---|---|---|---|"]
     for each in sorted(found, key=lambda each: (_VERBS.index(each.verb), each.name)):
         remark = "" if each in at_rest else " *while looking*"
-        if name == _WHILE_HEARD and each.verb == "subscribes to":
-            remark = " *while heard*"
+        if name == _WHILE_SUBSCRIBED and each.verb == "subscribes to":
+            remark = " *while subscribed*"
         lines.append(f"| {each.verb} | {each.name} | {_linked(each.type)} | {each.quality}{remark} |")
     return "\n".join([*lines, ""])
 

@@ -106,7 +106,7 @@ class RecordingCharger(ArmGuest):
         """Return docking_node's parameters, or the defaults without docking_node; call `wait_until_ready` first.
 
         Raises:
-            ArmError: a parameter is unknown to this version.
+            ArmError: docking_node does not report its parameters, or they cannot be used on this computer.
         """
         if not self.has_docking_node:
             return DockingParameters(), DeltaGeometry()
@@ -116,7 +116,7 @@ class RecordingCharger(ArmGuest):
         try:
             return docking_settings(values)
         except (OSError, ValueError, TypeError) as error:
-            raise ArmError(f"this version does not accept docking_node's parameters: {error}") from error
+            raise ArmError(f"docking_node's parameters cannot be used on this computer: {error}; run the command on the charger's computer, with its version") from error
 
     def simulated(self) -> bool | None:
         """Whether the charger is simulated: its ports are pseudo-terminals, or its nodes are mocks without ports.
@@ -208,7 +208,7 @@ class RecordingCharger(ArmGuest):
             self._calls.call(request)
 
     def _release_arm(self) -> None:
-        """Stop the arm and switch its torque off, unless electrodes are live: retracting would draw an arc."""
+        """Stop the arm; switch its torque off unless the contactor is closed: a limp arm could part live electrodes (an arc)."""
         if not self.is_driving:
             return
         observation = self._observe()

@@ -77,7 +77,7 @@ def dataset(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Se
     """Return the rows of all dockings, in their order.
 
     Board tare and total contact force are unknown: both are NaN. So is the angle in contact. x and y in contact come
-    from the arm's joints: more accurate than the command, by the offset that friction holds back.
+    from the arm's joints: unlike the command, they include the offset that friction leaves.
     """
     rows = np.array([len(docking.frames) for docking in dockings])
     frames = np.concatenate([docking.frames for docking in dockings])

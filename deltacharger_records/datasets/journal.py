@@ -20,7 +20,7 @@ import numpy as np
 
 from deltacharger_core.array_file import read_array
 from deltacharger_core.bounded_file import brief, parse_json, read_text
-from deltacharger_core.files import atomic_write, forget_unfinished, make_folder, write_text
+from deltacharger_core.files import atomic_write, remove_unfinished, make_folder, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import SETS, Part
@@ -64,7 +64,7 @@ class Journal:
         self._lock = os.open(self.folder, os.O_RDONLY)
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            forget_unfinished(self.folder)
+            remove_unfinished(self.folder)
             self._read()
         except BlockingIOError as error:
             os.close(self._lock)

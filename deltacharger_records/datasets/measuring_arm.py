@@ -21,7 +21,7 @@ from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_records.datasets.arm_client import ArmClient
 
 _LATE = 0.03  # s until a goal reaches the servos: transport and one bus cycle
-_SILENCE = 2.0  # s beyond a reading without servo_state that count as its end
+_SILENCE = 2.0  # s that a reading may wait beyond its end for its first message
 
 
 class MeasuringArm(ArmClient):

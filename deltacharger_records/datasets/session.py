@@ -72,7 +72,7 @@ class Keeper(Protocol):
 
 
 def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
-    """Refuse commands (m, charger_base) if the arm cannot reach them, or not from before them.
+    """Refuse commands (m, charger_base) if the arm cannot reach them, or cannot move to them from the position in front.
 
     Raises:
         Rejected: electrodes connected to the battery: each touch would be live.

@@ -70,7 +70,7 @@ class DockingRecorder:
         self._about = about
         self._session = Session()
         self._file: _File | None = None
-        self._code = 0  # docking_state's last one in this record
+        self._code = 0  # last error code of docking_state in this record
         self._results: list[Outcome] = []
         self._flushed = self._pruned = 0.0
 

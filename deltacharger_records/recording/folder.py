@@ -140,7 +140,7 @@ class RecordFolder:
             known[name] = seen
             if not seen.problem:
                 found.append(Entry(self.path / name, seen.size, seen.under_way, seen.identity))
-            elif not seen.under_way:  # another recorder has opened it and not yet written its head
+            elif not seen.under_way:  # else another recorder has just created it, without a head yet
                 self.passed_by[name] = seen.problem
         self._known = known
         return found
@@ -182,7 +182,7 @@ class RecordFolder:
 
 
 def _numbered(base: str, suffix: str) -> Iterator[str]:
-    """Yield names until one is free."""
+    """Yield `base`, `base`-2, `base`-3 …; the caller takes the first free one."""
     yield base + suffix
     for number in itertools.count(2):
         yield f"{base}-{number}{suffix}"

@@ -39,10 +39,10 @@ class Gate:
         self._always = frozenset(always)
         self._held: deque[tuple[float, Raw]] = deque()
         self._bytes = 0
-        self._waiting = 0  # held messages, the newest, neither passed nor dropped
+        self._waiting = 0  # number of the newest held messages, neither passed nor dropped yet
         self._open = False
         self._quiet_since: float | None = None
-        self._whole_until = 0.0
+        self._all_until = 0.0
         self._last: dict[str, float] = {}
         self._passed = 0
         self.dropped: Counter[str] = Counter()
@@ -61,9 +61,9 @@ class Gate:
         return rest
 
     def rest(self, now: float) -> None:
-        """Begin a quiet stretch once the last event is older than the held seconds; no effect during one."""
+        """Begin a quiet stretch: no event has occurred for the held seconds. No effect during one."""
         if self._quiet_since is None:
-            self._quiet_since, self._whole_until = now, now + self._before
+            self._quiet_since, self._all_until = now, now + self._before
             self._last = {}
 
     def wake(self) -> None:
@@ -72,7 +72,7 @@ class Gate:
 
     def stir(self, now: float) -> None:
         """Report an event: everything held and what follows is kept."""
-        self._whole_until = now + self._before
+        self._all_until = now + self._before
 
     def offer(self, now: float, message: Raw) -> list[Raw]:
         """Take a message received at `now`; return the messages to write."""
@@ -82,7 +82,7 @@ class Gate:
         if not self._open:
             self._waiting = 0
             written: list[Raw] = []
-        elif self._quiet_since is None or now < self._whole_until:
+        elif self._quiet_since is None or now < self._all_until:
             written = self._all()
         else:
             written = self._few(now, self._quiet_since)

@@ -44,7 +44,7 @@ def older_decoder(definition: str, name: str, kind: Any) -> Callable[[bytes], An
         from mcap_ros2.decoder import DecoderFactory
     except ImportError as error:
         raise RecordingError("recorded by an older version: pip install mcap-ros2-support") from error
-    # The parts of an action are named as messages may not be: Dock_Feedback.
+    # Parts of an action have names such as Dock_Feedback, which are invalid for messages.
     text, plain = _BETWEEN_WORDS.sub("", definition), _BETWEEN_WORDS.sub("", name)
     schema = Schema(id=1, name=plain, encoding="ros2msg", data=text.encode())
     try:

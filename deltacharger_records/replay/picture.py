@@ -152,7 +152,7 @@ def _clearance(axes: Axes, replay: Replay) -> None:
         f"{needed:.1f} mm\nneeded", (1.0, needed), xycoords=("axes fraction", "data"), xytext=(4, 0),
         textcoords="offset points", va="center", fontsize=7, color=RED, annotation_clip=False,
     )  # fmt: skip
-    axes.set_ylabel("clearance\nto 3σ, mm")
+    axes.set_ylabel(f"clearance\nto {replay.parameters.clearance_sigmas:g}σ, mm")
 
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class RunBuilder:
         self.enter(time, PHASES.get(message.state, f"state {message.state}"))
 
     def tactile_frame(self, time: float, message: TactileFrame) -> None:
-        """Take the pads' forces, if there are any."""
+        """Keep the pads' forces if they are tared and in contact."""
         if not message.tared or message.rows * message.columns != len(message.left):
             return
         shape = (message.rows, message.columns)
@@ -89,7 +89,7 @@ class RunBuilder:
         self.run.power.add(time, message.charge_current, float(message.contactor_closed))
 
     def decision(self, time: float, message: DockingDecision) -> None:
-        """Take a decision; they include measurements and verdicts."""
+        """Take a decision; measurements and verdicts are decisions, too."""
         values = dict(zip(message.names, message.values, strict=False))
         state = PHASES.get(message.state, f"state {message.state}")
         self.run.decisions.append(Decided(time, state, message.kind, message.text, values))

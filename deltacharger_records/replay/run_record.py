@@ -16,7 +16,7 @@ _CAPACITY = 24_000  # samples of a series; then every second one is dropped
 
 
 class Series:
-    """Samples over time, bounded in number: when full, every second one is dropped and the sampling halves.
+    """Samples over time, bounded in number: when full, every second one is dropped and the sampling rate halves.
 
     Args:
         columns: names of the values of one sample.
@@ -110,7 +110,7 @@ class Decided:
 
 @dataclass
 class Run:
-    """One docking; times are s since the goal was sent.
+    """One docking; times are s, from a zero that its maker chooses.
 
     Attributes:
         motion: measured z (m), contact force along z on the target (N), and that force as contact current (A).

@@ -131,8 +131,8 @@ def _tilted(replay: Replay, message: str) -> str:
     if left < parameters.clearance_min:
         return text + f"{in_unit(left, 'm')}, {needed} are needed"
     if worst < parameters.clearance_min:
-        less = f"{in_unit(worst, 'm')} less {sigmas:g} standard deviations"
-        return text + f"{in_unit(left, 'm')}, {less}, {needed} are needed"
+        less = f"{in_unit(worst, 'm')} after subtracting {sigmas:g} standard deviations"
+        return text + f"{in_unit(left, 'm')}, {less}; {needed} are needed"
     return f"the angle was measured as {found}{times}; {message}"
 
 

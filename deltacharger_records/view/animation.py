@@ -143,7 +143,7 @@ class Animation:
         """
         moments = self._moments[:: 1 + len(self._moments) // _LONGEST]
         if not moments:
-            raise ValueError("no docking in it, so nothing moves")
+            raise ValueError("the messages contain no docking, so there is nothing to draw")
         from PIL import Image
 
         some = np.linspace(0, len(moments) - 1, _SAMPLED).astype(int)

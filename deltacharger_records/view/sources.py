@@ -93,7 +93,7 @@ class ShownRecording:
             feed.take(topic.name, raw.received, partial(self._decoders[raw.topic], raw.data))
 
     def _decoder(self, full: str, topic: Topic) -> Callable[[bytes], Any]:
-        """Return what decodes a topic's messages; it raises ValueError if another version defined them otherwise."""
+        """Return what decodes a topic's messages; it raises ValueError if another version defined them differently."""
         if topic not in RECORDED:  # an image, which no version of this package defines
             return partial(decode, kind=topic.kind)
         try:

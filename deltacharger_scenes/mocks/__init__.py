@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that replace hardware, with simple rules instead of physics.
 
-They confront the layers above the drivers with any content of a topic, without drivers, ports or
-processes. The parameter `fault` makes each one misbehave. Lease, contact model and parameters are the real nodes'.
+They publish any content on a topic, to test the layers above the drivers without drivers, ports or processes. The
+parameter `fault` makes each one misbehave. Lease and trajectory rules are the real nodes' code; the contact model is
+deltacharger_tactile's.
 """

@@ -35,7 +35,7 @@ class FaultSwitch:
         return self._name if time.monotonic() - self._since >= self._delay else "none"
 
     def first_time(self) -> bool:
-        """Return True once per fault set, when it first acts."""
+        """Return True at the first call since the fault was set; call it while the fault acts."""
         fresh = not self._reported
         self._reported = True
         return fresh

@@ -15,7 +15,7 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
+from deltacharger_lab.campaigns.quick_motion import QuickPlanner, OnePieceFeed
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_tactile.source import ContactSource
 
@@ -65,7 +65,7 @@ def test_a_path_that_leaves_the_reach_is_refused() -> None:
 def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
     parameters = DockingParameters()
     line = Planner(parameters, DeltaGeometry()).line((0.0, 0.0, 0.05), (0.0, 0.0, 0.08), 0.05)
-    feed = WholeFeed(0.06)
+    feed = OnePieceFeed(0.06)
     feed.start(line, 10.0)
     assert feed.piece(10.01) == line
     assert feed.piece(10.02) is None

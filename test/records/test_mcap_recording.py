@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_core.files import atomic_write, forget_unfinished
+from deltacharger_core.files import atomic_write, remove_unfinished
 from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.mcap_recording import (
     McapStream,
@@ -171,7 +171,7 @@ def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path)
     assert child.returncode == -signal.SIGKILL
     assert path.read_bytes() == b"before"
     assert len(list(tmp_path.iterdir())) == 2
-    forget_unfinished(tmp_path)
+    remove_unfinished(tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
     with atomic_write(path) as beside:
         beside.write_bytes(b"after")

@@ -74,7 +74,7 @@ def test_a_critical_angle_is_explained_by_the_remaining_clearance(tmp_path: Path
 def test_an_angle_that_is_critical_only_with_its_error_is_explained_by_the_error(tmp_path: Path) -> None:
     tape = docking(measured(2.7, 10.6), measured(2.9, 10.6), *refused(Code.CRITICAL_ANGLE, "tilted by 10.6°"))
     text = why(replay(write(tmp_path / "a.mcap", tape)))
-    assert "the clearance would be 0.9 mm, 0.3 mm less 3 standard deviations, 0.3 mm are needed" in text
+    assert "the clearance would be 0.9 mm, 0.3 mm after subtracting 3 standard deviations; 0.3 mm are needed" in text
 
 
 def test_a_given_roll_is_refused_before_any_contact(tmp_path: Path) -> None:

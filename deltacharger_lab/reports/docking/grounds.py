@@ -84,7 +84,7 @@ CHOICES = (
     ),
     Choice(
         ("ease_current_max", "ease_spared_max", "slip_max", "slip_undo_share"),
-        "earlier campaigns whose seeds were not kept; 0.57 A once was moved to meet a target",
+        "earlier campaigns whose seeds were not kept; ease_current_max was once moved to 0.57 A to meet a target",
     ),
     Choice(
         ("contradiction_start", "contradiction_each", "unsure_max", "unsure_move_sigmas", "roll_sigmas"),

@@ -63,7 +63,7 @@ PARTS = (
     CampaignPart("fixed", "fixed", 160, "the committed list: corners of every range, and what must be refused"),
     CampaignPart("tails", "edge_tails", 2_000, "`edge`, errors of Student's t with 3 degrees of freedom, as wide as σ"),
     CampaignPart(
-        "gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the measure of `tails`"
+        "gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the reference for `tails`"
     ),
     CampaignPart("understated", "edge_understated", 2_000, "`edge`, reported σ 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),

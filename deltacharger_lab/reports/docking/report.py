@@ -40,7 +40,7 @@ def run(
     workers: int,
     progress: Callable[[CampaignPart, int, int], Record],
     stop: Callable[[], bool],
-    tell: Progress,
+    log: Progress,
 ) -> bool:
     """Run the missing dockings of the chosen campaigns, and return whether it was not stopped.
 
@@ -50,7 +50,7 @@ def run(
         workers: processes on this computer.
         progress: takes a campaign, its dockings and the number done; returns what to call with each batch of rows.
         stop: whether to end; running batches are finished and written.
-        tell: called with messages about workers.
+        log: called with messages about workers.
 
     Raises:
         CampaignError: a folder has a campaign of other code, seed or scene, or workers died repeatedly.
@@ -64,7 +64,7 @@ def run(
             missing = store.missing()
             if missing:
                 record = progress(part, store.settings.n, len(store.done))
-                run_missing(store, workers, "", 0, record, stop, tell)
+                run_missing(store, workers, "", 0, record, stop, log)
         if stop():
             return False
     return True

@@ -59,7 +59,7 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
 
 
 def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str) -> dict[str, float]:
-    """Return the duration (s) of the start: until its own message, if any, and for a client in this process."""
+    """Return the duration (s) of the start: until its ready message, if any, and until a client in this process finds it."""
     seen: dict[str, float] = {} if way == ONE else {"says_ready_s": math.nan}
     while len(seen) < 2:
         started.check()
@@ -70,7 +70,7 @@ def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str
             seen.setdefault("says_ready_s", elapsed)
         if elapsed > _READY_WITHIN:
             name = list(started.processes)[-1]
-            raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} printed: {started.last_words(name)}")
+            raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} printed: {started.last_line(name)}")
         time.sleep(_POLL)
     return seen
 

@@ -65,9 +65,9 @@ class Started:
         """Raise CannotRun if a process has ended."""
         for name, process in self.processes.items():
             if process.poll() is not None:
-                raise CannotRun(f"{name} ended with {process.returncode}: {self.last_words(name)}")
+                raise CannotRun(f"{name} ended with {process.returncode}: {self.last_line(name)}")
 
-    def last_words(self, name: str) -> str:
+    def last_line(self, name: str) -> str:
         """Return the last line that a process wrote."""
         return next((line for line in reversed(self._lines(name)) if line), "it printed nothing")
 

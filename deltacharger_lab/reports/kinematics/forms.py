@@ -2,8 +2,8 @@
 """Closed forms of inverse and forward kinematics from books, forums and printer firmware.
 
 Each is written once, over a set of functions: numpy's for arrays, `math`'s for one point. There a division by zero or
-the root of a negative number means no answer. All pick the knee-out angle θ from radially outward toward +z; their
-input is the platform centre along the limb (r), sideways (v) and from the motor plane (w).
+the root of a negative number means no answer. All return the knee-out angle θ, measured from radially outward toward
++z; their input is the platform centre along the limb (r), sideways (v) and from the motor plane (w).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LimbForm = Callable[[Number, Number, Number, DeltaGeometry, Functions], Number]
 
 
 def tutorial(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functions) -> Number:
-    """Meet the circle of the elbow with a line z = a + b·y; divides by w (forum tutorial on hobby deltas, 2009)."""
+    """Intersect the circle of the elbow with a line z = a + b·y; divides by w (forum tutorial on hobby deltas, 2009)."""
     motor, joint = -geometry.base_radius, -(r + geometry.platform_radius)
     arm, rod = geometry.arm, geometry.rod
     a = (v * v + joint * joint + w * w + arm * arm - rod * rod - motor * motor) / (2.0 * w)
@@ -131,7 +131,7 @@ SphereForm = Callable[[Centres, float, Functions], tuple[Number, Number, Number]
 
 
 def trilateration(centres: Centres, rod: float, m: Functions) -> tuple[Number, Number, Number]:
-    """Meet three spheres in the frame of their centres (as in Klipper and encyclopaedias)."""
+    """Intersect three spheres in the frame of their centres (as in Klipper and encyclopaedias)."""
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = centres
     ax, ay, az, bx, by, bz = x1 - x0, y1 - y0, z1 - z0, x2 - x0, y2 - y0, z2 - z0
     d = m.sqrt(ax * ax + ay * ay + az * az)

@@ -123,7 +123,7 @@ def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict
 
 
 def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
-    """Return whether the reference's own peak would change by more than the limit were the stop 0.05 mm nearer.
+    """Return whether the reference's own peak would change by more than the limit if the stop were 0.05 mm nearer.
 
     Soft electrodes may only just reach their stop; less than a step's path error decides whether they strike it.
     """
@@ -246,7 +246,7 @@ def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -
 
 
 def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
-    """Return the worst error (%) at the steps docking uses, up to 1e6 N/m, with or without strikes that graze it."""
+    """Return the worst error (%) at the steps docking uses, up to 1e6 N/m, with or without strikes that graze the stop."""
     found = [row for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST]
     return abs(worst([row for row in found if grazing or not row["grazes"]]))
 

@@ -122,7 +122,7 @@ def trace(name: str, step: float) -> dict[str, Any]:
     return {"model": name, "step": step, "course": course}
 
 
-def whole_docking(name: str, step: float, number: int, parameters: WorldParameters | None = None) -> dict[str, Any]:
+def complete_docking(name: str, step: float, number: int, parameters: WorldParameters | None = None) -> dict[str, Any]:
     """Dock once with the real state machine; return code, duration, current and misalignment.
 
     Args:

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.reports.simulation.models import whole_docking
+from deltacharger_lab.reports.simulation.models import complete_docking
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm
 from deltacharger_sim.parameters import (
@@ -92,7 +92,7 @@ def _memory(make: Callable[[], World]) -> float:
 
 def answer(name: str, numbers: tuple[int, ...]) -> list[dict[str, Any]]:
     """Return results of complete dockings with a part: code, time, contact current, misalignment at rest, final arm."""
-    return [{"part": name, **whole_docking(LIGHT, STEP, number, PARTS[name])} for number in numbers]
+    return [{"part": name, **complete_docking(LIGHT, STEP, number, PARTS[name])} for number in numbers]
 
 
 def imports() -> list[dict[str, Any]]:

@@ -109,7 +109,7 @@ def tasks(
     for scene_name in energy.scenes():
         found += [ReportTask("energy", energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
     for case in models.docking_cases(plan, names):
-        found.append(ReportTask("dockings", models.whole_docking, case, 2.0))
+        found.append(ReportTask("dockings", models.complete_docking, case, 2.0))
     docked = list(parts.PARTS)[: plan.parts]
     found += [ReportTask("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
     found += [ReportTask("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]

@@ -174,7 +174,7 @@ def shifts(rows: Iterable[Row]) -> list[Row]:
 
 
 def _coverage_error(members: list[Row]) -> float:
-    """Two standard errors of the mean coverage; of few rigs and seeds from the binomial, calibration included."""
+    """Return two standard errors of the mean coverage; below three members from the binomial, with calibration's error."""
     if len(members) >= 3:
         return 2.0 * float(np.std([row["coverage"] for row in members], ddof=1)) / math.sqrt(len(members))
     frames = members[0]["n"]

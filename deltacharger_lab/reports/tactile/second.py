@@ -39,7 +39,7 @@ AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizo
 BELIEVED = 1.5
 """Largest rms of error over σ for which σ counts as right."""
 _DOCKING = DockingParameters()
-_WHOLE = "as it is"
+_UNCHANGED = "as it is"
 _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
 SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
@@ -117,7 +117,7 @@ def variants() -> dict[str, SecondParameters]:
          "offset_drift"), 0.0,
     )  # fmt: skip
     return {
-        _WHOLE: base,
+        _UNCHANGED: base,
         "no dead band": other(sheet=result),
         "bars bear nothing": other(bars=free),
         "no lean": other(platform=upright),
@@ -190,5 +190,5 @@ def unsafe(estimates: Iterable[Row], variants: Iterable[Row]) -> float:
     Dockings of the unchanged family are also in those of the estimates, and count once.
     """
     chosen = [row["unsafe"] for row in estimates if row["physics"] != FIRST]
-    chosen += [row["unsafe"] for row in variants if row["variant"] != _WHOLE]
+    chosen += [row["unsafe"] for row in variants if row["variant"] != _UNCHANGED]
     return float(sum(chosen)) if chosen else math.nan

@@ -65,7 +65,7 @@ class DrawnView:
 
 
 def draw_pose(away: float, random: Random, intrinsics: Intrinsics = OAK_D) -> Array:
-    """Return (4, 4) of a terminal at `away` m, inside the picture, upright within 25°, seen from up to 35° above.
+    """Return (4, 4) of a terminal at `away` m, inside the picture, upright within 25°, seen from 3° below to 31° above.
 
     Raises:
         ValueError: no pose at that range shows the complete terminal.
