@@ -31,7 +31,7 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     try:
         shape, by_columns, kind, header = _header(stream)
     except Exception as error:  # numpy parses the header as a Python literal, which may raise anything
-        raise ArrayError(f"it has no header of an .npy file ({type(error).__name__})") from error
+        raise ArrayError(f"it has no valid .npy header ({type(error).__name__})") from error
     plain = (kind.kind in "biuf" and kind.itemsize <= 8) or (kind.kind == "U" and kind.itemsize)
     if not plain or len(shape) > _MOST_AXES:
         held = f"it holds an array of {str(kind)[:80]} with {len(shape)} axes"

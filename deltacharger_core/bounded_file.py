@@ -36,7 +36,7 @@ _brief.maxlist = _brief.maxtuple = _brief.maxdict = 8
 
 
 class FileRefused(OSError):
-    """A file is refused unread. Example: /dev/zero given as a calibration.
+    """A file is refused: it is no regular file, too large or not UTF-8. Example: /dev/zero given as a calibration.
 
     Attributes:
         filename: its path.

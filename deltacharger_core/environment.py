@@ -50,7 +50,7 @@ def refuse_ros(missing: ImportError) -> NoReturn:
     Raises:
         UnsupportedRos: always.
     """
-    reason = f"this ROS does not run deltacharger ({missing}); use {RUNS_ON}"
+    reason = f"deltacharger does not run on this version of ROS ({missing}); use {RUNS_ON}"
     streams.write(reason, sys.stderr)
     raise UnsupportedRos(reason) from missing
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends a process after a time limit, even if a library blocks for ever while it holds Python's lock."""
+"""Ends a process after a time limit, even if a library blocks for ever while it holds Python's GIL."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class _Times(ctypes.Structure):
 def exit_within(limit: float, code: int) -> None:
     """End this process with `code` after at most `limit` s.
 
-    The timeout writes and releases nothing: call this when only leaving the network remains. Does nothing on systems
-    without such timers.
+    When time is up, the process ends without flushing or clean-up: call this only when nothing but leaving the network
+    remains. Does nothing on systems without such timers.
 
     Args:
         limit: s, above 0.

@@ -117,7 +117,7 @@ class Records:
         self._stream.seek(min(offset, self._size))
         found, length, _ = self._head()
         if found != opcode:
-            raise DamagedMcap(f"at {offset} stands a record of another kind")
+            raise DamagedMcap(f"the record at byte {offset} has another type")
         return self._record(self._content(length), opcode)
 
     def summary(self) -> dict[int, list[Any]]:
@@ -175,7 +175,7 @@ class Records:
         packed = chunk[at + 8 :]
         self._unpacked += size
         if length != len(packed) or size > _LARGEST_RECORD:
-            raise DamagedMcap(f"a chunk claims {size} bytes of {length}")
+            raise DamagedMcap(f"a chunk states {length} packed and {size} unpacked bytes, which it cannot hold")
         if self._unpacked > _LARGEST_RECORD + _DENSEST * self._size:
             raise DamagedMcap(f"its chunks unpack to more than {_DENSEST} times its size")
         data = _unpack(packed, method, size)
@@ -205,7 +205,7 @@ def _split(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         opcode, length = _HEAD.unpack_from(data, at)
         at += _HEAD.size
         if length > len(data) - at:
-            raise DamagedMcap("a record is longer than what holds it")
+            raise DamagedMcap("a record is longer than the chunk or summary that contains it")
         yield opcode, data[at : at + length]
         at += length
 

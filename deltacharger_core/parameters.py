@@ -56,7 +56,7 @@ class Declaration:
         unit: unit of value and bounds; '' = none.
         low, high: inclusive bounds; infinite = any finite value.
         choices: allowed texts; empty = any.
-        live: whether it may be set while its node runs (between goals if the node serves goals).
+        tunable: whether it may be set while its node runs (between goals if the node serves goals).
     """
 
     name: str
@@ -67,7 +67,7 @@ class Declaration:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
-    live: bool = False
+    tunable: bool = False
 
     def description(self, form: str = "{text} ({unit})") -> str:
         """Return the text with its unit, appended in this form unless the text contains it."""
@@ -116,7 +116,7 @@ def number(default: float | None, low: float, high: float, unit: str, text: str)
 def tunable(default: float, low: float, high: float, unit: str, text: str) -> Any:
     """Declare a number, as `number` does, that may be set while its node runs."""
     item = number(default, low, high, unit, text)
-    return field(default=default, metadata={_KEY: replace(item.metadata[_KEY], live=True)})
+    return field(default=default, metadata={_KEY: replace(item.metadata[_KEY], tunable=True)})
 
 
 def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text: str) -> Any:
@@ -125,19 +125,19 @@ def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
 
 
-def flag(default: bool, text: str, live: bool = False) -> Any:
+def flag(default: bool, text: str, tunable: bool = False) -> Any:
     """Declare a boolean."""
-    return _declared(bool, default, text, live=live)
+    return _declared(bool, default, text, tunable=tunable)
 
 
-def words(default: str | tuple[str, ...], text: str, live: bool = False) -> Any:
+def words(default: str | tuple[str, ...], text: str, tunable: bool = False) -> Any:
     """Declare a text or several texts."""
-    return _declared(str, default, text, live=live)
+    return _declared(str, default, text, tunable=tunable)
 
 
-def choice(default: str, choices: tuple[str, ...], text: str, live: bool = False) -> Any:
+def choice(default: str, choices: tuple[str, ...], text: str, tunable: bool = False) -> Any:
     """Declare a text with fixed choices."""
-    return _declared(str, default, text, choices=choices, live=live)
+    return _declared(str, default, text, choices=choices, tunable=tunable)
 
 
 def entries(text: str) -> Any:

@@ -91,7 +91,7 @@ def ended(code: int) -> int:
     """Return the exit code; if output to standard output was lost, report it and return at least 1."""
     lost = settle()
     if lost:
-        write(f"the output was lost: standard output: {lost}", sys.stderr)
+        write(f"cannot write to standard output: {lost}", sys.stderr)
         settle()
     return code or int(bool(lost))
 

@@ -40,7 +40,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
 
     Args:
         context: of the docking.
-        target: what touch has shown of it.
+        target: the target, as known by touch.
         given: pose of its electrodes; None = ask the camera.
         charges: whether current is wanted.
     """
@@ -85,7 +85,7 @@ def align(
         context: of the docking.
         target: on which the electrodes rest.
         stay: they have been aligned before and may rest where they are, if they have clearance there.
-        estimate: estimate that forbade pressing; None = they press.
+        estimate: estimate of the first touch, which forbade pressing further; None = the electrodes already press.
     """
     target.begin()
     while True:
@@ -133,7 +133,8 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
     text = "the roll, given or seen, is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
     raise CriticalAngle(
-        f"the electrodes are rolled by {math.degrees(roll):.1f}°, as given or seen; level the target or the charger"
+        f"the electrodes are rolled by {math.degrees(roll):.1f}° ± {math.degrees(stddev):.1f}°, as given or seen; the "
+        f"critical angle is {math.degrees(limit):.1f}°: level the target or the charger"
     )
 
 
@@ -170,7 +171,7 @@ def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, l
 
 
 def prepare(context: Context) -> Script[None]:
-    """Switch the torque on and tare the pads, both in free air; wait for nodes that have just started."""
+    """Wait for nodes that have just started, open the contactor, switch the torque on, lift off, tare in free air."""
     parameters = context.parameters
     context.enter(State.APPROACH, parameters.approach_timeout)
     end = context.time + parameters.first_data_timeout

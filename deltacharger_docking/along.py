@@ -58,7 +58,7 @@ class Plan:
     """Expected gain of one or more further contacts.
 
     Attributes:
-        gain: expected decrease of the risk to exceed the limit.
+        gain: expected decrease of the risk of exceeding the limit.
         contacts: their number; the last one is made at the target and remains.
         aside: offset of the target's centre in the first contact, m along the bars; 0 = at the target.
     """
@@ -236,7 +236,7 @@ class AlongFilter:
         return known
 
     def _foresee(self, aside: float) -> tuple[Array, Array, Array]:
-        """Return rows (2, 6) of a contact with the target's centre `aside` m off, its noise and its landing's."""
+        """Return rows (2, 6) of a contact `aside` m off the target's centre, its noise's covariance, the landing's."""
         last = self._looks[-1]
         pull, slope, by_width = (float(each) for each in self._pull.at(np.array(aside), 0.0, last.angle))
         landing = np.array([1.0, slope])

@@ -84,8 +84,8 @@ class Taper:
         return Flow.FULL if time - self._below_since >= parameters.full_time else Flow.FLOWS
 
 
-class Counter:
-    """Checks that energy can be counted: current and voltage are measured, with short gaps allowed."""
+class EnergyCheck:
+    """Checks that energy can be measured: current and voltage are, with short gaps allowed."""
 
     def __init__(self) -> None:
         self._since = math.inf
@@ -106,12 +106,12 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
     Raises:
         DockingError: why charging ended; the caller opens the contactor and retracts.
     """
-    watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
+    watch, taper, energy_check = Watch(context), Taper(context.parameters), EnergyCheck()
     checks = clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
     while True:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
-        if problem is None and order.goal.stop_energy and counter.is_lost(context):
+        if problem is None and order.goal.stop_energy and energy_check.is_lost(context):
             problem = PowerStale("the target's voltage is no longer measured, so energy cannot be counted")
         if problem is None and flow is Flow.LOST and not watch.refused:
             problem = NoChargeCurrent(no_current(context))
@@ -133,7 +133,7 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
 
 
 def _touch_checks(context: Context) -> Script[None]:
-    """Check periodically that the pads measure contact: as published, only all-zero frames end charging."""
+    """Check periodically that the pads measure contact: as published, only all-zero or missing frames end charging."""
     while True:
         yield from context.wait(context.parameters.clearance_period)
         if context.observation.tactile_age > context.parameters.tactile_age_max:

@@ -132,11 +132,11 @@ class Misplaced(DockingError):
 
 
 class Unreachable(Misplaced, code=Code.UNREACHABLE):
-    """The target, or if `electrodes` is None the arm's own motion, leaves the workspace."""
+    """The target is outside the workspace; if `electrodes` is None, the arm's own motion would leave it."""
 
 
 class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, restart_may_help=True):
-    """The arm reached its limit without contact."""
+    """There was no contact up to the arm's limit, or contact was lost later."""
 
 
 class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, restart_may_help=True):
@@ -148,11 +148,11 @@ class ChargeOvercurrent(Overcurrent, retriable=False, restart_may_help=False):
 
 
 class ServoFailure(DockingError, code=Code.SERVO_FAULT):
-    """A servo is missing, silent or reports a hardware error."""
+    """A servo is missing, silent, without torque or hot, or reports a hardware error."""
 
 
 class Stuck(DockingError, code=Code.STUCK, retriable=True):
-    """The magnets did not release within the allowed pull."""
+    """The magnets did not release within the allowed pull, or the arm did not come home."""
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
@@ -160,7 +160,7 @@ class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=Tru
 
 
 class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
-    """Tactile frames stopped."""
+    """Tactile frames or estimates are missing, or the pads were not tared."""
 
 
 class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
@@ -168,7 +168,7 @@ class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
 
 
 class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, restart_may_help=True):
-    """The tactile estimate stayed unsure in repeated contacts."""
+    """The tactile estimate stayed unsure, contradicts the arm's moves, or lacks the classes that `published` needs."""
 
 
 class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, restart_may_help=True):
@@ -188,7 +188,7 @@ class ShortCircuit(DockingError, code=Code.SHORT_CIRCUIT):
 
 
 class PowerStale(DockingError, code=Code.POWER_STALE, retriable=True):
-    """The power stage stopped publishing or answering."""
+    """The power stage is silent or opened by itself, the lease was not renewed, or docking was suspended while live."""
 
 
 class ReversePolarity(DockingError, code=Code.REVERSE_POLARITY):
@@ -204,7 +204,7 @@ class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
 
 
 class ContactorWelded(DockingError, code=Code.CONTACTOR_WELDED):
-    """Current still flows after the order to open the contactor."""
+    """After the order to open, current still flows, or a silent power stage hides whether it does."""
 
 
 # ChargerPower.fault to docking's error and its text. 1 to 7 are the codes 50x less 500. 8: the power stage received no
@@ -225,7 +225,7 @@ REMEDIES: dict[Code, str] = {
     Code.NONE: "",
     Code.REJECTED: "correct the goal, or wait for the running one",
     Code.CANCELED: "",
-    Code.TIMEOUT: "see the phase in the message",
+    Code.TIMEOUT: "see in the log what the phase waited for",
     Code.DUPLICATE_SOURCE: "stop the second node, or give it its own namespace or `ROS_DOMAIN_ID`",
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
     Code.DETECTION_STALE: "check the camera's rate and clocks",
@@ -248,6 +248,6 @@ REMEDIES: dict[Code, str] = {
     Code.VOLTAGE_OUT_OF_RANGE: "as the message states: use another charger, or charge the charger's own battery",
     Code.REVERSE_CURRENT: "have the target's charging input checked",
     Code.CONTACTOR_WELDED: "switch the battery off, replace the contactor",
-    Code.INTERNAL: "send the log",
+    Code.INTERNAL: "report it, with the log",
 }
 """The remedy for each code, with which its row in docs/errors.md begins; empty if nothing needs to be done."""

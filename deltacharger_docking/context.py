@@ -46,7 +46,7 @@ class KnownContact:
 
 
 class Context:
-    """State shared by the scripts; the machine sets `observation` before each tick and reads the commands after it."""
+    """State shared by the scripts. In each tick the machine calls `observe` before them and `command` after them."""
 
     def __init__(
         self,
@@ -149,7 +149,9 @@ class Context:
         """Return the error of a phase that lasted too long, if it did."""
         if self.time <= self.deadline:
             return None
-        return PhaseTimeout(f"{self.status.state.name} took longer than allowed; check the parameter of this phase")
+        phase = self.status.state
+        limit = f"{(State.CONTACT if phase is State.BACK_OFF else phase).name.lower()}_timeout"
+        return PhaseTimeout(f"{phase.name} took longer than {limit}; see in the log what it waited for")
 
     @contextmanager
     def waiting_for(self, what: str) -> Iterator[None]:
@@ -161,7 +163,7 @@ class Context:
             self.status.waiting_for = ""
 
     def wait(self, seconds: float, reads: bool = False) -> Script[None]:
-        """Let `seconds` pass; `reads`: readings of this time decide about the contact current."""
+        """Let `seconds` pass; `reads`: readings made during the wait count for the contact current."""
         end = self.time + seconds
         while self.time < end:
             yield Wait(end, reads)

@@ -157,10 +157,13 @@ def de_energise(context: Context) -> Script[None]:
 
 def _welded(context: Context) -> ContactorWelded:
     if context.observation.power_age > context.parameters.power_age_max:
-        return ContactorWelded("charger_power is silent, so the contactor may still be closed; the arm stays")
+        return ContactorWelded(
+            "charger_power is silent, so the contactor may still be closed; the arm stays on the target: check the "
+            "board's cable and tactile_node, or switch the charger's battery off"
+        )
     return ContactorWelded(
-        f"{context.observation.charge_current:.1f} A still flow after the order to open the contactor; switch the "
-        "charger's battery off and replace the contactor"
+        f"the contactor has not opened {context.parameters.open_timeout:g} s after the order (charge current "
+        f"{context.observation.charge_current:.1f} A); switch the charger's battery off and replace the contactor"
     )
 
 
@@ -230,7 +233,10 @@ class Watch:
         pause = self._context.pause
         if not pause > self._context.parameters.pause_max:
             return None
-        return PowerStale(f"docking itself was suspended for {pause:.1f} s while the electrodes were live")
+        return PowerStale(
+            f"docking itself was suspended for {pause:.1f} s while the electrodes were live; check what else this "
+            "computer runs"
+        )
 
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation
@@ -240,7 +246,7 @@ class Watch:
         if not all(map(math.isfinite, measured)):
             return ServoFailure("the servos' currents or angles are no longer measured; check the servo bus")
         if not observation.torque_enabled:
-            return ServoFailure("the servos lost their torque while the electrodes were live")
+            return ServoFailure("the servos lost their torque while electrodes were live; see servo_node's diagnostics")
         if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
             return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
         return None
@@ -255,14 +261,19 @@ class Watch:
         if refusal or self.refused:
             return self._refusal(refusal)
         if self._was_closed and not observation.contactor_closed:
-            return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
+            return PowerStale(
+                "the contactor opened by itself: its lease or heartbeat was lost; check the board's cable and what "
+                "else this computer runs"
+            )
         if self._was_closed and not math.isfinite(observation.charge_current):
             return PowerStale("the charge current is no longer measured; check the power stage")
         if observation.charge_current < -parameters.zero_current:
-            return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
+            flow = f"{observation.charge_current:.1f} A flow out of the target"
+            return ReverseCurrent(f"{flow}; have its charging input checked")
         if observation.charge_current > parameters.charge_current_max:
             return ChargeOvercurrent(
-                f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
+                f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A; have the "
+                "power stage's limiter checked"
             )
         return None
 

@@ -26,7 +26,7 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
     if not math.isfinite(goal.critical_angle) or goal.critical_angle < 0.0:
         raise Rejected(f"critical_angle is {goal.critical_angle}: give rad ≥ 0 (0 = the parameter)")
     if goal.critical_angle > limit:
-        raise Rejected(f"critical_angle may only be lowered; the limit is {limit:.4f} rad, not {goal.critical_angle}")
+        raise Rejected(f"critical_angle is {goal.critical_angle} rad, above {limit:.4f} rad; a goal may only lower it")
     check_stops(goal.stop_energy, goal.stop_after)
     if parameters.always_live:
         _check_live(goal)
@@ -89,7 +89,7 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
     pose = x, y, z, electrodes.roll
     if not all(map(math.isfinite, pose)) or any(map(math.isinf, (electrodes.yaw, electrodes.pitch))):
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
-    wrong = planner.reachable((x, y, z), (x, y, z - parameters.standoff))
+    wrong = planner.reach_problem((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
         base = BasePose.before(electrodes.position, electrodes.sure_yaw(parameters.lean_sigmas))
         dx, dy, dz = (f"{1000 * value:+.0f}" for value in (base.x, base.y, base.z))

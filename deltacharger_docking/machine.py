@@ -47,7 +47,7 @@ class DockingMachine:
         parameters: of docking.
         geometry: the delta's dimensions.
         planner: of lines; None = the default one.
-        feed: that sends lines to the servos; None = piece by piece.
+        feed: sends lines to the servos; None = one that sends them piece by piece.
     """
 
     def __init__(

@@ -69,7 +69,7 @@ class Planner:
         for start, goal in pairwise(places):
             self.line(start, goal, speed)
 
-    def reachable(self, *points: Vector) -> str:
+    def reach_problem(self, *points: Vector) -> str:
         """Return '' if every point is in the workspace with good angles, else the problem of the first bad one."""
         solved = self._delta.inverse(np.array(points))
         for point, status in zip(points, np.atleast_1d(np.asarray(solved.status)), strict=True):

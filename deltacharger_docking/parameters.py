@@ -68,7 +68,7 @@ class DockingParameters(Bounded):
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     contact_window: float = number(0.12, 0.02, 0.5, "s", "window of the contact current's median")
     free_current: float = number(0.06, 0.005, 0.5, "A", "largest size of the contact current in free air")
-    weighing_timeout: float = tunable(0.5, 0.0, 10.0, "s", "limit for the arm to sag under its weight after torque on")
+    weighing_timeout: float = tunable(0.5, 0.0, 10.0, "s", "limit for the arm to sag under its weight, after torque on")
     home_x: float = tunable(0.0, -0.06, 0.06, "m", "home position, x")
     home_y: float = tunable(0.0, -0.06, 0.06, "m", "home position, y")
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
@@ -97,8 +97,8 @@ class DockingParameters(Bounded):
     current_max: float = tunable(
         0.5, 0.05, 2.0, "A", "upper end of the contact current's band; the servos can hold it for four hours"
     )
-    aim_below: float = tunable(0.02, 0.0, 0.1, "A", "distance of the aim for a known contact below the band's middle")
-    band_margin: float = tunable(0.015, 0.0, 0.04, "A", "distance of an accepted reading from the band's ends")
+    aim_below: float = tunable(0.02, 0.0, 0.1, "A", "how far below the band's middle a press on a known contact aims")
+    band_margin: float = tunable(0.015, 0.0, 0.04, "A", "least distance of an accepted reading from the band's ends")
     step_share: float = tunable(0.7, 0.1, 1.0, "", "largest share of the way to the band in one step")
     step_near: float = tunable(0.75, 0.1, 1.0, "", "share of the band's lower end from which one step goes all the way")
     step_max: float = tunable(0.015, 0.001, 0.03, "m", "longest pressing step, however soft the contact seems")
@@ -133,11 +133,11 @@ class DockingParameters(Bounded):
     slip_max: float = tunable(0.0004, 0.00015, 0.01, "m", "sideways travel from which the platform slips")
     slip_undo_share: float = tunable(0.4, 0.0, 1.0, "", "share of the easing motion that is undone after a slip")
     slip_back_time: float = tunable(0.3, 0.05, 1.0, "", "duration of undoing as a share of the round's time")
-    hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends any phase")
+    hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends docking, except in RETRACT")
     critical_angle: float = number(
         math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which electrodes would short"
     )
-    roll_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations between a given roll and critical_angle")
+    roll_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations between a detected roll and critical_angle")
     yaw_max: float = number(
         math.radians(5.0), 0.0, math.radians(15.0), "rad", "yaw of the electrodes' faces above which docking refuses"
     )
@@ -160,14 +160,14 @@ class DockingParameters(Bounded):
         0.0,
         1.0,
         "",
-        "decrease of the risk to exceed landing_limit or overlap_loss_max for which a contact is made; x1.5 per move",
+        "decrease of the risk of exceeding landing_limit or overlap_loss_max for which a contact is made; x1.5 a move",
     )
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "increase of contradiction_start per measured number")
     alignments_max: int = tunable(15, 1, 50, "", "most corrections and repeated contacts, as in the paper")
     docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of contacts about the commanded place")
     aligned_risk_max: float = tunable(
-        0.02, 0.0, 1.0, "", "largest estimated risk to exceed overlap_loss_max or landing_limit when aligned"
+        0.02, 0.0, 1.0, "", "largest estimated risk of exceeding overlap_loss_max or landing_limit when aligned"
     )
     horizontal_scale: float = number(0.83, 0.1, 3.0, "", "true / reported standard deviation of horizontal estimates")
     horizontal_shared: float = number(0.00055, 0.0, 0.01, "m", "error of horizontal estimates that all contacts share")
@@ -202,7 +202,7 @@ class DockingParameters(Bounded):
     unsure_move_min: float = tunable(0.002, 0.0, 0.02, "m", "offset from which an unsure estimate is followed")
     unsure_move_sigmas: float = tunable(3.0, 0.0, 10.0, "", "standard deviations at which an unsure offset is followed")
     charge_when_not_aligned: bool = flag(
-        True, "start charging even if the last alignment is not aligned, as published; other checks stay", live=True
+        True, "start charging even if the last contact is not aligned, as published; other checks stay", tunable=True
     )
     restarts_max: int = tunable(0, 0, 10, "", "automatic restarts of a docking; 0 = none")
     estimate_frames: int = tunable(24, 1, 240, "", "tactile frames averaged in one estimate")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the target along one axis, the offset of this contact, and whether another contact would pay."""
+"""Estimate of the target along one axis, the offset of this contact, and whether another contact is worth making."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Offset:
 
 
 def expected_gain(now: float, foreseen: float, measured: float, limit: float) -> float:
-    """Return the expected decrease of the risk to exceed `limit` by another contact at the target.
+    """Return the expected decrease of the risk of exceeding `limit` by another contact at the target.
 
     The mean of its offset is distributed around zero, with the variance that the contact will resolve. A contact worse
     than this one gains nothing, since it can be repeated.
@@ -103,5 +103,5 @@ class AxisFilter:
         return contradicts(self._parameters, self._innovations, self._looks)
 
     def gain(self, limit: float) -> float:
-        """Return the expected decrease of the risk to exceed `limit` (m) by another contact."""
+        """Return the expected decrease of the risk of exceeding `limit` (m) by another contact."""
         return expected_gain(self.contact.beyond(limit), self._ahead, self.contact.stddev**2, limit)

@@ -14,7 +14,7 @@ from deltacharger_docking.release import take_off
 from deltacharger_kinematics.geometry import Vector
 
 Look = Callable[[], Script[MisalignmentEstimate | None]]
-"""Measures at the first contact; returns the estimate if it forbids to press further."""
+"""Measures at the first contact; returns the estimate if it forbids pressing further."""
 
 
 def approach(context: Context, target: Vector) -> Script[None]:
@@ -153,7 +153,7 @@ def _paper(context: Context, depth: float) -> Script[None]:
 
 
 def _meet(context: Context, depth: float, look: Look | None) -> Script[MisalignmentEstimate | None]:
-    """Press on the target, near the band: at a known place directly, else after a search.
+    """Press the target until the contact current is near its band: at a known place directly, else after a search.
 
     The arm moves fast where it cannot strike anything. If a known place is wrong, the search starts there. With `look`
     it always searches, because a direct press leaves no time to measure.
@@ -187,7 +187,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
 
 
 def _search(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
-    """Move along z to the start of the search, then slowly up to `depth` (m) until contact; press on there."""
+    """Move along z to the start of the search, then slowly up to `depth` (m) until contact; continue pressing there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     free = depth - parameters.search_depth - parameters.search_from
     for end, speed in ((free, parameters.travel_speed), (depth, parameters.search_speed)):
@@ -203,7 +203,7 @@ def _touches(context: Context) -> bool:
 
 
 def _press_on(context: Context, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
-    """Press on from where the platform stops, to a share of the band that is safe on a rigid target."""
+    """Continue pressing from where the platform stops, to a share of the band that is safe on a rigid target."""
     parameters, end = context.parameters, context.time + context.parameters.settle_touching
     highest = -math.inf
     while context.time < end and context.position[2] > highest:

@@ -41,8 +41,9 @@ def dock(context: Context, target: Target, place: Vector) -> Script[None]:
         place: as received.
 
     Raises:
-        CriticalAngle: the class of the angle is not below the critical one; or the angle leaves no required clearance.
-        Misaligned: the offset leaves no required clearance.
+        CriticalAngle: the class of the angle is not below the critical one; or the angle leaves less than the required
+            clearance.
+        Misaligned: the offset leaves less than the required clearance.
         EstimateUnsure: classes are missing, or required clearance is unknown.
     """
     yield from approach(context, place)

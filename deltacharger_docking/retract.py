@@ -34,7 +34,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         yield from go_limp(context)
         return
     if not math.isfinite(context.position[2]):
-        raise ServoFailure("the arm's position is unknown, so it was not moved")
+        raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
     strayed = wanted and math.dist(context.position, parameters.home) > parameters.lift
     needed = strayed or observation.tactile_contact
     if needed and not observation.torque_enabled:
@@ -64,7 +64,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
 
 
 def go_limp(context: Context) -> Script[None]:
-    """Stop, and switch the torque off without waiting for an answer, only for the time that it takes."""
+    """Hold, order the torque off without waiting for the reply, and wait until servo_node must have done it."""
     context.hold()
     context.decide("limp", "the servos are ordered to switch their torque off where the arm is")
     context.send(Service.TORQUE_OFF)

@@ -64,8 +64,9 @@ class Springs:
     def add_reading(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
         """Use a reading with fixed goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
 
-        Ignored are readings under a light load, and those that no common spring of the tested range explains, as of
-        held servos. A reading that contradicts earlier ones replaces them: gains changed, or the earlier were wrong.
+        Readings under a light load are ignored, and so are those that no common spring in the tested range explains,
+        such as those of blocked servos. A reading that contradicts earlier ones replaces them: gains changed, or the
+        earlier were wrong.
         """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
         braked = self._damping / self._constant

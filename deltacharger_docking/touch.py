@@ -113,10 +113,10 @@ class Target:
 
         Args:
             estimate: the estimate, sure or not.
-            stay: they have been aligned before and may rest where they are, if they have clearance there.
+            stay: the electrodes have been aligned before and may rest where they are, if they have clearance there.
 
         Raises:
-            CriticalAngle: the target is tilted too far.
+            CriticalAngle: the target is rolled too far.
             EstimateUnsure: the estimates contradict the arm's own moves.
         """
         context, parameters = self._context, self._context.parameters
@@ -174,7 +174,7 @@ class Target:
             Misaligned: clearance was not reached within the allowed alignments.
             Leaning: one pad carries nearly all the force, again in this place.
             EstimateUnsure: the estimate stayed unsure.
-            CriticalAngle: it stayed unsure but shows a tilt beyond the limit.
+            CriticalAngle: it stayed unsure but shows a roll beyond the limit.
         """
         context, self._estimated_here = self._context, False
         if self._estimate is not None and not self._estimate.usable:
@@ -205,7 +205,7 @@ class Target:
         """Return whether the platform reaches a contact at this offset (m), and the place before it."""
         here, parameters = self._context.position, self._context.parameters
         place = here[0] + x, here[1] + y, here[2]
-        return not self._context.planner.reachable(place, (*place[:2], place[2] - parameters.lift))
+        return not self._context.planner.reach_problem(place, (*place[:2], place[2] - parameters.lift))
 
     @property
     def _moves(self) -> int:
@@ -249,7 +249,7 @@ class Target:
             return 0.0, 0.0
         x, y = self._place.pointed_at(estimate, place[0])
         lost = estimate.complete and math.hypot(x, y) > parameters.unsure_move_min
-        reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
+        reachable = lost and not context.planner.reach_problem((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < parameters.unsure_max:
             self._unsure_here = 0
             context.status.alignments += 1

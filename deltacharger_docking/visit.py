@@ -153,7 +153,7 @@ class TargetVisit:
         while not self._is_new:
             if not context.observation.torque_enabled:
                 if desk.is_open:
-                    raise ServoFailure("the servos lost their torque while docked")
+                    raise ServoFailure("the servos lost their torque while docked; see servo_node's diagnostics")
                 return False
             if context.contact.value < context.parameters.contact_lost_current:
                 raise NoContact("contact was lost after docking; the target moved")

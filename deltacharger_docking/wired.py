@@ -2,8 +2,8 @@
 """Electrodes wired to the battery (power: none), as in the paper: live whenever they touch.
 
 Nothing closes, limits, measures or opens the circuit. So docking measures the misalignment at the first touch of each
-contact, before it presses further, and monitors docked electrodes as while charging. If a check fails, it takes the
-electrodes off. It never reports that it charges.
+contact, before it presses further, and monitors docked electrodes as it does while charging. If a check fails, it takes
+the electrodes off. It never reports that it charges.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _UNKNOWN = "this charger does not measure, limit or interrupt it"
 DOCKED = (
     f"docked; power: none: the electrodes are wired to the battery, so current may flow now; {_UNKNOWN}; undock ends it"
 )
-PARTED = f"the electrodes were taken off without knowing the current, since power is none: {_UNKNOWN}"
+PARTED = f"the electrodes were taken off although current may still have flowed (power: none): {_UNKNOWN}"
 
 
 def stay_away(context: Context) -> Script[None]:
@@ -38,13 +38,13 @@ def stay_away(context: Context) -> Script[None]:
 
 
 def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
-    """Measure at the first touch; return the estimate if it forbids to press further, else None.
+    """Measure at the first touch; return the estimate if it forbids pressing further, else None.
 
     It does not wait until the arm rests, since shorted electrodes must not stay in contact. If so light a touch gives
-    no usable estimate, pressing continues and is judged later, unless even the unsure estimate exceeds the tilt limit.
+    no usable estimate, pressing continues and is judged later, unless even the unsure one exceeds the critical angle.
 
     Raises:
-        CriticalAngle: the target is tilted too far.
+        CriticalAngle: the target is rolled too far.
         TactileStale: no estimate arrived.
     """
     parameters = context.parameters
@@ -67,7 +67,7 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
 
 
 def watch(context: Context, order: Order, target: Target) -> Script[str]:
-    """Monitor docked electrodes as while charging, until a stop condition is met; return that condition.
+    """Monitor docked electrodes as is done while charging, until a stop condition is met; return that condition.
 
     Raises:
         DockingError: the problem; the caller retracts.

@@ -49,7 +49,7 @@ class DockFailed(DockingError):
 
 
 class MissionContext:
-    """State shared by the scripts; the machine sets it before each tick and clears it after.
+    """State shared by the scripts. In each tick the machine calls `observe` before them and `command` after them.
 
     Attributes:
         touched: a Dock goal was sent and no undocking has succeeded since: the robot must not move.

@@ -77,7 +77,7 @@ class TaskReply:
     Attributes:
         code, retriable: of docking, if it failed.
         message: the reason and the remedy.
-        place: last place of the base by the navigator, None = not reported.
+        place: last place of the base that the navigator reported, None = not reported.
         electrodes: as detected by the camera.
         suggested: better pose of charger_base, None = no other. Its yaw is 0 if the yaw of the faces is unknown.
         unmeasured: docking cannot measure the charge (power: none).

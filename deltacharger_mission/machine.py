@@ -3,7 +3,7 @@
 
 Wait until all needed nodes answer, drive to the target, look for its electrodes, move the robot if they are out of
 reach or askew, dock, charge, undock, return. `step` takes an observation and returns a command; it reads no clock,
-opens no port and never blocks. However the mission ends, the final steps are equal: cancel open requests, undock,
+opens no port and never blocks. However the mission ends, the final steps are the same: cancel open requests, undock,
 return.
 """
 
@@ -96,7 +96,7 @@ class MissionMachine:
     def tune(self, parameters: MissionParameters, home: Place | None) -> str:
         """Use other parameters from the next goal on; return why not if that is refused."""
         if self.busy:
-            return "a goal is running: another mission is under way; cancel it or wait for its result"
+            return "a goal is running: cancel it or wait for its result, then set the parameters"
         self._context.parameters, self._home = parameters, home
         return ""
 
@@ -221,8 +221,8 @@ class MissionMachine:
                     break
                 yield from context.wait(_LOOK_PAUSE)
         raise ElectrodesNotFound(
-            f"no electrodes were found in {self.status.views} detections; the last reported: {reply.message}. Check "
-            "that the target is at the given place and faces the given way"
+            f"no electrodes were found in {self.status.views} detections; the last one reported: {reply.message}. "
+            "Check that the target is at the given place and faces the given way"
         )
 
     def _placed(self, seen: ElectrodePose, electrodes: Place | None) -> Place | None:

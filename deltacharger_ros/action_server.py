@@ -151,7 +151,7 @@ class WorkServer:
                 self._log.error(f"internal error in a goal: {type(error).__name__}: {error}")
             handle.abort()
             result = self._result(self._outcome(error), None)
-            self._log_end(handle, result, "refused")
+            self._log_end(handle, result, "refused" if isinstance(error, self._refusals) else "not started")
             return result
         has_client = False
         while not work.done.wait(_CHECK_PERIOD):

@@ -51,7 +51,7 @@ class ChargerClient(Guest):
 
     Args:
         namespace: namespace of the charger; '' = none.
-        context: a running rclpy context; None = start an own one.
+        context: a running rclpy context; None = start one of its own.
     """
 
     def __init__(self, namespace: str = "", context: Context | None = None) -> None:

@@ -94,7 +94,7 @@ class Spinner:
         self._events.wake()
 
     def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Run a callback in a worker; rclpy does so with goals."""
+        """Run a callback in a worker; rclpy calls this for each goal."""
         task: Any = Task(callback, args, kwargs, executor=self._events)
 
         def run() -> None:

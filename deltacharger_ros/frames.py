@@ -145,7 +145,7 @@ class Frames:
         try:
             self._agreed(self._tf, 0.0)
         except Contradiction as error:
-            self._log.error(f"{error}. Until then goals in frames of the robot are refused")
+            self._log.error(f"{error}. Until this is corrected, goals in frames of the robot are refused")
         except TransformError:
             if self._looks < _LOOKS:
                 return

@@ -18,9 +18,9 @@ _STDERR = 2
 class Log:
     """Writes lines through a node's logger, and drops lines that would block the process.
 
-    rclpy writes to standard error while it holds Python's lock. If the reader has stopped (Ctrl-S in a terminal, a
-    launch that hangs), every thread would block, including servos and heartbeat. The next line reports how many lines
-    were dropped. A line takes 0.6 ms.
+    rclpy writes to standard error while it holds Python's global interpreter lock. If the reader has stopped (Ctrl-S in
+    a terminal, a launch that hangs), every thread would block, including servos and heartbeat. The next line reports
+    how many lines were dropped. A line takes 0.6 ms.
 
     Args:
         node: its logger is used.

@@ -103,7 +103,7 @@ def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
 
 
 def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(name=each.name, description=description, read_only=not each.live)
+    descriptor = ParameterDescriptor(name=each.name, description=description, read_only=not each.tunable)
     if each.choices:
         descriptor.additional_constraints = "one of: " + ", ".join(each.choices)
     elif not math.isfinite(each.low):

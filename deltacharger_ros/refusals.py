@@ -8,8 +8,8 @@ from typing import Any
 from deltacharger_ros.messages import seconds
 
 AHEAD = 0.1
-"""s, how far a stamp may be ahead of this computer's clock. It hides the same amount of age, and press_age_max allows
-no more. Clocks of two computers with NTP differ by less than a tenth of it."""
+"""s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
+is, so this is no more than press_age_max. Clocks of two computers with NTP differ by less than a tenth of it."""
 
 
 class MessageRefused(Exception):
@@ -52,7 +52,7 @@ def check_ahead(ahead: float) -> None:
         MessageRefused: too far.
     """
     if ahead > AHEAD:
-        raise MessageRefused(f"its stamp is {ahead:.3f} s ahead of this computer's clock; set both clocks")
+        raise MessageRefused(f"its stamp is {ahead:.3f} s ahead of this computer's clock; synchronize both clocks")
 
 
 def stamp_and_sequence(data: bytes, longest: int) -> tuple[float, int]:
@@ -62,7 +62,7 @@ def stamp_and_sequence(data: bytes, longest: int) -> tuple[float, int]:
         MessageRefused: the bytes are invalid.
     """
     if not 24 <= len(data) <= longest:
-        raise MessageRefused(f"it has {len(data)} bytes")
+        raise MessageRefused(f"it has {len(data)} bytes; allowed are 24 to {longest}")
     order: Any = "little" if data[1] & 1 else "big"
     second, nanosecond, length = (int.from_bytes(data[at : at + 4], order) for at in (4, 8, 12))
     start = 4 + (12 + length + 7) // 8 * 8  # behind frame_id, aligned to its size from the end of the CDR header

@@ -56,7 +56,8 @@ def _load(node: Node, file: str) -> MeasuredServos:
     try:
         return load_servos(where)
     except OSError as error:
-        problem = f"'{where}' cannot be read: {error.strerror or error}; give a file of measured servos, or remove it"
+        reason = error.strerror or error
+        problem = f"'{where}' cannot be read: {reason}; give a file of measured servos, or remove the parameter"
     except ValueError as error:
         problem = str(error)
     raise node_support.StartupError(f"{node.get_name()}: parameter 'servos_file': {problem}")

@@ -80,7 +80,7 @@ class TfTree:
 
     @property
     def settling(self) -> float:
-        """s after the start within which published transforms may still arrive for the first time."""
+        """Remaining time, s, in which published transforms may still arrive for the first time."""
         patience = self._given.transform_timeout
         if not any(self._node.count_publishers(topic.name) for topic in (self._fixed, self._moving)):
             patience = min(patience, _DISCOVERY)

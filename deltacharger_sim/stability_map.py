@@ -3,7 +3,8 @@
 
 A cell is '+' where nothing diverged, the settled force is within 0.5 % of a bisection, the path within 0.3 mm
 rms of the converged course of the charger on its axis and the peak force within 15 % of its peak; 's' where the
-peak is not, 'p' where the path is not, 'f' where the force is not, 'd' where it diverged, was reset or did not come to rest.
+peak is not, 'p' where the path is not, 'f' where the force is not, 'd' where it diverged, was reset or did not
+come to rest.
 """
 
 from __future__ import annotations

@@ -116,13 +116,13 @@ class TactileParameters:
 class MisalignmentNodeParameters(Bounded):
     """Files, frames and limits of misalignment_node; only max_age is fixed while it runs."""
 
-    model: str = words("", "Pose model (npz); empty = the packaged one.", live=True)
-    calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.", live=True)
+    model: str = words("", "Pose model (npz); empty = the packaged one.", tunable=True)
+    calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.", tunable=True)
     classifiers: tuple[str, ...] = words(
         ("",),
         "Source of class probabilities instead of the pose model: the name of a packaged model, or files (npz), at "
         "most one per target; [''] = none.",
-        live=True,
+        tunable=True,
     )
     frames: int = tunable(12, 1, FRAMES_MAX, "", "Frames averaged if a request states 0.")
     rate: float = tunable(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")

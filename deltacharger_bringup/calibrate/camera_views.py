@@ -115,7 +115,8 @@ def gather(
         position, slope = _stand(folder / VIEWS, row, kinematics)
         path = folder / row.image
         if not path.is_file():
-            raise ViewsError(folder / VIEWS, f"line {row.line}: there is no image {row.image} in {folder}; copy it there, or delete the line")
+            missing = f"line {row.line}: there is no image {row.image} in {folder}; copy it there, or delete the line"
+            raise ViewsError(folder / VIEWS, missing)
         sighting = board.detect(_pixels(path, intrinsics))
         if sighting is None:
             without.append(row.image)
@@ -210,7 +211,8 @@ def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:
     lines: dict[str, int] = {}
     for row in rows:
         if row.image in lines:
-            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {lines[row.image]}; delete one of the lines")
+            first = lines[row.image]
+            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {first}; delete one of them")
         lines[row.image] = row.line
 
 

@@ -45,7 +45,8 @@ _DEFAULT_SCENES = "default"
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """Add its options and the action `compare`."""
-    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help="dockings (default: 100, or all that the campaign lists)")
+    number = "dockings (default: 100, or all that the campaign lists)"
+    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help=number)
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
     scenes = f"packaged campaign or YAML file with the distributions (default: {_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)

@@ -24,7 +24,7 @@ _FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 def add_fault(parser: argparse.ArgumentParser) -> None:
     """Add the options of `fault`."""
     parser.add_argument("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
-    parser.add_argument("--for-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="duration (default: until --clear)")
+    parser.add_argument("--for-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="duration (until --clear)")
     parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="size, in the unit of its kind")
     parser.add_argument("--servo", type=integer(1, 3), default=0, metavar="N", help="id, for faults of one servo")
     parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")

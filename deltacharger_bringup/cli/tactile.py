@@ -150,7 +150,8 @@ def evaluate(options: argparse.Namespace) -> int:
             found = judgement.evaluate(model, examples(data, model.target))
     if "protocol" in data.meta and trained_on == data.meta:  # files of other programs do not record their origin
         log_line(
-            f"warning: {options.model} was trained on {options.data}: the figures are too optimistic; evaluate it on other data"
+            f"warning: {options.model} was trained on {options.data}: the figures are too optimistic; evaluate it on "
+            "other data"
         )
     if options.json:
         write_json(found)

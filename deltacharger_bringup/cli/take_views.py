@@ -80,7 +80,9 @@ def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry
     held = [kinematics.forward(*angles) for angles in folder.angles]
     left = [place for place in places if all(math.dist(place, other) > PLACES_APART for other in held)]
     if not left:
-        raise CommandError("according to --mount the camera sees the board at no further position: correct --mount or --board-…-mm")
+        raise CommandError(
+            "with this --mount the camera sees the board at no new position: correct --mount or --board-…-mm"
+        )
     return left
 
 

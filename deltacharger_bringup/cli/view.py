@@ -71,7 +71,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--connect", metavar="URL", help="show it in a running viewer, rerun+http://HOST:9876/proxy")
     parser.add_argument("--camera", action="store_true", help="also subscribe to and show the image, at 5 Hz")
     parser.add_argument(
-        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="show it for this time (default: until Ctrl-C)"
+        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="show it for this time (until Ctrl-C)"
     )
     namespace_option(parser)
 

@@ -176,7 +176,8 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
             raise
         log_line(str(error))
     if not results:
-        raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant; record colour and depth with equal stamps", WRONG_INPUT)
+        text = f"none of {source.count} images has a depth image of the same instant: record both with equal stamps"
+        raise CommandError(f"{path}: {text}", WRONG_INPUT)
     return _report_many(options, results, source.count)
 
 

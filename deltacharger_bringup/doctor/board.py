@@ -170,7 +170,7 @@ def _wired(powers: list[Any]) -> Finding:
     """Return the finding for electrodes wired to the battery; a working power stage contradicts that."""
     power = powers[-1].power if powers else None
     if power is None or not (power.contactor_closed or math.isfinite(power.battery_voltage)):
-        text = "power: none: the electrodes are wired to the battery, live at every contact; nothing measures or interrupts the current"
+        text = "power: none: wired to the battery, live at every contact; nothing measures or interrupts the current"
         return hint("power", text, "fit a fuse and a switch close to the battery")
     text = f"docking_node has power: none, but the board has a power stage: battery {power.battery_voltage:.1f} V"
     return wrong("power", text, "set docking_node's power to board, to use contactor and probe")

@@ -81,7 +81,7 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
     if len(matching) > 1 or one.garbled:
         where = " and ".join(str(one.speed) for one in matching)
         text = f"answers unintelligibly or twice (at {where} bit/s): two servos have this id, or there is noise"
-        return wrong(part, text, "if two servos have it, unplug one and give it another id; otherwise check the plugs")
+        return wrong(part, text, "of two servos unplug one and give it another id; otherwise check the plugs")
     if one.protocol == 1:
         return wrong(part, f"uses Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
     if one.model != MODEL:
@@ -112,7 +112,7 @@ def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_m
                 yield from _settings(link, servo, current_max)
             except NoAnswer:
                 text = "answers pings but no reads: its status return level is 0, or the line is bad"
-                yield hint(f"servo {servo}", text, "start servo_node, which sets the level; if that does not help, check the plugs")
+                yield hint(f"servo {servo}", text, "start servo_node, which sets the level; then check the plugs")
             except (CorruptReply, ServoFault) as error:
                 yield failed(f"servo {servo}", error, "check for noise, a bad plug or two servos with this id")
         yield from _line(link, servos)

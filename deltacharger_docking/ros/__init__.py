@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of docking; everything here knows ROS."""
+"""docking_node and its parts; everything here needs ROS."""

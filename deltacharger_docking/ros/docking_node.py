@@ -140,9 +140,12 @@ class DockingNode(Node):
             self._calls.contactor(False, True)
             time.sleep(0.02)
         if self._settings.always_live and self._machine.status.docked:
-            self._log.error("the electrodes stay on the target, live and unmonitored: undock before docking_node ends")
+            self._log.error(
+                "the electrodes stay on the target, live and unmonitored: start docking_node again and undock, or "
+                "separate them by hand; next time, undock first"
+            )
         if self._is_live(self._observe()):
-            self._log.error("the contactor does not open; the torque stays on to avoid an arc")
+            self._log.error("the contactor does not open: switch the battery off; the torque stays on to avoid an arc")
         else:
             self._await_torque_off()
         self._reports.show(self._machine.status, force=True)
@@ -214,7 +217,7 @@ class DockingNode(Node):
 
     def _defect(self, error: Exception) -> None:
         """Make everything safe and end the goal after an internal error."""
-        text = f"docking stopped by a defect: {type(error).__name__}: {error}"
+        text = f"an internal error stopped docking: {type(error).__name__}: {error}"
         self._log.error(text, pause=1.0)
         with self._lock:
             try:

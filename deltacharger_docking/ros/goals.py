@@ -67,7 +67,7 @@ class Goals:
         misalignment: returns the message of an estimate.
         mount: limits of the electrodes' lean.
         frames: transforms goals; may block.
-        look: called without the lock before a goal that charges; may block.
+        look: finds the owners of the ports before a goal that charges; called without the lock, may block.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class Goals:
             goal.wait_until_answered(_ANSWER)
 
     def forward_cancel(self) -> None:
-        """Tell the machine if the client has cancelled; called before each step, so that no cancel is late."""
+        """Pass a client's cancel on to the machine; called before each step, so that no cancel is late."""
         goal = self._goal
         if goal is not None and goal.handle.is_cancel_requested:
             self._machine.cancel()

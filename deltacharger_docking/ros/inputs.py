@@ -84,7 +84,7 @@ class Inputs:
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
-            self._log.warning(f"second source, so the contactor stays open: {self._double}")
+            self._log.warning(f"second source, so the contactor will not be closed: {self._double}")
         return True
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:

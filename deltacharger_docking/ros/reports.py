@@ -111,7 +111,7 @@ class Reports:
         if status.code:
             level, text = WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
-            level, text = WARN, f"second source, so the contactor stays open: {status.duplicate_sources}"
+            level, text = WARN, f"second source, so the contactor will not be closed: {status.duplicate_sources}"
         ages = observation.servo_age, observation.tactile_age, observation.power_age
         stale = [name for name, age, most in zip(SOURCES, ages, self._ages_max, strict=False) if age > most]
         if stale:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Consistent overhead byte stuffing (Cheshire and Baker, 1999): encodes any bytes without the byte zero.
 
-A zero on the wire always marks the begin or end of a packet. A reader resynchronises at the next zero after any
+A zero on the wire always marks the start or end of a packet. A reader resynchronises at the next zero after any
 garbage.
 """
 

@@ -10,7 +10,7 @@ import time
 from deltacharger_driver.board.connection import BoardConnection
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import decode_probe, encode_rate, encode_servo_speed
-from deltacharger_driver.board.protocol import LONGEST_PING, LONGEST_SERVO, AckError, PacketType
+from deltacharger_driver.board.protocol import LONGEST_PING, LONGEST_SERVO, PROBE_TIMEOUT, AckError, PacketType
 from deltacharger_driver.board.samples import ProbeResult
 
 _PING_NUMBERS = itertools.count()
@@ -72,7 +72,7 @@ class BoardLink(BoardConnection):
                 raise
 
     def probe(self) -> ProbeResult:
-        """Measure the circuit between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to 250 ms.
+        """Measure the circuit between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
 
         Raises:
             CommandRefused: the contactor is closed, a probe is running, or an opening interrupted it.
@@ -80,7 +80,7 @@ class BoardLink(BoardConnection):
         advice: dict[int, str] = {
             AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one"
         }
-        request = self._ask(PacketType.PROBE, attempt_timeout=0.35, attempts=2, advice=advice)
+        request = self._ask(PacketType.PROBE, attempt_timeout=PROBE_TIMEOUT + 0.1, attempts=2, advice=advice)
         assert request.ack is not None
         resistance, voltage = decode_probe(request.ack.data)
         return ProbeResult(resistance, voltage, request.received)

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
 
-_REFUSAL = 0.05  # s from the begin of a call until its error is raised: limits the cost of repeated calls
+_REFUSAL = 0.05  # s from the start of a call until its error is raised: limits the cost of repeated calls
 _LATER = 16  # later callers that may reuse one result
 
 
@@ -88,7 +88,7 @@ class SharedCall(Generic[Result]):
 
 
 class _Run(Generic[Result]):
-    """One call: its waiting and later callers, its outcome, and its begin and end (s)."""
+    """One call: its waiting and later callers, its outcome, and its start and end (s)."""
 
     def __init__(self) -> None:
         self.done = threading.Event()

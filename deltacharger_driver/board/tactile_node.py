@@ -206,7 +206,7 @@ class TactileNode(Node):
         rate = quantity(self._frame_rate.rate(), ".1f", "Hz")
         values: dict[str, object] = {"rate": rate, "late_frames": self._frame_rate.late}
         if frame is None or time.monotonic() - frame.time > STALE_FRAME:
-            return self._status("tactile arrays", "no fresh frames", "", values)
+            return self._status("tactile arrays", "no fresh frames; check the board's cable", "", values)
         dead = int(np.isnan(frame.pads).sum())
         warning = ("" if frame.tared else "not tared; call tare in free air") or (f"{dead} dead taxels" if dead else "")
         return self._status("tactile arrays", "", warning, {**values, "tared": frame.tared, "dead_taxels": dead})
@@ -215,7 +215,7 @@ class TactileNode(Node):
         sample = self._fresh_power()
         values = {"rate": quantity(self._power_rate.rate(), ".1f", "Hz"), **self._keeper.guard.lease_record()}
         if sample is None:
-            return self._status("power stage", "silent", "", values)
+            return self._status("power stage", "silent; check the board's cable", "", values)
         power = sample.power
         problem = f"latched fault: {fault_name(power.fault)}; open the contactor to clear it" if power.fault else ""
         return self._status("power stage", problem, "", {**values, **power._asdict()})

@@ -115,7 +115,7 @@ def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> Diag
     if errors:
         level, message = ERROR, f"latched: {errors}"
     elif not report.valid[index]:
-        level, message = ERROR, "no good reply"
+        level, message = ERROR, "no good reply; check its supply and cable"
     elif report.temperature[index] >= _HOT:
         level, message = WARN, f"hot: {report.temperature[index]:.0f} °C"
     elif report.thermal_reserve[index] <= 0.0:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The port handler of the vendor's dynamixel-sdk with its traps removed: it sleeps, and it survives an unplugged cable.
+"""The port handler of the vendor's dynamixel-sdk without its pitfalls: it waits without polling, and it survives
+an unplugged cable.
 
 It is the SDK's class with single methods replaced; docs/servos.md lists each trap and its test.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Protocol 2.0 of the vendor's dynamixel-sdk with its traps removed: it stuffs what it sends and checks every reply.
+"""Protocol 2.0 of the vendor's dynamixel-sdk without its pitfalls: it stuffs what it sends and checks every reply.
 
 It is the SDK's class with single methods replaced; docs/servos.md lists each trap and its test.
 """

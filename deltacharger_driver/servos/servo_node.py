@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """servo_node: the arm's three servos on ROS.
 
-Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
+Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz; up to 5 Hz while trajectories
+    are refused).
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest accepted trajectory is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, if it exists.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_bound, current_max, joint_min, joint_max,
@@ -18,8 +19,9 @@ servo_node waits for it at start.
 A trajectory's times count from its stamp (without one, from its arrival), and its last point holds. A line may be sent
 in pieces under one stamp, each replacing the one before.
 
-While charger_power reports a closed contactor, the arm does not move. While the contactor's state is unknown, only the
-sender that moved it before may do so (motion_guard). The diagnostics name a refused sender; charging continues.
+While charger_power reports a closed contactor, the arm does not move. While its state is unknown, or a probe allows
+it to close, only the sender that last moved the arm with the contactor open may move it (motion_guard). The
+diagnostics name a refused sender; charging continues.
 """
 
 from __future__ import annotations

@@ -158,7 +158,8 @@ def check_age(age: float) -> None:
         TrajectoryRefused: NaN, or more than `STALE_AFTER` in the past or future.
     """
     if age > STALE_AFTER:
-        raise TrajectoryRefused(f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s")
+        old = f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s"
+        raise TrajectoryRefused(f"{old}; compare the clocks of both computers")
     if math.isnan(age):
         raise TrajectoryRefused("its stamp is before 1970; use the ROS clock, or no stamp")
     if age < -STALE_AFTER:
@@ -180,7 +181,7 @@ def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
 
 def _check_time(where: str, time: float, before: list[float]) -> None:
     if not math.isfinite(time) or time < 0.0:
-        raise TrajectoryRefused(f"{where}: time_from_start is {time:g} s")
+        raise TrajectoryRefused(f"{where}: time_from_start is {time:g} s; send a finite number ≥ 0")
     if before and time <= before[-1]:
         raise TrajectoryRefused(f"{where}: time_from_start {time:g} s does not rise above {before[-1]:g} s")
 
@@ -199,7 +200,7 @@ def _row(
     row = tuple(float(values[column]) for column in order)
     for name, value in zip(limits.names, row, strict=True):
         if not math.isfinite(value):
-            raise TrajectoryRefused(f"{what} of {name} is {value}")
+            raise TrajectoryRefused(f"{what} of {name} is {value}; send a finite number")
         if not low <= value <= high:
             raise TrajectoryRefused(f"{what} of {name} is {value:.4f}{unit}, outside {low:.4f}…{high:.4f}{unit}")
     return row

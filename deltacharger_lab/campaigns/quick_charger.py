@@ -28,7 +28,7 @@ from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_lab.campaigns.quick_motion import QuickPlanner, OnePieceFeed
+from deltacharger_lab.campaigns.quick_motion import OnePieceFeed, QuickPlanner
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld

@@ -137,7 +137,7 @@ def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: S
 
 @contextlib.contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Make processes that start in this context ignore Ctrl-C, which a terminal sends to every process; this one gets it later."""
+    """Make processes started in this context ignore Ctrl-C, which a terminal sends to all; this one gets it later."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -2,7 +2,8 @@
 """A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
 
 Thousands of dockings must run faster than real time, and equally on every machine. What lies between machine and
-world is modelled here: the servo goal at 100 Hz, the delay of services, the contactor's lease. The machine gets only data that the robot's topics carry.
+world is modelled here: the servo goal at 100 Hz, the delay of services, the contactor's lease. The machine gets only
+data that the robot's topics carry.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ _HEAD = """# Topics, services, actions
 
 The endpoints of each node, read from running nodes, and every field of the package's messages, services and actions,
 from `msg/`, `srv/` and `action/`. Names are relative, so a second charger needs only a namespace; names with a leading
-/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while subscribed* only
-while a client subscribes to the node's topics. Nodes subscribe to /tf and /tf_static if tf2_ros is installed,
+/ are absolute. Entries marked *while looking* exist only while a client requests the electrodes, *while subscribed*
+only while a client subscribes to the node's topics. Nodes subscribe to /tf and /tf_static if tf2_ros is installed,
 electrode_detector_node only with mount_from_tf. Mock nodes have the topics and services of the nodes that they
 replace. A subscriber that requests reliable delivery receives nothing from a best-effort topic.
 """

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node of the mission; everything here knows ROS."""
+"""mission_node and its parts; everything here needs ROS."""

@@ -170,7 +170,7 @@ class MissionNode(Node):
                     self._others.carry_out(self._machine.step(self._others.observe()))
                     self._report()
             except Exception as error:  # a defect must cancel everything and end the goal, but not end the thread
-                self._log.error(f"the mission stopped by a defect: {type(error).__name__}: {error}", pause=1.0)
+                self._log.error(f"an internal error stopped the mission: {type(error).__name__}: {error}", pause=1.0)
                 outcome = MissionOutcome(message=f"internal error: {error}; the robot stays where it is, see the log")
                 with self._lock:
                     with contextlib.suppress(Exception):  # the machine may be the defect; the goal must still end

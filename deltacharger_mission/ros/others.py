@@ -73,7 +73,7 @@ class Others:
 
     @property
     def is_at_work(self) -> bool:
-        """Whether a cancel has not arrived yet, or current still flows."""
+        """Whether a cancel has not been sent yet, or docking_state still reports charging."""
         charging = self._docking is not None and self._docking.charging
         return charging or not all(caller.is_settled for caller in self._callers.values())
 

@@ -78,7 +78,8 @@ class ArmGuest(Guest, ABC):
     def _check_free(self) -> None:
         if self._is_taken():
             raise ArmError(
-                "docking_node is at work or docked and controls the arm: wait until it has finished, or run `deltacharger undock`"
+                "docking_node is at work or docked and controls the arm: wait until it has finished, or run "
+                "`deltacharger undock`"
             )
 
     def _on_docking_state(self, message: DockingState) -> None:

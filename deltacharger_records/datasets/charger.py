@@ -116,7 +116,10 @@ class RecordingCharger(ArmGuest):
         try:
             return docking_settings(values)
         except (OSError, ValueError, TypeError) as error:
-            raise ArmError(f"docking_node's parameters cannot be used on this computer: {error}; run the command on the charger's computer, with its version") from error
+            raise ArmError(
+                f"docking_node's parameters cannot be used here: {error}; run the command on the charger's computer, "
+                "with its version"
+            ) from error
 
     def simulated(self) -> bool | None:
         """Whether the charger is simulated: its ports are pseudo-terminals, or its nodes are mocks without ports.
@@ -208,7 +211,7 @@ class RecordingCharger(ArmGuest):
             self._calls.call(request)
 
     def _release_arm(self) -> None:
-        """Stop the arm; switch its torque off unless the contactor is closed: a limp arm could part live electrodes (an arc)."""
+        """Stop the arm; switch its torque off unless the contactor is closed: a limp arm could part live electrodes."""
         if not self.is_driving:
             return
         observation = self._observe()

@@ -20,7 +20,7 @@ import numpy as np
 
 from deltacharger_core.array_file import read_array
 from deltacharger_core.bounded_file import brief, parse_json, read_text
-from deltacharger_core.files import atomic_write, remove_unfinished, make_folder, write_text
+from deltacharger_core.files import atomic_write, make_folder, remove_unfinished, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import SETS, Part

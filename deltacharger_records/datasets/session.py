@@ -72,7 +72,7 @@ class Keeper(Protocol):
 
 
 def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
-    """Refuse commands (m, charger_base) if the arm cannot reach them, or cannot move to them from the position in front.
+    """Refuse commands (m, charger_base) if the arm cannot reach them, or cannot move to them from in front.
 
     Raises:
         Rejected: electrodes connected to the battery: each touch would be live.
@@ -84,7 +84,7 @@ def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
             "the battery, and start docking_node with power: board for the recording"
         )
     for x, y, z in commands:
-        wrong = machine.planner.reachable((x, y, _before(machine.parameters, z)), (x, y, z))
+        wrong = machine.planner.reach_problem((x, y, _before(machine.parameters, z)), (x, y, z))
         if wrong:
             raise Unreachable(f"out of the arm's reach, {wrong}: move the target and give its new position")
 

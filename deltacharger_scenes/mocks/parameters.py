@@ -65,7 +65,7 @@ class MockServoNodeParameters(MockTargetParameters, MockFaultParameters):
     stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "of a servo's position loop")
     damping: float = number(SERVO_DAMPING, 0.2, 5.0, "N·m·s/rad", "of a servo's position loop")
     current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "bound without effort")
-    fault: str = choice("none", SERVO_FAULTS, _FAULT, live=True)
+    fault: str = choice("none", SERVO_FAULTS, _FAULT, tunable=True)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class MockTactileNodeParameters(MockTargetParameters, MockFaultParameters):
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
     rig_seed: int = number(0, 0, 2**31 - 1, "", "simulated device, with its gains and offsets")
     seed: int = number(0, 0, 2**31 - 1, "", "random numbers of noise and jitter")
-    fault: str = choice("none", TACTILE_FAULTS, _FAULT, live=True)
+    fault: str = choice("none", TACTILE_FAULTS, _FAULT, tunable=True)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class MockDetectorNodeParameters(MockFaultParameters):
     yaw: float = number(0.0, -0.7, 0.7, "rad", "lean of the electrodes about y")
     pitch: float = number(0.0, -0.7, 0.7, "rad", "lean of the electrodes about x")
     lean_stddev: float = number(0.009, 0.0, 1.0, "rad", "standard deviation of the rotations about x and y")
-    fault: str = choice("none", DETECTOR_FAULTS, _FAULT, live=True)
+    fault: str = choice("none", DETECTOR_FAULTS, _FAULT, tunable=True)
 
 
 @dataclass(frozen=True)
@@ -107,4 +107,4 @@ class MockNavigatorNodeParameters(MockFaultParameters):
     miss_x: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, x")
     miss_y: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, y")
     miss_yaw: float = number(0.0, -1.0, 1.0, "rad", "offset from a goal when it stops, yaw")
-    fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, live=True)
+    fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, tunable=True)

@@ -261,7 +261,7 @@ def test_a_lost_output_is_a_failed_job(
         monkeypatch.setattr(sys, "stdout", full)
         assert main(words) == 1
         monkeypatch.undo()
-    assert capsys.readouterr().err == "the output was lost: standard output: No space left on device\n"
+    assert capsys.readouterr().err == "cannot write to standard output: No space left on device\n"
     assert streams.settle() == ""
 
 

@@ -24,7 +24,7 @@ from deltacharger_scenes.scene import Scene
 from ..chargers import DEADLINE, dock_at_last, new_namespace
 
 PLACE = Pose(0.0, 0.0, 0.080)
-LIVE = [each for each in declared(DockingParameters) if each.live]
+LIVE = [each for each in declared(DockingParameters) if each.tunable]
 GUARDS = {  # of live electrodes, or copied by another part
     "approach", "published_clearance_rule", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
     "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",

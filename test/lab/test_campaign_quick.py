@@ -15,7 +15,7 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.quick_motion import QuickPlanner, OnePieceFeed
+from deltacharger_lab.campaigns.quick_motion import OnePieceFeed, QuickPlanner
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_tactile.source import ContactSource
 

@@ -168,8 +168,8 @@ def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], st
             assert row[key][1] > 0.0
         assert row["docking_percent"] == [None] * 3
         assert not set(row["libraries"]) & set(footprint_report.NEVER)
-    assert rows[ONE]["says_ready_s"][0] > 0.0
-    assert rows[SEPARATE]["says_ready_s"] == [None] * 3
+    assert rows[ONE]["reports_ready_s"][0] > 0.0
+    assert rows[SEPARATE]["reports_ready_s"] == [None] * 3
     assert rows[SEPARATE]["rss_mb"][0] > rows[SEPARATE]["pss_mb"][0] > 0.0
     assert "run 1 of 1" in messages
 
@@ -205,7 +205,7 @@ def test_targets_are_judged_by_the_bench_scene_in_one_process() -> None:
         "rss_mb": 90.0,
         "rest_percent": 25.5,
         "docking_percent": float("nan"),
-        "says_ready_s": 4.0,
+        "reports_ready_s": 4.0,
         "ready_s": 6.0,
     }
     figures |= {f"{when}_{name}_hz": 120.0 for when in ("rest", "docking") for name in ("tactile_frame", "servo_state")}

@@ -45,7 +45,7 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
             assert other["in_range"] < row["in_range"], "a dead band of 1 N hides most of a contact"
             assert row["vertical"]["z"] < 2.0
     bad = [row | {"unsafe": 3} for row in summed.values()]
-    families = [{"variant": "as it is", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
+    families = [{"variant": "unchanged", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
     assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
     assert second.worst_z(summed.values()) == max(summed[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
 
@@ -119,11 +119,11 @@ def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
 
 def test_each_variant_lacks_a_law() -> None:
     found = second.variants()
-    assert found["as it is"] == SecondParameters()
+    assert found["unchanged"] == SecondParameters()
     assert len({family.digest() for family in found.values()}) == len(found)
     quick = [task.name for task in tasks(tactile_plan.quick_plan(1), "")]
     assert quick.count("second estimates") == len(PLAN.rigs)
     assert quick.count("second variants") == len(PLAN.ceiling_rigs)
     (row, *_) = second.judge_variants(860, 3, dataclasses.replace(PLAN, second_count=4))
-    assert row["variant"] == "as it is"
+    assert row["variant"] == "unchanged"
     assert row["n"] == 4

@@ -59,15 +59,15 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
 
 
 def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str) -> dict[str, float]:
-    """Return the duration (s) of the start: until its ready message, if any, and until a client in this process finds it."""
-    seen: dict[str, float] = {} if way == ONE else {"says_ready_s": math.nan}
+    """Return the start's duration (s): to its ready message, if any, and until a client in this process finds it."""
+    seen: dict[str, float] = {} if way == ONE else {"reports_ready_s": math.nan}
     while len(seen) < 2:
         started.check()
         elapsed = time.monotonic() - started.began
         if watcher.is_ready(scene):
             seen.setdefault("ready_s", elapsed)
         if way == ONE and started.is_ready(COMMAND):
-            seen.setdefault("says_ready_s", elapsed)
+            seen.setdefault("reports_ready_s", elapsed)
         if elapsed > _READY_WITHIN:
             name = list(started.processes)[-1]
             raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} printed: {started.last_line(name)}")

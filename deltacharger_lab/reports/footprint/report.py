@@ -101,6 +101,6 @@ def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for when, at in (("rest", "at rest"), ("docking", "while docking")):
         for name, rate in (("tactile_frame", 120.0), ("servo_state", 100.0)):
             found.append(at_least(f"{what}: {name} {at}", median(f"{when}_{name}_hz"), 0.99 * rate, "Hz"))
-    found.append(at_most(f"{what}: says ready", median("says_ready_s"), 5.0, "s"))
+    found.append(at_most(f"{what}: reports ready", median("reports_ready_s"), 5.0, "s"))
     found.append(at_most(f"{what}: found by a client outside", median("ready_s"), 5.0, "s"))
     return [*found, none(f"{what}: of {', '.join(NEVER)}", loaded, "loaded")]

@@ -35,7 +35,7 @@ LimbForm = Callable[[Number, Number, Number, DeltaGeometry, Functions], Number]
 
 
 def tutorial(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functions) -> Number:
-    """Intersect the circle of the elbow with a line z = a + b·y; divides by w (forum tutorial on hobby deltas, 2009)."""
+    """Intersect the circle of the elbow with a line z = a + b·y; divides by w (tutorial on hobby deltas, 2009)."""
     motor, joint = -geometry.base_radius, -(r + geometry.platform_radius)
     arm, rod = geometry.arm, geometry.rod
     a = (v * v + joint * joint + w * w + arm * arm - rod * rod - motor * motor) / (2.0 * w)

@@ -246,7 +246,7 @@ def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -
 
 
 def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
-    """Return the worst error (%) at the steps docking uses, up to 1e6 N/m, with or without strikes that graze the stop."""
+    """Return the worst error (%) at docking's steps, up to 1e6 N/m, with or without strikes that graze the stop."""
     found = [row for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST]
     return abs(worst([row for row in found if grazing or not row["grazes"]]))
 

@@ -22,10 +22,10 @@ WAYS: tuple[tuple[str, str, float], ...] = (
     ("NN, taxels", "nn", CONTACT_FORCE),
     ("CNN, taxels", "cnn", CONTACT_FORCE),
     ("LDA, physical features", "lda", CONTACT_FORCE),
-    ("pose: features, and what is pretrained", "pose", CONTACT_FORCE),
+    ("pose: features and the pretrained estimate", "pose", CONTACT_FORCE),
     ("the pretrained estimate alone", ESTIMATE, CONTACT_FORCE),
     ("LDA, physical features", "lda", THRESHOLD),
-    ("pose: features, and what is pretrained", "pose", THRESHOLD),
+    ("pose: features and the pretrained estimate", "pose", THRESHOLD),
     ("the pretrained estimate alone", ESTIMATE, THRESHOLD),
 )
 """Name of a row, the model that learns (`ESTIMATE`: none), and the smallest reading that counts, N."""

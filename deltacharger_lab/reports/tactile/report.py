@@ -174,7 +174,7 @@ def shifts(rows: Iterable[Row]) -> list[Row]:
 
 
 def _coverage_error(members: list[Row]) -> float:
-    """Return two standard errors of the mean coverage; below three members from the binomial, with calibration's error."""
+    """Return two standard errors of the mean coverage; below three members binomial, with calibration's error."""
     if len(members) >= 3:
         return 2.0 * float(np.std([row["coverage"] for row in members], ddof=1)) / math.sqrt(len(members))
     frames = members[0]["n"]
@@ -266,5 +266,5 @@ def targets(results: Row, plan: TactilePlan) -> list[Row]:
         at_most(f"{who}, one prediction, p99", slow, 0.5, "ms"),
         at_most("slowest model, one prediction, p99", slowest_of_all, 10.0, "ms"),
         at_most("paper-size data set of one rig", results["generation_s"], 1.0, "s"),
-        at_most("whole comparison", results["elapsed_s"] / 60.0, 15.0, "min"),
+        at_most("run time of this report", results["elapsed_s"] / 60.0, 15.0, "min"),
     ]

@@ -39,7 +39,7 @@ AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizo
 BELIEVED = 1.5
 """Largest rms of error over σ for which σ counts as right."""
 _DOCKING = DockingParameters()
-_UNCHANGED = "as it is"
+_UNCHANGED = "unchanged"
 _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
 SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
@@ -122,7 +122,7 @@ def variants() -> dict[str, SecondParameters]:
         "bars bear nothing": other(bars=free),
         "no lean": other(platform=upright),
         "the force acts at twice the offset": other(platform=twice),
-        "plain sheets, but for the dead band": other(sheet=plain),
+        "plain sheets with a dead band": other(sheet=plain),
         "plain sheets without dead band": other(sheet=plain | result),
         "the same, bars bear nothing": other(sheet=plain | result, bars=free),
         "the same, the force at twice the offset": other(sheet=plain | result, bars=free, platform=twice),
