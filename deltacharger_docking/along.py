@@ -236,7 +236,7 @@ class AlongFilter:
         return known
 
     def _foresee(self, aside: float) -> tuple[Array, Array, Array]:
-        """Return rows (2, 6) of a contact `aside` m off the target's centre, its noise's covariance, the landing's."""
+        """Return rows (2, 6), noise (2, 2) and landing (2,) of a contact `aside` m off the target's centre."""
         last = self._looks[-1]
         pull, slope, by_width = (float(each) for each in self._pull.at(np.array(aside), 0.0, last.angle))
         landing = np.array([1.0, slope])
