@@ -261,10 +261,7 @@ class Watch:
         if refusal or self.refused:
             return self._refusal(refusal)
         if self._was_closed and not observation.contactor_closed:
-            return PowerStale(
-                "the contactor opened by itself: its lease or heartbeat was lost; check the board's cable and what "
-                "else this computer runs"
-            )
+            return PowerStale("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
         if self._was_closed and not math.isfinite(observation.charge_current):
             return PowerStale("the charge current is no longer measured; check the power stage")
         if observation.charge_current < -parameters.zero_current:

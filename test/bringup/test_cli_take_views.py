@@ -115,7 +115,7 @@ def test_no_charger_or_no_camera_ends_with_1(taking: Callable[..., Process], cha
     elsewhere = taking("--views", tmp_path / "c", "--take", 5, "--board-x-mm", 400)
     assert blind.end() == 1
     assert elsewhere.end() == 1
-    assert any("sees the board nowhere" in line for line in elsewhere.err)
+    assert any("sees the board at no new position" in line for line in elsewhere.err)
     assert any("other/camera_info" in line for line in blind.err)
     assert not charger.torque()
     assert not (tmp_path / "b").exists()

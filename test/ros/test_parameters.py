@@ -27,7 +27,7 @@ class Rates(Bounded):
     rate: float = number(50.0, 1.0, 500.0, "Hz", "how often")
     count: int = number(3, 1, 9, "", "how many")
     corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of the box")
-    mode: str = choice("soft", ("soft", "stiff"), "how it yields", live=True)
+    mode: str = choice("soft", ("soft", "stiff"), "how it yields", tunable=True)
     files: tuple[str, ...] = words(("",), "to read")
     on: bool = flag(True, "whether it is")
 
@@ -51,9 +51,9 @@ def test_the_node_describes_its_declared_parameters(context: Any, namespace: str
 
 @dataclass(frozen=True)
 class LiveRates(Bounded):
-    rate: float = like(Rates, "rate", live=True)
-    corner: tuple[float, ...] = like(Rates, "corner", live=True)
-    count: int = like(Rates, "count", live=True)
+    rate: float = like(Rates, "rate", tunable=True)
+    corner: tuple[float, ...] = like(Rates, "corner", tunable=True)
+    count: int = like(Rates, "count", tunable=True)
 
 
 def test_integers_are_accepted_for_floats_at_the_start(context: Any, namespace: str) -> None:

@@ -30,7 +30,7 @@ class Band(Bounded):
     low: float = tunable(0.4, 0.1, 2.0, "A", "lower end")
     high: float = tunable(0.5, 0.1, 2.0, "A", "upper end")
     tries: int = tunable(3, 1, 9, "", "how often")
-    files: tuple[str, ...] = words(("",), "to read", live=True)
+    files: tuple[str, ...] = words(("",), "to read", tunable=True)
     port: str = words("/dev/ttyUSB0", "of the servos")
     rate: float = number(100.0, 20.0, 200.0, "Hz", "of the bus")
     corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of the box")
