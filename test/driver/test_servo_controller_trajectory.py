@@ -84,9 +84,10 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
+    before = rig.controller.watchdog_trips  # a busy computer may have paused the host already
     time.sleep(0.2)  # the host's thread gets no processor
     rig.cycle()
-    assert rig.controller.watchdog_trips == 1
+    assert rig.controller.watchdog_trips == before + 1
     stopped = rig.arm.angles
     rig.cycle()
     assert rig.references() == pytest.approx(list(stopped), abs=0.05)
