@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common style of all reports' pictures: white paper, grey frames, few colours.
 
-Blue, orange, green and purple, in this order, stay distinct for colour-blind readers; maps use viridis.
+The five colours stay distinct for colour-blind readers, by a test; maps use viridis.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ else:
     Axes = Any  # matplotlib is loaded with the first picture
 
 INK, FAINT, PAPER = "#22303c", "#51606e", "#f6f7f8"
-BLUE, ORANGE, GREEN, PURPLE, RED = "#1f6fb4", "#d9762b", "#2e9e5b", "#7a52a8", "#c8324b"
+BLUE, ORANGE, GREEN, PURPLE, RED = "#1a70e8", "#df8712", "#14b377", "#5c1d8c", "#981018"
 STYLE: Any = {
     "font.size": 9.0,
     "axes.edgecolor": "#9aa5b1",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_lab.reports.docking import lean_picture, summary
-from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
 
 FORMS = {
     "random": ("guarded, our estimate", BLUE),
@@ -23,7 +23,7 @@ _CODES = {
     "CRITICAL_ANGLE": ORANGE,
     "MISALIGNED": PURPLE,
     "ESTIMATE_UNSURE": GREEN,
-    "UNREACHABLE": "#8c6d46",
+    "UNREACHABLE": FAINT,
     "LEANING": RED,
     "other": "#9aa5b1",
 }
