@@ -125,8 +125,8 @@ def _shifts(results: dict[str, Any], path: Path) -> None:
     names = results["judged"]
     shifts = list(dict.fromkeys(row["shift"] for row in results["shifts"]))
     table = {(row["model"], row["target"], row["shift"]): row for row in results["shifts"]}
-    about = _ABOUT + "coverage in % (nominal 95); green: holds, blue: drift check fires, orange: NEITHER"
-    colours = {"coverage holds": "#cfe8d8", "drift check fires": "#cfe0f0", "NEITHER": "#f3c9a5"}
+    about = _ABOUT + "coverage in % (nominal 95); grey: holds, blue: drift check fires, orange: NEITHER"
+    colours = {"coverage holds": "#eceff2", "drift check fires": "#a9c9f8", "NEITHER": "#f0b45c"}
     width = max(9.0, 2.6 + 0.72 * 3 * len(names))
     with picture(path, width, 6.2, "Coverage and drift check under changes", about) as figure:
         figure.set_layout_engine("none")  # positions are fixed
