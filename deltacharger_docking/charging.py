@@ -85,7 +85,7 @@ class Taper:
 
 
 class EnergyCheck:
-    """Checks that energy can be measured: current and voltage are, with short gaps allowed."""
+    """Checks that current and voltage, and so energy, are measured; short gaps are allowed."""
 
     def __init__(self) -> None:
         self._since = math.inf

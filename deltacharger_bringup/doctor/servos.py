@@ -81,7 +81,7 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
     if len(matching) > 1 or one.garbled:
         where = " and ".join(str(one.speed) for one in matching)
         text = f"answers unintelligibly or twice (at {where} bit/s): two servos have this id, or there is noise"
-        return wrong(part, text, "of two servos unplug one and give it another id; otherwise check the plugs")
+        return wrong(part, text, "unplug one of two servos and give it another id; otherwise check the plugs")
     if one.protocol == 1:
         return wrong(part, f"uses Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
     if one.model != MODEL:

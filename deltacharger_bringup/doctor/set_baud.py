@@ -57,7 +57,7 @@ def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -
     one = matching[0]
     if len(matching) > 1 or one.garbled:
         text = "answers unintelligibly or twice: two servos have this id, or there is noise; nothing was written"
-        return wrong(part, text, "of two servos unplug one and give it another id first; otherwise check the plugs")
+        return wrong(part, text, "unplug one of two servos and give it another id first; otherwise check the plugs")
     if one.protocol == 1 or one.model != MODEL:
         text = f"is no MX-64 with Protocol 2.0 ({one}); nothing was written"
         return wrong(part, text, "update its firmware to 39 or later with the vendor's wizard")
