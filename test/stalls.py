@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Repeats a test once that failed during a stall of the computer, and reports it in the summary.
+"""Repeats a test that failed during a stall of the computer, at most twice, and reports it in the summary.
 
 Tests have real deadlines: a heartbeat is lost after 95 ms, a lease ends after 250 ms. A stalled virtual machine misses
 them like a robot's computer would, and the failure then shows nothing about the code. A thread sleeps, sends itself a
@@ -23,6 +23,7 @@ from _pytest.runner import runtestprotocol
 
 STALL = 0.022  # s; a later reply of a servo is lost: the tightest deadline of the tests
 _NAP = 0.01  # s
+_REPEATS = 2  # a slow and busy computer often stalls in the first repetition too
 
 
 class StallWatch:
@@ -62,20 +63,25 @@ class StallWatch:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
-        """Run one test, and again if the first run failed during a stall."""
+        """Run one test, and again while it fails during a stall."""
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-        self._longest = 0.0
-        reports = runtestprotocol(item, nextitem=nextitem, log=False)
-        if self._longest > STALL and any(report.failed for report in reports):
+        reports = self._run(item, nextitem)
+        for _ in range(_REPEATS):
+            if self._longest <= STALL or not any(report.failed for report in reports):
+                break
             crashes = [getattr(report.longrepr, "reprcrash", None) for report in reports if report.failed]
             why = "; ".join(crash.message.splitlines()[0][:300] for crash in crashes if crash)
             self._repeated.append(f"{item.nodeid}: the computer stood still for {self._longest * 1e3:.0f} ms: {why}")
             item._initrequest()  # type: ignore[attr-defined]
-            reports = runtestprotocol(item, nextitem=nextitem, log=False)
+            reports = self._run(item, nextitem)
         for report in reports:
             item.ihook.pytest_runtest_logreport(report=report)
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
+
+    def _run(self, item: pytest.Item, nextitem: pytest.Item | None) -> list[pytest.TestReport]:
+        self._longest = 0.0
+        return runtestprotocol(item, nextitem=nextitem, log=False)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         for line in self._repeated:
