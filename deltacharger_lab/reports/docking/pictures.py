@@ -133,7 +133,7 @@ def _alignment(results: dict[str, Any], path: Path) -> None:
     rows = results["rows"]
     about = "charged simulated dockings of `random`; the other forms on the same seeds"
     names = [name for name in FORMS if name in rows]
-    with picture(path, 11.0, 4.2, "Moves, time, and where the electrodes rest", about) as figure:
+    with picture(path, 11.0, 4.2, "Moves, time and offsets at rest", about) as figure:
         moves, seconds, rest = figure.subplots(1, 3)
         for index, name in enumerate(names):
             label, colour = FORMS[name]
