@@ -68,8 +68,9 @@ class Started:
                 raise CannotRun(f"{name} ended with {process.returncode}: {self.last_line(name)}")
 
     def last_line(self, name: str) -> str:
-        """Return the last line that a process wrote."""
-        return next((line for line in reversed(self._lines(name)) if line), "it printed nothing")
+        """Return the last line that a process wrote, with paths relative to its folder: pages quote it."""
+        last = next((line for line in reversed(self._lines(name)) if line), "it printed nothing")
+        return last.replace(f"{self.folder}/", "")
 
     def is_ready(self, name: str) -> bool:
         """Return whether a process has printed that it is ready."""
