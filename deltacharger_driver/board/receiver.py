@@ -94,9 +94,9 @@ class BoardReceiver:
             self.counters.bad_payloads += 1
             _log.debug("dropped: %s", error)
             return
-        if isinstance(value, Hello):
-            self._notice_boot_id(value)
         device_time = packet.device_time_us * 1e-6
+        if isinstance(value, Hello):
+            self._notice_boot_id(value, device_time)
         if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
             self._boot_id = None  # its HELLO was lost; the next one has the new number
             self._reboot()
@@ -104,9 +104,11 @@ class BoardReceiver:
         when = self._device_clock.update(device_time, received)
         handler(self, packet, value, when, received)
 
-    def _notice_boot_id(self, hello: Hello) -> None:
+    def _notice_boot_id(self, hello: Hello, device_time: float) -> None:
         known, self._boot_id = self._boot_id, hello.boot_id
-        if known is not None and known != hello.boot_id:
+        if known is None and device_time >= self._latest_device_time:
+            self._device_clock.reset()  # earlier packets may be of a boot before: many boards boot when a port opens
+        elif known != hello.boot_id:
             self._reboot()
 
     def _reboot(self) -> None:

@@ -19,6 +19,8 @@ from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, Comma
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import AckError, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.receiver import BoardReceiver
+from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
@@ -229,6 +231,30 @@ def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock(rig: Rig, link: Boa
     wait_until(lambda: rig.boots)
     link.hello()
     assert link.counters.reboots == 1
+
+
+@pytest.mark.parametrize("announced", [True, False], ids=["HELLO", "HELLO lost"])
+def test_a_board_that_boots_while_its_port_opens_dates_no_frame_back(announced: bool) -> None:
+    board, decoder, frames = BoardEmulator(BenchPlant(), seed=3), PacketDecoder(), list[TactileSample]()
+    receiver = BoardReceiver(BoardRequests(), frames.append, None, lambda: None)
+
+    def exchange(now: float, *commands: PacketType) -> None:
+        sent = b"".join(encode_packet(Packet(command)) for command in commands)
+        for packet in decoder.feed(board.receive(sent, now)):
+            receiver.take(packet, now)
+
+    board.poll(10.0)  # the port is not open yet
+    exchange(10.06)
+    board.reboot()
+    if announced:
+        exchange(10.1)
+    else:
+        board.poll(10.1)
+    exchange(10.2, PacketType.HELLO, PacketType.START)
+    for tick in range(10):
+        exchange(10.2 + tick / 120.0)
+    assert [frame.time for frame in frames] == pytest.approx([10.2 + tick / 120.0 for tick in range(10)], abs=2e-3)
+    assert receiver.counters.reboots == announced
 
 
 def test_a_command_interrupted_by_a_reboot_reports_it(rig: Rig, link: BoardLink) -> None:
