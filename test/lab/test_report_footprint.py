@@ -146,7 +146,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     """Run the command for real, on one small scene that runs and one that does not: its folder, answer and messages."""
     folder = tmp_path_factory.mktemp("footprint")
     small, broken = folder / "small.yaml", folder / "broken.yaml"
-    small.write_text("nodes: [mock_tactile_node, kinematics_node]\n", "utf-8")
+    small.write_text("simulation: {servos: board}\nnodes: [tactile_node, servo_node]\n", "utf-8")
     broken.write_text("nodes: [kinematics_node]\nparameters: {kinematics_node: {no_such: 1}}\n", "utf-8")
     command = [sys.executable, "-m", "deltacharger_bringup.cli", "report", "footprint", "--quick", "--json"]
     command += ["--scene", str(small), "--scene", str(broken), "--out", str(folder / "out")]
@@ -161,7 +161,7 @@ def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], st
     assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
     rows = {row["way"]: row for row in answer["rows"]}
     assert set(rows) == set(WAYS)
-    assert [rows[way]["processes"][0] for way in (ONE, SEPARATE)] == [1, 2]
+    assert [rows[way]["processes"][0] for way in (ONE, SEPARATE)] == [1, 3]
     for row in rows.values():
         for key in ("ready_s", "pss_mb", "rss_mb", "rest_percent", "threads", "rest_tactile_frame_hz"):
             assert row[key][1] <= row[key][0] <= row[key][2]

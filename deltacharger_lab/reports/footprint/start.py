@@ -69,12 +69,12 @@ class Started:
 
     def last_line(self, name: str) -> str:
         """Return the last line that a process wrote, with paths relative to its folder: pages quote it."""
-        last = next((line for line in reversed(self._lines(name)) if line), "it printed nothing")
+        last = next((line for line in reversed(self.lines(name)) if line), "it printed nothing")
         return last.replace(f"{self.folder}/", "")
 
     def is_ready(self, name: str) -> bool:
         """Return whether a process has printed that it is ready."""
-        return "ready" in self._lines(name)
+        return "ready" in self.lines(name)
 
     def end(self) -> None:
         """End all, commanding processes first, and read their modules."""
@@ -94,7 +94,8 @@ class Started:
         """Heavy libraries among the modules."""
         return {module.partition(".")[0] for module in self.modules} & set(LIBRARIES)
 
-    def _lines(self, name: str) -> list[str]:
+    def lines(self, name: str) -> list[str]:
+        """Return the lines that a process wrote."""
         text = (self.folder / f"{name}.log").read_text("utf-8", "replace")
         return [line.strip() for line in text.split("\n")]
 
@@ -125,7 +126,7 @@ def _processes(folder: Path) -> Iterator[Started]:
 
 
 def _simulate(started: Started, scene: str, folder: Path) -> dict[str, str]:
-    """Start `deltacharger simulate`, wait for its ports, and return them."""
+    """Start `deltacharger simulate`, wait for its ports, and return them as it prints them."""
     started.start(_HARDWARE, _CLI, "simulate", "--scene", scene, "--directory", str(folder))
     deadline = time.monotonic() + _PORTS_WITHIN
     while not started.is_ready(_HARDWARE):
@@ -133,7 +134,8 @@ def _simulate(started: Started, scene: str, folder: Path) -> dict[str, str]:
         if time.monotonic() > deadline:
             raise CannotRun(f"no emulated ports within {_PORTS_WITHIN:.0f} s")
         time.sleep(0.01)
-    return {name: str(folder / name) for name in ("servo", "board")}
+    printed = dict(line.split(" ", 1) for line in started.lines(_HARDWARE) if " " in line)
+    return {name: printed[name] for name in ("servo", "board")}
 
 
 @contextlib.contextmanager
