@@ -37,6 +37,7 @@ class ContactSource(PadSource[Dockings]):
         self.parameters = parameters or TactileParameters()
         self.rig = Rig.draw(self.parameters, rig_seed)
         self._sensor = Sensor(self.parameters.sensor, self.rig, self._random)
+        self._model = _model(self.parameters.contact)  # now, as emulators must answer in time at the first touch
         self._began: float | None = None  # s, time of the first frame of this contact
 
     def frames(
@@ -63,4 +64,4 @@ class ContactSource(PadSource[Dockings]):
         tilt = contact.tilts(self.parameters, self.rig, pose)
         if lean is not None:
             tilt = tilt + approach(lean.residual)
-        return _model(self.parameters.contact).solve(pose, force, tilt, self.rig.waviness).taxels
+        return self._model.solve(pose, force, tilt, self.rig.waviness).taxels

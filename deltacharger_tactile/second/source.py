@@ -39,6 +39,7 @@ class SecondSource(PadSource[Touches]):
         self.parameters = parameters or SecondParameters()
         self.rig = Device.draw(self.parameters, rig_seed)
         self._sensor = SheetSensor(self.parameters.sheet, self.rig.sheets, self._random)
+        self._model = _model(self.parameters)  # now, as emulators must answer in time at the first touch
         self._fresh = True  # no frame of this contact has been read
 
     def begin_docking(self) -> Pose:
@@ -68,4 +69,4 @@ class SecondSource(PadSource[Touches]):
 
     def _solve(self, contact: Touches, pose: Array, force: float, lean: Lean | None) -> Array:
         free = 0.0 if lean is None else approach(lean.free)
-        return contact.press(_model(self.parameters), self.rig, pose, force, free)
+        return contact.press(self._model, self.rig, pose, force, free)

@@ -11,6 +11,7 @@ import pytest
 
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.parameters import SensorParameters, TactileParameters
+from deltacharger_tactile.second.source import SecondSource
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 from deltacharger_tactile.source import ContactSource
 
@@ -76,6 +77,13 @@ def test_a_source_reads_force_only_in_contact() -> None:
     assert 60.0 < np.nansum(readings) < 90.0
     after = source.sample(2.0, None, 0.0) - free
     assert np.nanmax(np.abs(after)) < 0.6
+
+
+@pytest.mark.parametrize("kind", [ContactSource, SecondSource])
+def test_the_first_touch_builds_no_model(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = kind()
+    monkeypatch.setattr(f"{kind.__module__}._model", None)  # it takes longer than emulated servos may be silent
+    assert np.nansum(source.sample(0.0, (0.0, 0.0, 0.05), 15.0)) > 10.0
 
 
 def test_seeds_determine_the_run() -> None:
