@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,24 +13,26 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 
 from deltacharger_ros.qos import ACTION
-
-REFUSED, LOST = -1, -2
-"""Ends of a goal in addition to GoalStatus: goal not accepted; action server lost."""
+from deltacharger_ros.sent_goal import LOST, SentGoal
 
 OnEnd = Callable[[int, int, Any, Any], None]
 """Called with a goal's number, its end, its result message (None = none) and its latest feedback."""
 
 
 class _Call:
-    """One pending goal. Callbacks fill it; the node's loop checks it."""
+    """One pending goal."""
 
     def __init__(self, number: int, goal: Any) -> None:
         self.number = number
         self.goal = goal
-        self.sent = self.unwanted = self.cancel_sent = False
-        self.handle: Any = None
+        self.sent: SentGoal | None = None
+        self.unwanted = False
         self.feedback: Any = None  # the latest
-        self.lost_since = math.inf
+        self.silent_since = math.inf
+
+    def on_feedback(self, message: Any) -> None:
+        """Keep the feedback."""
+        self.feedback = message.feedback
 
 
 class ActionCaller:
@@ -42,7 +43,7 @@ class ActionCaller:
         kind: action type.
         name: action name.
         on_end: called at the end of each goal.
-        lost_timeout: s without a server in the graph before its goals count as lost.
+        lost_timeout: s without a server in the graph, or without its answer to a goal, before the goal counts as lost.
     """
 
     def __init__(
@@ -53,11 +54,10 @@ class ActionCaller:
         on_end: OnEnd,
         lost_timeout: float,
     ) -> None:
-        self._node: Any = node
+        self._node = node
         self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name, **ACTION)
         self._on_end = on_end
         self._lost_timeout = lost_timeout
-        self._lock = threading.RLock()
         self._calls: dict[int, _Call] = {}
 
     @property
@@ -68,85 +68,47 @@ class ActionCaller:
     @property
     def is_settled(self) -> bool:
         """Whether every goal has ended or its cancel was sent."""
-        with self._lock:
-            return all(call.cancel_sent for call in self._calls.values())
+        return all(call.sent is not None and call.sent.is_canceled for call in self._calls.values())
 
     def send(self, number: int, goal: Any) -> None:
         """Queue a goal; `tick` sends it."""
-        with self._lock:
-            self._calls[number] = _Call(number, goal)
+        self._calls[number] = _Call(number, goal)
 
     def cancel(self, number: int) -> None:
-        """Cancel a goal, now or as soon as its server has accepted it."""
-        with self._lock:
-            call = self._calls.get(number)
-            if call is not None:
-                call.unwanted = True
-                self._cancel(call)
+        """Cancel a goal."""
+        call = self._calls.get(number)
+        if call is not None:
+            call.unwanted = True
+            if call.sent is not None:
+                call.sent.cancel()
 
     def tick(self) -> None:
-        """Send queued goals and detect lost servers."""
+        """Send queued goals, report those that have ended, and detect lost servers."""
         now, served = time.monotonic(), self.is_served
-        with self._lock:
-            for call in list(self._calls.values()):
-                if not call.sent:
-                    if call.unwanted:
-                        self._end(call, GoalStatus.STATUS_CANCELED)
-                    elif served:
-                        self._send(call)
-                    continue
-                call.lost_since = math.inf if served else min(call.lost_since, now)
-                if now - call.lost_since > self._lost_timeout:
-                    self._end(call, LOST)
+        for call in list(self._calls.values()):
+            goal = call.sent
+            if goal is None:
+                if call.unwanted:
+                    self._end(call, GoalStatus.STATUS_CANCELED)
+                elif served:
+                    call.sent = SentGoal(self._node, self._client, call.goal, call.on_feedback)
+                continue
+            if goal.finished.is_set():
+                self._end(call, goal.end, goal.result)
+                continue
+            goal.check()
+            call.silent_since = math.inf if served and goal.accepted else min(call.silent_since, now)
+            if now - call.silent_since > self._lost_timeout:
+                goal.cancel()  # nothing watches it when its server is back
+                self._end(call, LOST)
 
     def destroy(self) -> None:
         """Release the ROS side."""
         self._client.destroy()
 
-    def _send(self, call: _Call) -> None:
-        call.sent = True
-
-        def on_feedback(message: Any) -> None:
-            call.feedback = message.feedback
-
-        sent = self._node.executor.call_soon(self._client.send_goal_async, call.goal, on_feedback)
-        sent.add_done_callback(lambda done: self._on_sent(call, done))
-
-    def _on_sent(self, call: _Call, future: Any) -> None:
-        answer = result_of(future)
-        if answer is not None:
-            answer.add_done_callback(lambda done: self._on_response(call, done))
-            return
-        with self._lock:
-            self._end(call, REFUSED)
-
-    def _on_response(self, call: _Call, future: Any) -> None:
-        handle = result_of(future)
-        with self._lock:
-            if handle is None or not handle.accepted:
-                self._end(call, REFUSED)
-                return
-            call.handle = handle
-            handle.get_result_async().add_done_callback(lambda done: self._on_result(call, done))
-            if call.unwanted:  # also one that was given up long ago: nothing else watches it
-                self._cancel(call)
-
-    def _on_result(self, call: _Call, future: Any) -> None:
-        answer = result_of(future)
-        with self._lock:
-            if answer is None:
-                self._end(call, LOST)
-            else:
-                self._end(call, answer.status, answer.result)
-
-    def _cancel(self, call: _Call) -> None:
-        if call.handle is not None and not call.cancel_sent:
-            call.cancel_sent = True
-            call.handle.cancel_goal_async()
-
     def _end(self, call: _Call, end: int, result: Any = None) -> None:
-        if self._calls.pop(call.number, None) is not None:
-            self._on_end(call.number, end, result, call.feedback)
+        del self._calls[call.number]
+        self._on_end(call.number, end, result, call.feedback)
 
 
 def result_of(future: Any) -> Any:

@@ -30,13 +30,14 @@ from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_ros.qos import ACTION, STATE
+from deltacharger_ros.sent_goal import LOST, SentGoal
 
 _STATE = "docking_state"
 _LATCHED = 1.0  # s to receive the latched docking_state
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
-_LAST_ANSWER = 0.5  # s for the response to a goal that is to be cancelled; if accepted unseen, it would dock anyway
+_LAST_ANSWER = 0.5  # s for the response to a goal that is to be cancelled
 _POLL = 0.1  # s between checks of deadline, cancel request and server while a goal runs
 
 ProgressCallback = Callable[[Progress], None]
@@ -172,19 +173,19 @@ class ChargerClient(Guest):
             if on_progress is not None:
                 on_progress(to_progress(message.feedback, time.monotonic() - started))
 
-        running = _Goal()
-        spinner: Any = self.node.executor
-        spinner.call_soon(client.send_goal_async, goal, on_feedback).add_done_callback(running.on_sent)
+        running = SentGoal(self.node, client, goal, on_feedback)
         stop = cancel or threading.Event()
         lost_since = canceled_at = math.inf
         while not running.finished.wait(_POLL):
             now = time.monotonic()
+            running.check()
             if give_up is not None and give_up.is_set():
                 raise ClientError(f"gave up waiting for the end of '{action}'")
             if stop.is_set() or now - started > deadline:
                 canceled_at = min(canceled_at, now)
                 running.cancel()
-            if not running.answered and (now - canceled_at > _LAST_ANSWER or now - started > _LOST_AFTER):
+            if not running.accepted and (now - canceled_at > _LAST_ANSWER or now - started > _LOST_AFTER):
+                running.cancel()
                 raise ClientError(f"the charger did not answer the goal '{action}' in {now - started:.1f} s")
             if now - canceled_at > _CANCEL_GRACE:
                 raise ClientError(f"the charger did not end '{action}' within {_CANCEL_GRACE:.0f} s of the cancel")
@@ -197,62 +198,10 @@ class ChargerClient(Guest):
                     f"the charger disappeared while it served '{action}': check the log of docking_node; "
                     "the board opens the contactor by itself"
                 )
+        if running.end == LOST:
+            raise ClientError(f"the charger no longer knows the goal '{action}': docking_node has restarted; undock")
         if running.error is not None:
             raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
         return to_outcome(action, running.result)
-
-
-class _Goal:
-    """One pending goal, driven by callbacks; `finished` is set at its end or at an error."""
-
-    def __init__(self) -> None:
-        self.finished = threading.Event()
-        self.result: Any = None
-        self.error: BaseException | None = None
-        self._handle: Any = None
-        self._cancel_wanted = self._cancel_sent = False
-
-    def on_sent(self, future: Any) -> None:
-        """Wait for the answer; `future`: of sending the goal."""
-        answer = self._value(future)
-        if answer is not None:
-            answer.add_done_callback(self._on_response)
-
-    @property
-    def answered(self) -> bool:
-        """Whether the server has accepted the goal, or the exchange is over."""
-        return self._handle is not None or self.finished.is_set()
-
-    def cancel(self) -> None:
-        """Request cancellation once, as soon as the server has accepted the goal."""
-        self._cancel_wanted = True
-        if self._handle is not None and not self._cancel_sent:
-            self._cancel_sent = True
-            self._handle.cancel_goal_async()
-
-    def _on_response(self, future: Any) -> None:
-        handle = self._value(future)
-        if handle is None:
-            return
-        if not handle.accepted:
-            self.finished.set()
-            return
-        handle.get_result_async().add_done_callback(self._on_result)
-        self._handle = handle
-        if self._cancel_wanted:
-            self.cancel()
-
-    def _on_result(self, future: Any) -> None:
-        reply = self._value(future)
-        if reply is not None:
-            self.result = reply.result
-            self.finished.set()
-
-    def _value(self, future: Any) -> Any:
-        self.error = future.exception()
-        if self.error is not None:
-            self.finished.set()
-            return None
-        return future.result()

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A goal that was sent to an action server; lost answers are requested again."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+from action_msgs.msg import GoalInfo, GoalStatus
+from rclpy.action.client import ActionClient, ClientGoalHandle
+from rclpy.node import Node
+
+REFUSED, LOST = -1, -2
+"""Ends of a goal in addition to GoalStatus: goal not accepted; action server gone or restarted."""
+
+_ASK_AFTER = 1.0  # s without a result before it is requested again; doubled each time, as a goal may last for hours
+
+
+class SentGoal:
+    """Sends one goal and follows it to its end.
+
+    A server's answer is lost if it leaves before the server has discovered the reader of its client: Fast DDS waits
+    only 0.1 s. After a node's start that may take longer, because discovery messages overflow its socket. The goal's
+    id is therefore enough: feedback shows that the goal was accepted, and its result is requested by the id.
+
+    Args:
+        node: node of the client, served by a `Spinner`.
+        client: of the action.
+        goal: goal message.
+        on_feedback: called with each feedback message, from the serving thread.
+
+    Attributes:
+        accepted: whether the server is known to have the goal.
+        finished: set at the end.
+        end: how it ended: a GoalStatus, REFUSED or LOST.
+        result: result message; None = none.
+        error: why the exchange failed; None = it did not.
+    """
+
+    def __init__(
+        self, node: Node, client: ActionClient[Any, Any, Any], goal: Any, on_feedback: Callable[[Any], None]
+    ) -> None:
+        self.accepted = False
+        self.finished = threading.Event()
+        self.end: int = GoalStatus.STATUS_UNKNOWN
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self._on_feedback = on_feedback
+        self._cancel_wanted = False
+        self._pause = _ASK_AFTER
+        self._ask_at = time.monotonic() + _ASK_AFTER
+        name = GoalInfo().goal_id
+        name.uuid = list(uuid.uuid4().bytes)
+        unknown: Any = None  # the server's response
+        self._handle: Any = ClientGoalHandle(client, name, unknown)
+        executor: Any = node.executor
+        self._call_soon = executor.call_soon
+        self._call_soon(client.send_goal_async, goal, self._on_message, name).add_done_callback(self._on_sent)
+
+    @property
+    def is_canceled(self) -> bool:
+        """Whether the server has received a cancel request."""
+        return self._cancel_wanted and self.accepted
+
+    def cancel(self) -> None:
+        """Cancel the goal, also one whose acceptance is not known yet. Safe to call again."""
+        if not self._cancel_wanted:
+            self._cancel_wanted = True
+            self._handle.cancel_goal_async()
+
+    def check(self) -> None:
+        """Request the result again when that is due; call it regularly."""
+        if time.monotonic() >= self._ask_at:
+            self._ask_later()
+            self._call_soon(self._ask)
+
+    def _ask_later(self) -> None:
+        self._ask_at = time.monotonic() + self._pause
+        self._pause *= 2
+
+    def _ask(self) -> None:
+        self._handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_sent(self, future: Any) -> None:
+        answer = self._value(future)
+        if answer is not None:
+            answer.add_done_callback(self._on_response)
+
+    def _on_response(self, future: Any) -> None:
+        handle = self._value(future)
+        if handle is None:
+            return
+        if handle.accepted:
+            self._accept()
+        else:
+            self._finish(REFUSED)
+
+    def _on_message(self, message: Any) -> None:
+        self._accept()
+        self._on_feedback(message)
+
+    def _accept(self) -> None:
+        if not self.accepted:
+            self.accepted = True
+            if self._cancel_wanted:  # the first request may have come before the goal
+                self._handle.cancel_goal_async()
+            self._ask()
+
+    def _on_result(self, future: Any) -> None:
+        reply = self._value(future)
+        if reply is None:
+            return
+        if reply.status != GoalStatus.STATUS_UNKNOWN:
+            self._finish(reply.status, reply.result)
+        elif self.accepted:
+            self._finish(LOST)
+
+    def _finish(self, end: int, result: Any = None) -> None:
+        if not self.finished.is_set():
+            self.end, self.result = end, result
+            self.finished.set()
+
+    def _value(self, future: Any) -> Any:
+        """Return a future's result; None after its error, which ends the goal."""
+        error = future.exception()
+        if error is None:
+            return future.result()
+        self.error = error
+        self._finish(LOST if self.accepted else REFUSED)
+        return None
