@@ -37,7 +37,7 @@ TERMINAL = (
     "os.execvp(sys.argv[1], sys.argv[1:])",
 )
 """Prefix of a command line: its program reads from a terminal."""
-CONTAINER = ("unshare", "--pid", "--fork", str(ROOT / "config" / "container" / "entrypoint.sh"))
+CONTAINER = ("unshare", "--pid", "--fork", "--kill-child", str(ROOT / "config" / "container" / "entrypoint.sh"))
 """Prefix of a command line: its program is process 1 of a container, whose end kills all others in it."""
 ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]|Traceback")
 """Marks lines that must not appear if all is well."""
