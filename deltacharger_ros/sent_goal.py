@@ -74,12 +74,9 @@ class SentGoal:
     def check(self) -> None:
         """Request the result again when that is due; call it regularly."""
         if time.monotonic() >= self._ask_at:
-            self._ask_later()
+            self._ask_at = time.monotonic() + self._pause
+            self._pause *= 2
             self._call_soon(self._ask)
-
-    def _ask_later(self) -> None:
-        self._ask_at = time.monotonic() + self._pause
-        self._pause *= 2
 
     def _ask(self) -> None:
         self._handle.get_result_async().add_done_callback(self._on_result)
