@@ -63,7 +63,7 @@ class ChargerClient(Guest):
         super().__init__("charger_client", context, namespace)
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
-        self._waitables = [self._dock, self._undock]
+        self.waitables = [self._dock, self._undock]
         self._charger_base = ""  # full frame name from docking_state
         self.node.create_subscription(DockingState, _STATE, self._on_state, STATE)
         self.serve()

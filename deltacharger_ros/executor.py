@@ -65,7 +65,11 @@ class Spinner:
         return self._thread.is_alive() and not self._stop.done()
 
     def close(self, *waitables: Any) -> None:
-        """Close the node while its callbacks still work, then stop serving and destroy `waitables` and the node."""
+        """Close the node while its callbacks still work, then stop serving and destroy `waitables` and the node.
+
+        Action clients and servers must be destroyed here, not before: EventsExecutor takes a served waitable's last
+        event without the GIL when that waitable is gone, which ends the process with a segmentation fault.
+        """
         try:
             self.stop()
         finally:

@@ -30,6 +30,7 @@ class Guest:
 
     Attributes:
         node: the ROS node.
+        waitables: action clients and servers of the node, destroyed after it was served.
     """
 
     def __init__(self, name: str, context: Context, namespace: str) -> None:
@@ -43,7 +44,7 @@ class Guest:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],  # not needed
         )
         self._spinner: Spinner | None = None
-        self._waitables: list[Any] = []  # released before the node
+        self.waitables: list[Any] = []
         self._open = True
 
     def serve(self) -> None:
@@ -80,7 +81,7 @@ class Guest:
             return
         self._open = False
         if self._spinner is not None:
-            self._spinner.close(*self._waitables)
+            self._spinner.close(*self.waitables)
         else:
             self.node.destroy_node()
 

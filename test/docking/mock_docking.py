@@ -56,10 +56,11 @@ class MockDocking(Node):
 
     def stop(self) -> None:
         """Disappear like a killed node: goals are no longer answered. Safe to call twice."""
-        self._stopping.set()
+        self._spinner._end()
         for server in self._servers:
             server.destroy()
         self._servers = []
+        self._stopping.set()
         self._spinner.close()
 
     def tell(self, state: int, docked: bool = False, charging: bool = False, request_id: str = "") -> None:

@@ -105,6 +105,7 @@ def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quic
     ):
         assert client.wait_until_ready(DEADLINE)
         goals = ActionClient(client.node, Dock, "dock")
+        client.waitables.append(goals)
         request = Dock.Goal()
         fill_pose(request.electrodes, Pose(0.0, 0.0, 0.080))
         goal = answer(answer(client.node.executor.call_soon(goals.send_goal_async, request)))
@@ -120,7 +121,6 @@ def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quic
         wait_until(ended.done, "the docking")
         assert any(torque)
         assert ended.result().result.error_code in (0, 107), ended.result().result.error_message
-        goals.destroy()
 
 
 @pytest.mark.realtime

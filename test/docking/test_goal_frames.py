@@ -47,6 +47,7 @@ class Charger:
         node = self.client.node
         node.create_subscription(DockingDecision, "docking_decision", self.decisions.append, qos.DEFAULT_DEPTH)
         self._docks: Any = ActionClient(node, Dock, "dock")
+        self.client.waitables.append(self._docks)
         wait_until(self._docks.server_is_ready, "the action")
 
     def dock(self, frame: str, pose: Numbers) -> Dock.Result:
@@ -66,7 +67,6 @@ class Charger:
         return next(each for each in reversed(self.decisions) if each.kind == "accepted")
 
     def close(self) -> None:
-        self._docks.destroy()
         self.composition.close()
         self.client.close()
 

@@ -47,6 +47,7 @@ class Charger:
         self.client = ChargerClient(self.namespace, context)
         self.docks: Any = ActionClient(self.client.node, Dock, "dock")
         self.undocks: Any = ActionClient(self.client.node, Undock, "undock")
+        self.client.waitables += [self.docks, self.undocks]
         assert self.client.wait_until_ready(DEADLINE)
         assert self.docks.wait_for_server(DEADLINE)
         assert self.undocks.wait_for_server(DEADLINE)
@@ -71,8 +72,6 @@ class Charger:
         return answer(self.send(goal).get_result_async()).result
 
     def close(self) -> None:
-        self.docks.destroy()
-        self.undocks.destroy()
         self.composition.close()
         self.client.close()
 

@@ -153,8 +153,7 @@ class Robot:
         self.composition.close()
         if self.docking is not None:
             self.docking.stop()
-        self._client.destroy()
-        self._spinner.close()
+        self._spinner.close(self._client)
 
 
 def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:

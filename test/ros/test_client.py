@@ -44,9 +44,7 @@ def silent_charger(context: Any, namespace: str) -> Iterator[str]:
     spinner = Spinner(node)
     yield namespace
     over.set()
-    for server in servers:
-        server.destroy()
-    spinner.close()
+    spinner.close(*servers)
 
 
 def test_an_unanswered_goal_ends_with_an_error(

@@ -128,7 +128,7 @@ def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: P
         wait_until(lambda: diagnosed(heard) >= nodes_with_diagnostics(scene), "diagnostics of every node before a goal")
         wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
         if "mission_node" in scene.nodes:
-            errand(heard)
+            errand(client)
         else:
             dock_at_last(client, DockRequest(None))
             client.undock(deadline=DEADLINE)
@@ -149,16 +149,17 @@ def nodes_with_diagnostics(scene: Scene) -> set[str]:
     return {name for name in scene.nodes if not name.startswith(silent)}
 
 
-def errand(listener: Listener) -> None:
-    client: ActionClient[Any, Any, Any] = ActionClient(listener, ChargeRobot, "charge_robot")
-    assert client.wait_for_server(DEADLINE)
+def errand(client: ChargerClient) -> None:
+    errands: Any = ActionClient(client.node, ChargeRobot, "charge_robot")
+    client.waitables.append(errands)
+    assert errands.wait_for_server(DEADLINE)
     target = PoseStamped(header=Header(frame_id="map"))
     target.pose.position.x, target.pose.orientation.z = 1.0, 1.0
     target.pose.orientation.w = 0.0
-    handle = answer(client.send_goal_async(ChargeRobot.Goal(target=target, stop_after=Duration(sec=1))))
+    goal = ChargeRobot.Goal(target=target, stop_after=Duration(sec=1))
+    handle = answer(answer(client.node.executor.call_soon(errands.send_goal_async, goal)))
     result = answer(handle.get_result_async()).result
     assert result.success, result.error_message
-    client.destroy()
 
 
 def test_every_header_has_a_frame_and_every_diagnostic_known_values_only(listener: Listener) -> None:

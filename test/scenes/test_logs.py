@@ -143,23 +143,24 @@ def test_a_refused_goal_is_logged_with_its_reason_without_control_characters(cha
 
 
 def test_a_cancel_and_a_client_that_leaves_are_logged(charger: Charger) -> None:
-    charger.client.close()
-    client: Any = ActionClient(charger.reader, Dock, "dock")
-    assert client.wait_for_server(DEADLINE)
+    docks: Any = ActionClient(charger.client.node, Dock, "dock")
+    charger.client.waitables.append(docks)
+    assert docks.wait_for_server(DEADLINE)
     goal = Dock.Goal(request_id="order-3", hold=True)
     fill_pose(goal.electrodes, PLACE)
-    handle = answer(answer(charger.reader.executor.call_soon(client.send_goal_async, goal)))
+    send = charger.client.node.executor.call_soon
+    handle = answer(answer(send(docks.send_goal_async, goal)))
     line = charger.wait_for("dock order-3: accepted")
     assert line.endswith("accepted, electrodes at (0.0, 0.0, 80.0) mm, roll 0.0°, charges, holds the goal")
     answer(handle.cancel_goal_async())
     charger.wait_for("dock order-3: cancelled by a client")
     charger.wait_for("dock order-3: failed, 102 CANCELED")
     goal.request_id = "order-4"
-    answer(answer(charger.reader.executor.call_soon(client.send_goal_async, goal)))
+    answer(answer(send(docks.send_goal_async, goal)))
     charger.wait_for("dock order-4: accepted")
     time.sleep(2.5)  # longer than a check: nothing is logged while the client is present
     assert not any("client has gone" in line for line in charger.log_lines())
-    client.destroy()
+    charger.client.close()
     charger.wait_for("dock order-4: its client has gone")
 
 
