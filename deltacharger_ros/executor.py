@@ -67,8 +67,8 @@ class Spinner:
     def close(self, *waitables: Any) -> None:
         """Close the node while its callbacks still work, then stop serving and destroy `waitables` and the node.
 
-        Action clients and servers must be destroyed here, not before: EventsExecutor takes a served waitable's last
-        event without the GIL when that waitable is gone, which ends the process with a segmentation fault.
+        Action clients and servers must be destroyed here, not before: if one is gone while its event is queued,
+        EventsExecutor drops the last reference to it without the GIL, which ends the process with a segmentation fault.
         """
         try:
             self.stop()
