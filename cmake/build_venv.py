@@ -77,7 +77,7 @@ def cause(text):
 def build(folder, constraints):
     """Build the environment; exit with one line where a step fails."""
     python, log = os.path.join(folder, "bin", "python"), os.path.join(folder, "build.log")
-    print(f"building {folder}, once: about two minutes", flush=True)
+    print(f"building {folder}, once: two to five minutes", flush=True)
     run("virtual environment", [sys.executable, "-m", "venv", folder], None)
     with open(log, "w"):
         pass
