@@ -40,23 +40,22 @@ COLCON_HERE := $(IN_VENV) $(BIN)/colcon --log-base $(COLCON)/log
 BUILD_BY_COLCON := $(COLCON_HERE) build --base-paths . --build-base $(COLCON)/build
 CMAKE_ARGS := -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python"
 PYTEST := $(BIN)/python -m pytest
-SIDE_BY_SIDE := -n 2 --dist loadfile
+SIDE_BY_SIDE := -n 4 --dist loadfile --host-deadlines 3
 
-.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation transforms optional cross bench clean
+.PHONY: dock test test-rest test-night check lint types colcon wheel trainers navigation transforms optional cross bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
 
-# Real-time tests mostly wait, and two of them need less than a core, so they run apart from tests that compute.
+# Real-time tests mostly wait, so twice as many processes as cores, and tests that compute beside tests that wait.
 test: $(INSTALLED)  ## what a change needs
-	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not slow and not realtime'
-	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not slow and realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) not rest and not night'
 
-test-rest: $(INSTALLED)  ## the tests that `make test` omits
-	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and not realtime'
-	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) slow and realtime'
+test-rest: $(INSTALLED)  ## what CI adds
+	$(PYTEST) $(SIDE_BY_SIDE) $(LEFT_OUT) -m '$(OF_ROS) rest'
 
-test-all: test test-rest  ## every test
+test-night: $(INSTALLED)  ## what shows a law by much, with strict deadlines; before a release, on a quiet computer
+	$(PYTEST) -n 2 --dist loadfile -m night
 
 check: lint types test  ## what a change needs; `.ci/run` adds the rest
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the suite (real devices for the driver's contract tests, and what these may do) and its stall watch."""
+"""Options of the suite: real devices for the driver's contract tests, the host's deadlines, each test's time."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import argparse
 
 import pytest
 
+from .budget import Budget
 from .chargers import context, deltacharger, namespace, quick_file, quick_scene, spin, start  # noqa: F401
-from .stalls import StallWatch
+from .waiting import widen
 
 DEVICES = ("servo", "board")
 
@@ -42,6 +43,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="with --port board=PATH: close the contactor onto a load that is connected to the electrodes",
     )
+    group = parser.getgroup("deltacharger's suite")
+    group.addoption(
+        "--host-deadlines",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="widen the deadlines that this computer must keep, for tests beside other work; 1 = strict",
+    )
+    group.addoption(
+        "--times", action="store_true", help="list what every test spent, not only tests above their budget"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -49,4 +61,5 @@ def pytest_configure(config: pytest.Config) -> None:
     for device in DEVICES:
         if named.count(device) > 1:
             raise pytest.UsageError(f"--port {device}=PATH is given {named.count(device)} times; give it once")
-    config.pluginmanager.register(StallWatch(), "stall-watch")
+    widen(config.getoption("--host-deadlines"))
+    config.pluginmanager.register(Budget(), "deltacharger-budget")

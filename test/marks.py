@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Marks additional cases of a parametrised test for `make test-rest`."""
+"""Marks cases of a parametrised test that run outside `make test`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from typing import Any
 import pytest
 
 
-def slow(*values: Any) -> Any:
-    """Return one case marked slow."""
-    return pytest.param(*values, marks=pytest.mark.slow)
+def rest(*values: Any) -> Any:
+    """Return one case for `make test-rest`."""
+    return pytest.param(*values, marks=pytest.mark.rest)
+
+
+def night(*values: Any) -> Any:
+    """Return one case for `make test-night`."""
+    return pytest.param(*values, marks=pytest.mark.night)

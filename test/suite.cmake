@@ -9,7 +9,7 @@ if(NOT ament_cmake_pytest_FOUND)
   return()
 endif()
 
-set(selection "-m 'not ros and not slow and not realtime'")
+set(selection "-m 'not ros and not witness and not rest and not night'")
 execute_process(COMMAND ${Python3_EXECUTABLE} -c "import xdist" RESULT_VARIABLE alone ERROR_QUIET)
 if(NOT alone)
   string(APPEND selection " -n 2 --dist loadfile")

@@ -17,11 +17,11 @@ from deltacharger_core.servos_file import load_servos
 from deltacharger_ros import qos
 
 from ..chargers import Process, wait_until
-from ..marks import slow
+from ..marks import rest
 from ..nodes import call
 from .running import Charger, running
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 WORLD = "{target: {present: false}, servo: {stiffness: 10.0, friction: 0.08, backlash: 0.004, torque_constant: 1.3}}"
 OLD = "stiffness: 7.0\n"
@@ -65,7 +65,7 @@ def moves(charger: Charger, process: Process) -> None:
     wait_until(lambda: max(abs(a - b) for a, b in zip(charger.state.position, start, strict=True)) > 0.05, "motion")
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.timeout(400)  # it takes 90 s
 def test_servos_are_measured_over_the_real_bytes(
     measure: Callable[..., Process], charger: Charger, tmp_path: Path
@@ -87,7 +87,7 @@ def test_servos_are_measured_over_the_real_bytes(
     wait_until(lambda: not charger.torque(), "torque off")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, slow(signal.SIGTERM), slow(signal.SIGHUP)])
+@pytest.mark.parametrize("how", [signal.SIGINT, rest(signal.SIGTERM), rest(signal.SIGHUP)])
 def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
     measure: Callable[..., Process], charger: Charger, old: Path, how: signal.Signals
 ) -> None:

@@ -24,7 +24,7 @@ from ..chargers import Process, wait_until
 from ..sim.test_simulated_charger import answer, ping
 from . import command
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 SIMULATED = parse_scene({"nodes": [], "simulation": {}}, "test").simulation
 

@@ -20,7 +20,7 @@ from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan
 
 from ..chargers import DEADLINE, Process, wait_until
-from ..marks import slow
+from ..marks import rest
 from .running import Charger, running
 
 pytestmark = pytest.mark.ros
@@ -161,7 +161,7 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     assert rows.held_out.sum() == 1
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, slow(signal.SIGTERM), slow(signal.SIGHUP), "end of input"])
+@pytest.mark.parametrize("how", [signal.SIGINT, rest(signal.SIGTERM), rest(signal.SIGHUP), "end of input"])
 def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
     operator: Callable[..., Operator], charger: Charger, short_plan: Path, how: signal.Signals | str
 ) -> None:

@@ -83,7 +83,7 @@ DIAGONAL = [
 @pytest.mark.parametrize(
     ("command", "shell"),
     [
-        pytest.param(*each, marks=() if each in DIAGONAL else pytest.mark.slow)
+        pytest.param(*each, marks=() if each in DIAGONAL else pytest.mark.rest)
         for each in itertools.product(COMMAND_LINES, SHELLS)
     ],
 )
@@ -117,7 +117,7 @@ def _executables() -> list[str]:
     return sorted(executables.MODULES.values())
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("shell", ["full", "all closed", "full errors", "C", "optimised", "a home that cannot be"])
 @pytest.mark.parametrize("module", _executables())
 def test_a_node_that_cannot_start_reports_it_in_every_shell(module: str, shell: str, tmp_path: Path) -> None:

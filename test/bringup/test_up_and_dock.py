@@ -179,7 +179,7 @@ def test_the_command_sets_its_environment(up: Run, monkeypatch: pytest.MonkeyPat
     assert charger.end(signal.SIGTERM) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("shell", ["exec {} >/dev/full 2>&-", "exec {} >&- 2>/dev/full"])
 def test_a_docking_finishes_without_usable_output_streams(
     up: Run, run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str

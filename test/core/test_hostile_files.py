@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ..marks import slow
+from ..marks import rest
 
 for needed in ("cv2", "mcap", "pyarrow"):
     pytest.importorskip(needed, reason="reads with the extras vision, record and campaign")
@@ -35,7 +35,7 @@ def run(*words: object) -> dict[str, Any]:
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("files", "first"), [(200, 0), slow(10_000, 1_000_000)])
+@pytest.mark.parametrize(("files", "first"), [(200, 0), rest(10_000, 1_000_000)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_changed_files_are_refused_by_name_or_valid(kind: str, files: int, first: int) -> None:
     result = run("--kind", kind, "--files", files, "--first", first)[kind]

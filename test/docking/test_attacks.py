@@ -15,7 +15,7 @@ from deltacharger_docking.observation import DockGoal, Observation, Reply, Servi
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters
 
-from ..marks import slow
+from ..marks import rest
 from .dockings import quick_charger
 
 NAN = math.nan
@@ -286,7 +286,7 @@ def two_speak(observation: Observation) -> Observation:
     return replace(observation, duplicate_sources=NAMES)
 
 
-@pytest.mark.parametrize("begins", [slow(State.APPROACH), State.MEASURE, slow(State.ENERGISE)])
+@pytest.mark.parametrize("begins", [rest(State.APPROACH), State.MEASURE, rest(State.ENERGISE)])
 def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) -> None:
     """At any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
     run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
@@ -301,7 +301,7 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) 
     until_idle(run)
 
 
-@pytest.mark.parametrize("begins", [slow(State.CONTACT), State.MEASURE])
+@pytest.mark.parametrize("begins", [rest(State.CONTACT), State.MEASURE])
 def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State) -> None:
     """A second source that has disappeared before closing may have sent the estimate, so it is repeated."""
     run = quick_charger()

@@ -21,10 +21,10 @@ from deltacharger_ros.outcomes import Progress
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import wait_until
-from ..marks import slow
+from ..marks import rest
 from .hostile import Hostile
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 STALE = {"SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE"}
 _TICK = 0.01  # s
@@ -73,7 +73,7 @@ def clocks(hostile: Hostile) -> Iterator[Clocks]:
     clocks.close()
 
 
-@pytest.mark.parametrize("jump", [-3600.0, 1.0, slow(-1.0), slow(3600.0)])
+@pytest.mark.parametrize("jump", [-3600.0, 1.0, rest(-1.0), rest(3600.0)])
 def test_a_jump_while_charging_passes_or_opens_with_a_code(hostile: Hostile, clocks: Clocks, jump: float) -> None:
     hostile.heal()
     hostile.charge()
@@ -91,7 +91,7 @@ def test_a_jump_while_charging_passes_or_opens_with_a_code(hostile: Hostile, clo
         assert CODES[hostile.code] == "SERVO_FAULT"
 
 
-@pytest.mark.parametrize("jump", [slow(-3600.0), 3600.0])
+@pytest.mark.parametrize("jump", [rest(-3600.0), 3600.0])
 def test_a_jump_while_docking_passes_or_ends_with_a_code(hostile: Hostile, clocks: Clocks, jump: float) -> None:
     hostile.heal()
 

@@ -123,7 +123,6 @@ def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quic
         assert ended.result().result.error_code in (0, 107), ended.result().result.error_message
 
 
-@pytest.mark.realtime
 def test_a_charger_that_was_never_released_does_not_disturb_another_of_its_name(
     quick_scene: Scene, context: Any
 ) -> None:

@@ -22,7 +22,7 @@ from deltacharger_scenes.mocks import mock_tactile_node
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace
-from ..marks import slow
+from ..marks import rest
 
 pytestmark = pytest.mark.ros
 
@@ -129,17 +129,17 @@ def test_without_coordinates_the_camera_locates_the_target(charger: Charger) -> 
     ("node", "fault", "names"),
     [
         ("mock_servo_node", "silence", {"SERVO_FAULT"}),
-        slow("mock_servo_node", "nan_current", {"SERVO_FAULT"}),
-        slow("mock_servo_node", "missing", {"SERVO_FAULT"}),
+        rest("mock_servo_node", "nan_current", {"SERVO_FAULT"}),
+        rest("mock_servo_node", "missing", {"SERVO_FAULT"}),
         ("mock_servo_node", "hardware_error", {"SERVO_FAULT"}),
         ("mock_tactile_node", "silence", {"TACTILE_STALE"}),
-        slow("mock_tactile_node", "zero_frames", {"NO_TACTILE_CONTACT"}),
-        slow("mock_tactile_node", "unsure", {"ESTIMATE_UNSURE"}),
+        rest("mock_tactile_node", "zero_frames", {"NO_TACTILE_CONTACT"}),
+        rest("mock_tactile_node", "unsure", {"ESTIMATE_UNSURE"}),
         ("mock_tactile_node", "power_silence", {"POWER_STALE"}),
         ("mock_tactile_node", "short", {"SHORT_CIRCUIT"}),
-        slow("mock_tactile_node", "open_circuit", {"NO_CHARGE_CURRENT"}),
-        slow("mock_tactile_node", "reverse_polarity", {"REVERSE_POLARITY"}),
-        slow("mock_tactile_node", "no_charge_current", {"NO_CHARGE_CURRENT"}),
+        rest("mock_tactile_node", "open_circuit", {"NO_CHARGE_CURRENT"}),
+        rest("mock_tactile_node", "reverse_polarity", {"REVERSE_POLARITY"}),
+        rest("mock_tactile_node", "no_charge_current", {"NO_CHARGE_CURRENT"}),
     ],
 )
 def test_a_fault_ends_docking_with_its_code_and_an_open_contactor(

@@ -14,7 +14,7 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, TargetParameters, WorldParameters
 
-from ..marks import slow
+from ..marks import rest
 
 MILLIMETRE = 1e-3
 DOWN = (0.0, -9.81, 0.0)
@@ -62,11 +62,11 @@ def currents(run: VirtualCharger) -> list[float]:
 SIDEWAYS = [DOWN, (9.81, 0.0, 0.0), (-7.0, 7.0, 0.0)]
 CASES = [
     *((3.0, -2.0, 15.0, gravity, None) for gravity in SIDEWAYS),
-    slow(-18.0, -18.0, 15.0, DOWN, None),
-    slow(18.0, 18.0, 10.0, DOWN, None),
-    slow(3.0, -2.0, 2.5, DOWN, None),
+    rest(-18.0, -18.0, 15.0, DOWN, None),
+    rest(18.0, 18.0, 10.0, DOWN, None),
+    rest(3.0, -2.0, 2.5, DOWN, None),
     (3.0, -2.0, 20.0, DOWN, 15.0),
-    slow(3.0, -2.0, 10.0, DOWN, 16.0),
+    rest(3.0, -2.0, 10.0, DOWN, 16.0),
 ]
 
 
@@ -143,7 +143,7 @@ def test_clearance_is_measured_after_easing_and_before_probing() -> None:
     assert kinds.index("close") > kinds.index("probe") > last
 
 
-@pytest.mark.parametrize("changes", [{"approach": "paper"}, slow({"current_signal": "max"})])
+@pytest.mark.parametrize("changes", [{"approach": "paper"}, rest({"current_signal": "max"})])
 def test_approaches_as_published_are_not_eased(changes: dict[str, str]) -> None:
     world = WorldParameters(servo=ServoParameters(stiffness=2.5))
     run = VirtualCharger(world, DockingParameters(servo_stiffness=2.5, **changes))  # type: ignore[arg-type]

@@ -127,7 +127,6 @@ def test_the_client_sends_goals_in_charger_base_with_any_prefix(charger: Charger
     assert outcome.success, outcome.error_message
 
 
-@pytest.mark.realtime
 def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
     """With tf or without: data in the frames of one charger are not used for the other."""
     prefixes = ("left/", "right/")

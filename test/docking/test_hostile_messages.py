@@ -22,10 +22,10 @@ from deltacharger_ros.messages import CODES
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import wait_until
-from ..marks import slow
+from ..marks import rest
 from .hostile import Defects, Distortion, Hostile
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAN, INF = math.nan, math.inf
 SERVO, PADS, POWER = "servo_state", "tactile_frame", "charger_power"
@@ -122,7 +122,7 @@ def test_an_idle_charger_tolerates_every_message_and_then_docks(hostile: Hostile
     hostile.charge()
 
 
-@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), slow("_inputs", "observation")])
+@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), rest("_inputs", "observation")])
 def test_an_internal_defect_opens_the_contactor_and_ends_with_a_code(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,7 +152,7 @@ def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
     assert not hostile.is_closed
 
 
-@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque values"), slow("other names")])
+@pytest.mark.parametrize("name", ["no currents", "impossible angles", rest("no torque values"), rest("other names")])
 def test_invalid_servo_states_end_charging(hostile: Hostile, name: str) -> None:
     hostile.charge()
     hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
@@ -160,7 +160,7 @@ def test_invalid_servo_states_end_charging(hostile: Hostile, name: str) -> None:
     assert_ends_safely(hostile, {"SERVO_FAULT"})
 
 
-@pytest.mark.parametrize("name", ["all NaN", slow("endless current"), slow("unknown fault")])
+@pytest.mark.parametrize("name", ["all NaN", rest("endless current"), rest("unknown fault")])
 def test_invalid_power_messages_end_charging(hostile: Hostile, name: str) -> None:
     """A current that is reported for ever keeps the arm where it is, with its torque, until the report ends."""
     hostile.charge()
@@ -170,7 +170,7 @@ def test_invalid_power_messages_end_charging(hostile: Hostile, name: str) -> Non
     assert CODES[hostile.code] in {"POWER_STALE", "OVERCURRENT", "CONTACTOR_WELDED"}
 
 
-@pytest.mark.parametrize("name", ["NaN taxels", slow("no taxels")])
+@pytest.mark.parametrize("name", ["NaN taxels", rest("no taxels")])
 def test_invalid_tactile_frames_never_dock(hostile: Hostile, name: str) -> None:
     """misalignment_node and the mock of tactile_node receive the true frames: this tests docking's own check."""
     hostile.relay.distort[PADS] = WRONG_PADS[name]
@@ -194,7 +194,7 @@ def test_servos_in_another_order_are_sorted_or_refused_but_never_confused(hostil
     assert furthest[0] < 0.02
 
 
-@pytest.mark.parametrize("topic", [SERVO, slow(PADS), slow(POWER)])
+@pytest.mark.parametrize("topic", [SERVO, rest(PADS), rest(POWER)])
 def test_a_repeated_message_never_counts_as_new_even_from_the_future(hostile: Hostile, topic: str) -> None:
     """A publisher that hangs and repeats itself, stamped by a clock that was an hour ahead."""
     hostile.charge()
@@ -218,7 +218,7 @@ def test_a_repeated_message_never_counts_as_new_even_from_the_future(hostile: Ho
     assert CODES[hostile.code] in {SERVO: {"SERVO_FAULT"}, POWER: {"POWER_STALE", "CONTACTOR_WELDED"}}[topic]
 
 
-@pytest.mark.parametrize("seconds", [-3600, slow(3600), slow(1), slow(-(2**31))])
+@pytest.mark.parametrize("seconds", [-3600, rest(3600), rest(1), rest(-(2**31))])
 def test_servos_stamped_by_another_clock_never_dock(hostile: Hostile, seconds: int) -> None:
     """Data an hour old are stale; data with a future stamp may be; a zero stamp is invalid."""
 
@@ -268,7 +268,7 @@ REFUSED = (
 
 @pytest.mark.parametrize(
     ("topic", "malformed"),
-    [(SERVO, cut(2, "position")), slow(PADS, cut(3, "left")), slow(POWER, swollen)],
+    [(SERVO, cut(2, "position")), rest(PADS, cut(3, "left")), rest(POWER, swollen)],
 )
 def test_refused_messages_are_counted_and_do_not_affect_valid_ones(
     hostile: Hostile, topic: str, malformed: Distortion
@@ -290,7 +290,7 @@ def test_refused_messages_are_counted_and_do_not_affect_valid_ones(
     assert defects.texts == []
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_trajectory_with_an_invalid_stamp_ends_no_node(hostile: Hostile) -> None:
     publisher = hostile.client.node.create_publisher(JointTrajectory, "joint_trajectory", 1)
     wait_until(lambda: publisher.get_subscription_count() == 1, "the mock of servo_node")

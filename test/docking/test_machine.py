@@ -15,7 +15,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
-from ..marks import slow
+from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger
 
 
@@ -37,7 +37,7 @@ def test_docks_charges_and_undocks() -> None:
     assert run.states[-4:] == [State.ENERGISE, State.CHARGING, State.RETRACT, State.IDLE]
 
 
-@pytest.mark.parametrize(("x", "y"), [(8, 8), slow(-8, 8), slow(-8, -8), slow(8, -8)])
+@pytest.mark.parametrize(("x", "y"), [(8, 8), rest(-8, 8), rest(-8, -8), rest(8, -8)])
 def test_targets_in_the_four_quadrants_converge(x: float, y: float) -> None:
     run = charger(x, y)
     outcome = run.dock()
@@ -47,7 +47,7 @@ def test_targets_in_the_four_quadrants_converge(x: float, y: float) -> None:
     assert max(abs(value) for value in truth.misalignment[:2]) < 3.5 * MILLIMETRE
 
 
-@pytest.mark.parametrize("degrees", [0, slow(1), slow(-2), slow(3), slow(-4), slow(5), slow(-6), 7, slow(-7)])
+@pytest.mark.parametrize("degrees", [0, rest(1), rest(-2), rest(3), rest(-4), rest(5), rest(-6), 7, rest(-7)])
 def test_up_to_seven_degrees_charges(degrees: float) -> None:
     run = charger(degrees=degrees, seed=11)
     outcome = run.dock()
@@ -55,7 +55,7 @@ def test_up_to_seven_degrees_charges(degrees: float) -> None:
     assert run.world.record.energised_unsafe == 0.0
 
 
-@pytest.mark.parametrize("degrees", [8, slow(-9), slow(10), slow(-11), 11.5])
+@pytest.mark.parametrize("degrees", [8, rest(-9), rest(10), rest(-11), 11.5])
 def test_between_eight_and_twelve_degrees_charges_or_refuses_but_never_shorts(degrees: float) -> None:
     run = charger(degrees=degrees, seed=12)
     outcome = run.dock()
@@ -66,7 +66,7 @@ def test_between_eight_and_twelve_degrees_charges_or_refuses_but_never_shorts(de
         assert_safe_at_home(run)
 
 
-@pytest.mark.parametrize("degrees", [12, -12, slow(13), slow(-15), slow(19), -24])
+@pytest.mark.parametrize("degrees", [12, -12, rest(13), rest(-15), rest(19), -24])
 def test_targets_from_twelve_degrees_on_are_refused_with_the_arm_home(degrees: float) -> None:
     run = charger(degrees=degrees, seed=13)
     outcome = run.dock()
@@ -92,7 +92,7 @@ def test_a_lowered_critical_angle_refuses_what_would_charge() -> None:
 
 @pytest.mark.parametrize(
     ("z", "stiffness"),
-    [(-8.0, 20.0), (0.0, 10.0), (8.0, 2.5), *(slow(z, s) for z, s in product((-8.0, 0.0, 8.0), (2.5, 10.0, 20.0)))],
+    [(-8.0, 20.0), (0.0, 10.0), (8.0, 2.5), *(rest(z, s) for z, s in product((-8.0, 0.0, 8.0), (2.5, 10.0, 20.0)))],
 )
 def test_the_guarded_approach_rests_in_the_band_whatever_the_stiffness_and_depth(stiffness: float, z: float) -> None:
     target = TargetParameters(z=0.080 + z * MILLIMETRE)
@@ -102,7 +102,7 @@ def test_the_guarded_approach_rests_in_the_band_whatever_the_stiffness_and_depth
     assert 0.4 <= outcome.contact_current <= 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_paper_steps_overshoot_the_band_on_a_stiff_arm_and_guarded_ones_do_not() -> None:
     resting = {"paper": [], "guarded": []}
     for approach, found in resting.items():

@@ -26,12 +26,12 @@ from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import dock_at_last, wait_until
-from ..marks import slow
+from ..marks import rest
 from ..nodes import options
 from .hostile import PLACE, TOPICS, Hostile
 from .test_hostile_messages import POWER
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 SERVICES: dict[str, Any] = {
     "predict_misalignment": PredictMisalignment,
@@ -149,7 +149,7 @@ def test_docking_waits_until_a_second_source_disappears_and_reports_a_later_one(
     hostile.heal()
 
 
-@pytest.mark.parametrize("beside", [True, slow(False)])
+@pytest.mark.parametrize("beside", [True, rest(False)])
 def test_a_false_angle_estimate_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
     """The target is tilted past the rule. Next to the true server it names frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")

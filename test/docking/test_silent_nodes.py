@@ -15,7 +15,7 @@ import pytest
 
 from deltacharger_docking.codes import Code, State
 
-from ..marks import slow
+from ..marks import rest
 from .silences import OPEN_WITHIN, Faulty
 
 NONE = Code.NONE
@@ -114,7 +114,7 @@ def test_a_node_that_is_killed(run: Faulty, node: str, phase: State) -> None:
 
 @pytest.mark.parametrize(
     ("node", "phase"),
-    [cell if cell[1] in QUICK else slow(*cell) for cell in cells()],
+    [cell if cell[1] in QUICK else rest(*cell) for cell in cells()],
     ids=lambda value: getattr(value, "name", value),
 )
 def test_a_node_that_is_stopped_for_a_second(run: Faulty, node: str, phase: State) -> None:

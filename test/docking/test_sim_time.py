@@ -27,7 +27,7 @@ from deltacharger_scenes.scene import Scene
 from ..chargers import DEADLINE, dock_at_last, new_namespace, wait_until
 from ..nodes import options
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -13,8 +13,6 @@ from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 
-pytestmark = pytest.mark.realtime
-
 STEP = 0.001
 
 

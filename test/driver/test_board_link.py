@@ -29,8 +29,6 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 
 class Rig:
     """Board, cable and host."""

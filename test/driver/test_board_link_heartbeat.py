@@ -18,8 +18,6 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 
 def test_heartbeat_lateness_is_reported_while_connected(board: BoardEmulator) -> None:
     with PseudoTerminal(board) as cable:

@@ -34,7 +34,7 @@ from ..chargers import Spin, new_namespace
 from ..nodes import TELLS_PUBLISHERS, options
 from ..waiting import wait_until
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 START = (-0.7, -0.5, 0.2)  # of `arm`
 SECRET = "a" * 32

@@ -43,7 +43,7 @@ from ..behind_board import BehindEmulator
 from ..nodes import call, options
 from ..waiting import DEADLINE, wait_until
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 

@@ -21,8 +21,6 @@ from deltacharger_driver.servos.snapshot import BusSettings
 
 from ..emulated_ports import Babbler, written
 
-pytestmark = pytest.mark.realtime
-
 
 def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.set_speed(2, 1)

@@ -17,8 +17,6 @@ from deltacharger_tactile.source import ContactSource
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 
 class Echo:
     """Returns received bytes and counts its polls."""

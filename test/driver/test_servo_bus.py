@@ -18,8 +18,6 @@ from deltacharger_driver.servos.snapshot import BusSettings
 from ..waiting import wait_until
 from .servo_rig import BOUND, OVERLOAD
 
-pytestmark = pytest.mark.realtime
-
 
 def test_signs_follow_the_mounting(terminal: PseudoTerminal, arm: BenchArm) -> None:
     bus = ServoBus(BusSettings(terminal.path, zero_ticks=(2048, 2000, 2048), direction=(1, 1, -1)))

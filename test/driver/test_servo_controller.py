@@ -19,8 +19,6 @@ from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig
 
-pytestmark = pytest.mark.realtime
-
 
 def test_it_starts_without_torque_and_reports_everything(rig: Rig) -> None:
     report = rig.cycle()

@@ -16,8 +16,6 @@ from deltacharger_driver.servos.trajectory import ServoWaypoint, check
 
 from .servo_rig import DEFAULT, LIMITS, NAMES, START, Rig
 
-pytestmark = pytest.mark.realtime
-
 
 def test_a_trajectory_without_torque_is_refused(rig: Rig) -> None:
     rig.cycle()

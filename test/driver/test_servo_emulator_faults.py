@@ -28,8 +28,6 @@ from deltacharger_driver.servos.snapshot import BusSettings
 from .servo_host import Host, parse, words
 from .servo_rig import OVERLOAD
 
-pytestmark = pytest.mark.realtime
-
 
 def test_a_latched_error_switches_torque_off_and_only_a_reboot_clears_it(host: Host) -> None:
     host.write(1, "operating_mode", 5)

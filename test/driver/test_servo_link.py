@@ -14,8 +14,6 @@ from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, Port
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.link import ServoLink
 
-pytestmark = pytest.mark.realtime
-
 
 def test_a_second_program_finds_the_port_busy(terminal: PseudoTerminal, link: ServoLink) -> None:
     with pytest.raises(PortBusy, match="in use"):

@@ -36,7 +36,7 @@ from deltacharger_ros.node_support import StartupError
 from ..nodes import call, options
 from ..waiting import DEADLINE, wait_until
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 START = (-0.7, -0.5, 0.2)  # of `arm`
 VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not switch the torque off

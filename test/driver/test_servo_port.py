@@ -34,8 +34,6 @@ from deltacharger_driver.servos.snapshot import BusSettings
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
 STUFFING = bytes.fromhex("fffffd01fffdfd00")

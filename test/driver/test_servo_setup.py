@@ -16,8 +16,6 @@ from deltacharger_driver.servos.control_table import OK, ControlTable
 from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.snapshot import BusSettings
 
-pytestmark = pytest.mark.realtime
-
 
 def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
     closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch

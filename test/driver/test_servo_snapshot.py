@@ -18,8 +18,6 @@ from deltacharger_driver.servos.snapshot import READ_LENGTH, decode_block, has_r
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 6, 2, 0)
 
 

@@ -10,8 +10,6 @@ from deltacharger_driver.servos.mx64 import TICK
 
 from .servo_host import Host
 
-pytestmark = pytest.mark.realtime
-
 
 def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
     host.write(1, "bus_watchdog", 6)

@@ -8,7 +8,7 @@ import pytest
 from ..behind_board import SERVO_TESTS, BehindEmulator, behind
 from ..borrowed import anew, borrowed_tests
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 for _name in SERVO_TESTS:
     globals().update(borrowed_tests(anew(_name, "tests_behind_board", PseudoTerminal=behind(BehindEmulator)), set()))

@@ -36,7 +36,7 @@ from deltacharger_ros.node_support import StartupError
 from ..chargers import DEADLINE, new_namespace, wait_until
 from ..nodes import call, options
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 AT_ONCE = 8  # requests; a service queues ten
 

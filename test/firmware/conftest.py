@@ -65,7 +65,7 @@ def arm_programs(arm_compiler: None, tmp_path_factory: pytest.TempPathFactory) -
     return folder / "cortex-m3"
 
 
-ON_THE_BOARD = pytest.param("arm_programs", id="cortex-m3", marks=pytest.mark.slow)
+ON_THE_BOARD = pytest.param("arm_programs", id="cortex-m3", marks=pytest.mark.rest)
 
 
 @pytest.fixture(scope="session", params=[pytest.param("programs", id="here"), ON_THE_BOARD])

@@ -68,7 +68,7 @@ def test_fuzzing_finds_nothing(programs: Path) -> None:
     assert closes > 500
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_fuzzing_finds_the_same_on_the_boards_processor(programs: Path, arm_programs: Path) -> None:
     assert fuzz(arm_programs, 50_000) == fuzz(programs, 50_000)
 

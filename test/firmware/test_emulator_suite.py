@@ -14,7 +14,7 @@ NOT_OF_THE_BOARD = {
     "test_an_unknown_wire_fault_is_refused",
 }
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("firmware_boards")]
+pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 globals().update(borrowed_tests(on_firmware("test_board_emulator"), NOT_OF_THE_BOARD))
 globals().update(borrowed_tests(on_firmware("test_board_emulator_contactor"), set()))

@@ -17,8 +17,6 @@ from deltacharger_driver.board.samples import TactileSample
 
 from ..waiting import wait_until
 
-pytestmark = pytest.mark.realtime
-
 
 class Program:
     """`board_host --pty` and a link to it."""

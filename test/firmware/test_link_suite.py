@@ -19,6 +19,6 @@ NOT_OF_THE_BOARD = {
     "test_a_command_from_a_callback_is_refused",
 }
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("firmware_boards")]
+pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 globals().update(borrowed_tests(on_firmware("test_board_link"), NOT_OF_THE_BOARD))

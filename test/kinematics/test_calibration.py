@@ -77,7 +77,7 @@ def test_derivatives_match_the_geometry() -> None:
     assert np.allclose(Problem(rows, NOMINAL, STATED).sensitivity(x), expected, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_calibration_improves_accuracy() -> None:
     """Trial figures of the design note: 2.37 mm uncalibrated, 0.71 with angle offsets only, 0.048 with 18 numbers."""
     arms = [drawn_arm(seed) for seed in range(8)]
@@ -102,7 +102,7 @@ def test_a_calibration_improves_accuracy() -> None:
     assert mean["play"] < 0.25
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_stated_uncertainty_matches_the_real_errors() -> None:
     """The scatter of fitted minus true values and the workspace error match the stated standard deviations."""
     deviations, expected, real = [], [], []

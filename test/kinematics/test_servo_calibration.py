@@ -237,7 +237,7 @@ class TestBadArms:
         assert 400 < float(problem.split("about ")[1].split(",")[0]) < 680
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.timeout(900)  # a second of computing for each arm, many beside a busy processor
 def test_fifty_arms_are_measured_with_the_documented_accuracy() -> None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))

@@ -29,7 +29,7 @@ from deltacharger_lab.campaigns.summary import summarise, wilson
 from deltacharger_lab.campaigns.virtual_charger import TICK, VirtualCharger
 
 from ..chargers import Process, wait_until
-from ..marks import slow
+from ..marks import rest
 from .campaigns import QUICK, comparable, scene, settings, stored
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
@@ -123,7 +123,7 @@ def is_alive(process: int) -> bool:
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_workers_end_with_a_killed_parent(start: Callable[..., Process], tmp_path: Path, quick: str) -> None:
     out = tmp_path / "killed"
     process = start(*WORDS, "-n", "2000", "--scenes", quick, "--batch", "1", "--workers", "2", "--out", str(out))
@@ -134,7 +134,7 @@ def test_workers_end_with_a_killed_parent(start: Callable[..., Process], tmp_pat
     wait_until(lambda: not any(is_alive(worker) for worker in workers), "the workers' end")
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
     messages: list[str] = []
 
@@ -153,7 +153,7 @@ def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
     assert stored(tmp_path / "s") == comparable(run_batch(settings(12).to_json(), range(12)))
 
 
-@pytest.mark.parametrize("workers", ["1", slow("2")])
+@pytest.mark.parametrize("workers", ["1", rest("2")])
 def test_ctrl_c_leaves_a_resumable_file_and_exits_130(
     start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str, workers: str
 ) -> None:

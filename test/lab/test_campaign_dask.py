@@ -21,7 +21,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path) -> None:
     numbers: list[int] = []
     killed = threading.Event()

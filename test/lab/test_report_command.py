@@ -66,7 +66,7 @@ def test_without_a_needed_library_the_error_names_what_to_install(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("subject", "module"), [("tactile", "sklearn"), ("vision", "cv2")])
 def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, subject: str, module: str) -> None:

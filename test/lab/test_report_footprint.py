@@ -27,7 +27,6 @@ pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
 psutil = pytest.importorskip("psutil", reason="measures with deltacharger[report]")
 pytestmark = [
     pytest.mark.ros,
-    pytest.mark.realtime,
     pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux reports what a process uses"),
 ]
 MEGA = 1_000_000
@@ -155,7 +154,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder / "out", json.loads(ended.stdout), ended.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, messages = quick
     assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
@@ -174,7 +173,7 @@ def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], st
     assert "run 1 of 1" in messages
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_scene_that_does_not_run_is_reported_and_others_still_run(
     quick: tuple[Path, dict[str, Any], str],
 ) -> None:
@@ -184,7 +183,7 @@ def test_a_scene_that_does_not_run_is_reported_and_others_still_run(
     assert "no_such" in messages
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_pages_tables_are_well_formed_and_have_the_measurements(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, _ = quick
     page = (folder / "footprint.md").read_text("utf-8")

@@ -39,7 +39,7 @@ from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
 from ..chargers import DEADLINE, Process, Spin, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking
-from ..marks import slow
+from ..marks import rest
 from ..nodes import options
 from ..transforms import Robot as Broadcaster
 
@@ -432,7 +432,7 @@ def standing(content: dict[str, Any]) -> None:
     content["parameters"]["mission_node"] |= {"navigation": "none", "undock_timeout": 1.0}
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_stationary_charger_needs_no_navigator_and_reports_missing_docking(
     made: Callable[[Scene], Robot],
 ) -> None:
@@ -469,7 +469,7 @@ def test_closing_mission_node_ends_charging_and_its_goal_and_drives_nowhere(
     assert robot.place == stood
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
+@pytest.mark.parametrize("number", [signal.SIGINT, rest(signal.SIGTERM)])
 def test_the_process_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
     code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
     words = ["--ros-args", "-r", f"__ns:=/{namespace}"]

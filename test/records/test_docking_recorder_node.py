@@ -36,7 +36,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
 from deltacharger_scenes.scene import Scene
 
-from ..marks import slow
+from ..marks import rest
 from ..nodes import options
 
 pytestmark = pytest.mark.ros
@@ -176,7 +176,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("node", "fault", "name", "reason"),
     [
-        slow("mock_tactile_node", "unsure", "ESTIMATE_UNSURE", "measurements were unsure"),
+        rest("mock_tactile_node", "unsure", "ESTIMATE_UNSURE", "measurements were unsure"),
         ("mock_detector_node", "nothing", "ELECTRODES_NOT_FOUND", "move the robot"),
         ("mock_servo_node", "silence", "SERVO_FAULT", "servo_state"),
     ],

@@ -33,9 +33,9 @@ from deltacharger_sim.world import World
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 
-from ..marks import slow
+from ..marks import rest
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 QUICK = {
     "standoff": 0.006,
@@ -127,7 +127,7 @@ def complete(record: Recorder, *words: str) -> dict[str, Any]:
     raise AssertionError("servo faults in every call")
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_papers_sets_make_one_file_whose_offsets_the_estimator_finds(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
@@ -199,7 +199,7 @@ def _messages(path: Path, name: str, kind: Any) -> list[Any]:
     return [deserialize_message(each.data, kind) for each in file.messages(topic)]
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_kill_loses_no_reported_docking_and_the_same_call_continues(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
@@ -228,7 +228,7 @@ def test_a_kill_loses_no_reported_docking_and_the_same_call_continues(
     assert sorted(path.suffix for path in folder.iterdir()) == [".json"] + [".mcap"] * 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
+@pytest.mark.parametrize("number", [signal.SIGINT, rest(signal.SIGTERM)])
 def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     record: Recorder, charger: Charger, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -241,7 +241,7 @@ def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     assert len(Dataset.load(tmp_path / "F.npz")) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_docking_that_begins_during_a_recording_keeps_arm_and_torque(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference")
     process.wait_for_line("1 of 10", process.err)
@@ -255,7 +255,7 @@ def test_a_docking_that_begins_during_a_recording_keeps_arm_and_torque(record: R
     charger.assert_safe()
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_silent_pads_cause_retries_and_then_a_failure(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference", "--repeat", "2")
     process.wait_for_line("1 of 2", process.err)

@@ -316,7 +316,7 @@ def test_a_docking_is_drawn_as_an_animated_picture(
     assert (abs(last - first)[right].max(axis=2) > 40).mean() > 0.01, "the pads measure"
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_silent_topics_are_reported_and_ctrl_c_ends_it(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path
 ) -> None:

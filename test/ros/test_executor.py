@@ -40,7 +40,6 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "excepthook", lambda arguments: None)
 
 
-@pytest.mark.realtime
 def test_an_idle_executor_uses_no_processor_time(node: Node) -> None:
     ticks: list[None] = []
     node.create_timer(0.05, lambda: ticks.append(None))

@@ -25,7 +25,7 @@ from deltacharger_ros.node_support import StartupError
 from ..chargers import new_namespace
 from ..nodes import options
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 CONTENT = "{stiffness: 9.5, torque_constant: 1.31, position_p_gain: 300, position_d_gain: 4}"
 

@@ -21,7 +21,7 @@ from deltacharger_scenes.scene import Scene, SceneError, parse_scene
 from ..chargers import DEADLINE, new_namespace
 from ..quick import quick_simulation
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 BY_CAMERA = DockRequest(None)
 

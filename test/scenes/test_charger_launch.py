@@ -26,7 +26,7 @@ from .launched import (
     run_launch_tests,
 )
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAMESPACE = f"launch_{os.getpid()}"
 PLACE = Pose(0.0, 0.0, 0.080)

@@ -25,7 +25,7 @@ from deltacharger_ros.outcomes import DockRequest, Pose
 from ..chargers import DEADLINE, Process, dock_at_last, wait_until
 from .launched import FILE, PATIENCE, QUICK, QUICK_NODES, domain, need_the_package
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 pytest.importorskip("ros2launch", reason="ros2 launch comes with a ROS installation, not from PyPI")
 COMMAND = (sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())", "launch", str(FILE))

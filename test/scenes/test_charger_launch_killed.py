@@ -28,7 +28,7 @@ from .launched import (
     run_launch_tests,
 )
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAMESPACE = f"launch_killed_{os.getpid()}"
 KILLED = ("mock_detector_node", "misalignment_node", "kinematics_node")

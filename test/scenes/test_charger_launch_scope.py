@@ -28,7 +28,7 @@ from ..chargers import wait_until
 from ..nodes import call
 from .launched import assert_all_ended_with_0, charger, description, launch_testing, run_launch_tests
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GROUPS = ("simulated", "hardware")
 NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")

@@ -34,7 +34,7 @@ from .stopping import (
 )
 from .test_charger_launch_ends import COMMAND, finished_cleanly, output
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NODES = 5
 UNIT = dict(

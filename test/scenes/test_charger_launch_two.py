@@ -25,7 +25,7 @@ from .launched import (
 )
 from .test_two_chargers import Watched
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAMES = [f"launch_{side}_{os.getpid()}" for side in ("left", "right")]
 

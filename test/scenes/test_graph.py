@@ -30,7 +30,7 @@ from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
 from ..nodes import answer, options
 from ..quick import quick_simulation
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAME = re.compile(r"(\w+/)*\w+: \S.*")
 NOT_KNOWN = re.compile(r"\b(None|nan|NaN|inf)\b")

@@ -24,7 +24,7 @@ from deltacharger_ros.messages import CODES
 from ..chargers import new_namespace, wait_until
 from .killed import NODE_NAMES, OLDEST, Rig
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 PHASES = ("locate", "approach", "contact", "measure", "align", "energise", "charging", "retract")
@@ -62,7 +62,7 @@ _CHILD = "DELTACHARGER_STRIKES_NODES"
 in_a_child = pytest.mark.skipif(_CHILD not in os.environ, reason="run by test_nodes_are_struck")
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.timeout(3600 if "DELTACHARGER_WHOLE_MATRIX" in os.environ else 600)
 @pytest.mark.skipif(_CHILD in os.environ, reason="this is the child")
 def test_nodes_are_struck() -> None:

@@ -34,7 +34,7 @@ from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Process, dock_at_last, new_namespace, wait_until
-from ..marks import slow
+from ..marks import rest
 from ..nodes import answer, call, options
 from .test_processes import arguments
 
@@ -95,7 +95,7 @@ def assert_logged_in_order(lines: list[str], title: str) -> None:
     assert {"approach", "contact", "measure", "energise"} <= {after for _, after in passages}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
+@pytest.mark.parametrize("number", [signal.SIGINT, rest(signal.SIGTERM)])
 def test_a_good_docking_in_processes_is_logged_from_goal_to_end_without_a_warning(
     start: Callable[..., Process], quick_scene: Scene, context: Any, namespace: str, number: int
 ) -> None:

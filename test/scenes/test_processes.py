@@ -16,7 +16,7 @@ from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import DEADLINE, Process, dock_at_last
-from ..marks import slow
+from ..marks import rest
 
 pytestmark = pytest.mark.ros
 
@@ -30,7 +30,7 @@ def arguments(scene: Scene, name: str, namespace: str) -> list[str]:
     return words
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
+@pytest.mark.parametrize("number", [signal.SIGINT, rest(signal.SIGTERM)])
 def test_nodes_in_processes_dock_and_end_with_0(
     start: Callable[..., Process], quick_scene: Scene, context: Any, namespace: str, number: int
 ) -> None:
@@ -44,7 +44,7 @@ def test_nodes_in_processes_dock_and_end_with_0(
 
 
 @pytest.mark.parametrize(
-    "name", ["mock_servo_node", *map(slow, ("mock_tactile_node", "mock_detector_node", "kinematics_node"))]
+    "name", ["mock_servo_node", *map(rest, ("mock_tactile_node", "mock_detector_node", "kinematics_node"))]
 )
 def test_an_unknown_parameter_ends_a_node_with_2_and_is_named(
     start: Callable[..., Process], quick_scene: Scene, namespace: str, name: str

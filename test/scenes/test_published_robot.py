@@ -21,7 +21,7 @@ from ..chargers import DEADLINE, new_namespace
 from ..nodes import options
 from ..quick import quick_simulation
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 

@@ -19,15 +19,15 @@ from deltacharger_ros.outcomes import DockRequest, Pose, Progress
 from deltacharger_scenes.composition import Composition
 
 from ..chargers import DEADLINE
-from ..marks import slow
+from ..marks import rest
 from ..quick import SCENE, STEPS, quick_simulation
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 MOVED = {"overlap_loss_max": 0.004, "landing_limit": 0.0025}  # as by default, so that the arm must move to align
 HERE = Pose(0.0, 0.0, 0.080)
 GOAL = DockRequest(HERE)
-PHASES = [*map(slow, ("approach", "contact", "measure", "align")), "energise"]
+PHASES = [*map(rest, ("approach", "contact", "measure", "align")), "energise"]
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_a_cancel_in_any_phase_ends_safely_and_the_next_goal_is_served(
     assert_safe(charger)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("phase", ["approach", "energise"])
 def test_sigint_cancels_and_exits_with_130(
     start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, namespace: str, tmp_path: Path

@@ -24,7 +24,7 @@ from ..chargers import Process, wait_until
 from .stopping import ALARM, CONTAINER, OPEN, Stopped, first, lives, needs_containers
 from .test_processes import arguments
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 Start = Callable[..., Process]
@@ -46,8 +46,8 @@ def stopped(tmp_path: Path, namespace: str, context: Any) -> Iterator[Stopped]:
     ("signals", "code"),
     [
         pytest.param((INT, INT), 130, id="Ctrl-C_twice"),
-        pytest.param((TERM,), 0, id="docker_stop", marks=pytest.mark.slow),
-        pytest.param((HUP, TERM), 0, id="closed_terminal", marks=pytest.mark.slow),
+        pytest.param((TERM,), 0, id="docker_stop", marks=pytest.mark.rest),
+        pytest.param((HUP, TERM), 0, id="closed_terminal", marks=pytest.mark.rest),
     ],
 )
 def test_up_makes_a_charging_charger_safe(
@@ -81,7 +81,7 @@ def test_nodes_that_get_signals_until_they_end_make_a_charging_charger_safe(
 
 
 @needs_containers
-@pytest.mark.parametrize(("number", "code"), [(TERM, 0), pytest.param(INT, 130, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("number", "code"), [(TERM, 0), pytest.param(INT, 130, marks=pytest.mark.rest)])
 def test_docker_stop_of_up_makes_a_charging_charger_safe(
     stopped: Stopped, start: Start, deltacharger: tuple[str, ...], namespace: str, number: int, code: int
 ) -> None:

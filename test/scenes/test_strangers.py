@@ -31,7 +31,7 @@ from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
 from ..nodes import TELLS_PUBLISHERS, options
 from ..quick import quick_simulation
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 NAMESPACE = "strangers"
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
@@ -155,7 +155,7 @@ class Callers:
             spinner.close()
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_endless_probes_and_tares_prevent_no_docking(charger: Composition, client: ChargerClient, context: Any) -> None:
     callers = [Callers(context, Probe, "probe", 3), Callers(context, Trigger, "tare", 2)]
     try:

@@ -32,11 +32,11 @@ from deltacharger_ros.qos import STATE
 from deltacharger_scenes.composition import Composition
 
 from ..chargers import DEADLINE, new_namespace, wait_until
-from ..marks import slow
+from ..marks import rest
 from ..quick import quick_simulation
 from .strangers import Stranger, lie
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 Wire: TypeAlias = Callable[[Stranger], None]
@@ -157,26 +157,26 @@ def dock_beside(charger: Charger, come: Come, wire: Wire) -> tuple[Outcome, floa
     return outcome, current
 
 
-@pytest.mark.parametrize("topic", [slow(name) for name in TOPICS])
+@pytest.mark.parametrize("topic", [rest(name) for name in TOPICS])
 def test_no_contactor_closes_beside_a_second_publisher(charger: Charger, stranger: Come, topic: str) -> None:
     outcome, current = dock_beside(charger, stranger, lambda each: each.speaks(TOPICS[topic], topic))
     assert not outcome.success
     assert current == 0.0
 
 
-@pytest.mark.parametrize("service", [name if name == "predict_misalignment" else slow(name) for name in SERVICES])
+@pytest.mark.parametrize("service", [name if name == "predict_misalignment" else rest(name) for name in SERVICES])
 def test_no_contactor_closes_beside_a_second_server(charger: Charger, stranger: Come, service: str) -> None:
     outcome, current = dock_beside(charger, stranger, lambda each: each.answers(SERVICES[service], service))
     assert not outcome.success
     assert current == 0.0
 
 
-@pytest.mark.parametrize("service", [slow(name) for name in ASKED])
+@pytest.mark.parametrize("service", [rest(name) for name in ASKED])
 def test_absurd_service_calls_do_no_harm(charger: Charger, stranger: Come, service: str) -> None:
     dock_beside(charger, stranger, lambda each: each.asks(ASKED[service], service))
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("action", [Dock, Undock])
 def test_random_goals_do_no_harm(charger: Charger, stranger: Come, action: Any) -> None:
     dock_beside(charger, stranger, lambda each: each.sends_goals(action, action.__name__.lower()))

@@ -24,7 +24,7 @@ from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Process, dock_at_last, new_namespace, wait_until
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 

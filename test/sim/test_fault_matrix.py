@@ -18,7 +18,7 @@ from .fault_bench import Bench, Phase
 from .fault_cell import check_fault
 from .fault_table import BOARD_ROWS, SERVO_ROWS, Row
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 ROWS = SERVO_ROWS + BOARD_ROWS
 QUICK = {
@@ -32,7 +32,7 @@ QUICK = {
 }
 """One cell for each way in which a fault shows; the other cells cover more kinds and phases."""
 CELLS = [
-    pytest.param(phase, row, id=f"{phase.value}-{row.name}", marks=[] if row.name in names else [pytest.mark.slow])
+    pytest.param(phase, row, id=f"{phase.value}-{row.name}", marks=[] if row.name in names else [pytest.mark.rest])
     for phase, names in QUICK.items()
     for row in ROWS
 ]

@@ -28,7 +28,7 @@ from ..chargers import DEADLINE, new_namespace, wait_until
 from ..nodes import call
 from .fault_pulse import Pulse
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 # Touch counts as aligned after one docking; alignment is not tested here.
@@ -68,7 +68,7 @@ FAMILIES = (
 QUICK = {("contact", "servo_missing"), ("charging", "servo_overload"), ("charging", "board_unplugged")}
 CELLS = [
     pytest.param(
-        phase, each, id=f"{phase}-{each.kind}", marks=[] if (phase, each.kind) in QUICK else [pytest.mark.slow]
+        phase, each, id=f"{phase}-{each.kind}", marks=[] if (phase, each.kind) in QUICK else [pytest.mark.rest]
     )
     for phase in PHASES
     for each in FAMILIES

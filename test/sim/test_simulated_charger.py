@@ -24,8 +24,6 @@ from deltacharger_sim.charger.simulation import Simulation
 
 from ..chargers import Process, wait_until
 
-pytestmark = pytest.mark.realtime
-
 BOARD_HELLO_TYPE = 3
 
 

@@ -16,7 +16,7 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError, ModelError
 from deltacharger_tactile.generator import generate_continuous, generate_paper
 
-from ..marks import slow
+from ..marks import rest
 
 NEEDS = {"gbdt": "sklearn", "xgboost": "xgboost", "nn": "torch", "cnn": "torch"}
 SIMPLE = "lda"
@@ -39,7 +39,7 @@ def trained(name: str, rows: Examples, target: str = "angle") -> tuple[Classifie
     return model, rows.part(judges)
 
 
-@pytest.mark.parametrize("name", [slow(name) if NEEDS.get(name) == "torch" else name for name in NAMES])
+@pytest.mark.parametrize("name", [rest(name) if NEEDS.get(name) == "torch" else name for name in NAMES])
 def test_numpy_export_matches_the_trained_model(name: str, angle: Examples, tmp_path: Path) -> None:
     model, rows = trained(name, angle)
     found = model.predict_proba(rows.frames)
@@ -53,7 +53,7 @@ def test_numpy_export_matches_the_trained_model(name: str, angle: Examples, tmp_
     np.load(tmp_path / "model.npz", allow_pickle=False)
 
 
-@pytest.mark.parametrize("name", ["forest", slow("cnn")])
+@pytest.mark.parametrize("name", ["forest", rest("cnn")])
 def test_same_seed_gives_the_same_model(name: str, angle: Examples) -> None:
     one, rows = trained(name, angle)
     two, _ = trained(name, angle)

@@ -32,7 +32,7 @@ def test_the_defaults_match_the_frozen_parameters() -> None:
     assert default_model().about["parameters"] == FROZEN_DEFAULTS
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
     pytest.importorskip("torch", reason="trains with deltacharger[train]")
     frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())

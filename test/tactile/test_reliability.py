@@ -18,11 +18,11 @@ from deltacharger_tactile.errors import ModelError
 from deltacharger_tactile.generator import generate_paper
 from deltacharger_tactile.parameters import TactileParameters
 
-from ..marks import slow
+from ..marks import rest
 
 Frames = NDArray[np.float64]
 RIG, THRESHOLD = 311, 0.25
-TARGETS = ("angle", slow("horizontal"))
+TARGETS = ("angle", rest("horizontal"))
 
 
 def docked(target: str, seed: int, parameters: TactileParameters | None = None, rig: int = RIG) -> Frames:

@@ -56,7 +56,7 @@ def error(model: PoseEstimator, made: TactileCalibration, dockings: KnownDocking
     return np.sqrt(np.mean((pose - dockings.truth)[usable] ** 2, axis=0))
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_gains_are_found_and_help_on_other_dockings(model: PoseEstimator) -> None:
     before, after = [], []
     for seed in range(650, 656):
@@ -92,7 +92,7 @@ def test_a_mounting_error_of_the_pads_is_found(model: PoseEstimator) -> None:
     assert np.all(error(model, made, fresh)[1:] < 0.5 * error(model, TactileCalibration(), fresh)[1:])
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_jitter_of_few_dockings_is_not_taken_for_an_error(model: PoseEstimator) -> None:
     kept = []
     for seed in range(16):

@@ -19,7 +19,7 @@ from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.terminal import Terminal
 
-from ..marks import slow
+from ..marks import rest
 from .detector_scenes import (
     clutter,
     error,
@@ -46,7 +46,7 @@ def one_thread() -> None:
     cv2.setNumThreads(1)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_errors_match_the_covariance() -> None:
     squares, across, along, rolls = [], [], [], []
     frames = 200
@@ -237,7 +237,7 @@ def test_lens_distortion_hides_no_sides_of_the_bars(distortion: tuple[float, ...
         assert np.linalg.norm(error(found, pose)) < 0.001
 
 
-@pytest.mark.parametrize("percent", [-2.0, slow(-1.0), slow(1.0), 2.0])
+@pytest.mark.parametrize("percent", [-2.0, rest(-1.0), rest(1.0), 2.0])
 def test_depth_corrects_a_slightly_wrong_focal_length(percent: float) -> None:
     factor = 1.0 + percent / 100.0
     wrong_lens = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)

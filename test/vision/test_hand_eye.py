@@ -21,7 +21,7 @@ from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.rendering.camera import OAK_D
 
-from ..marks import slow
+from ..marks import rest
 from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -87,7 +87,7 @@ def test_the_derivatives_match_the_residuals() -> None:
     np.testing.assert_allclose(by_position[:, :, 0], change, rtol=1e-4, atol=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize(("count", "pixel", "arm"), [(5, 0.05, 1e-4), (12, 0.3, 1e-5), (12, 0.05, 4e-4)])
 def test_errors_match_the_covariance(count: int, pixel: float, arm: float) -> None:
     pose, point, dock = [], [], []
@@ -160,7 +160,7 @@ def test_a_third_of_wrong_views_is_a_doubt() -> None:
     assert np.linalg.norm(rig.dock_error(found.mount)) < 0.002
 
 
-@pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, slow(1.5)])
+@pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, rest(1.5)])
 def test_a_wrong_size_is_reported_with_the_likely_one(true_size: float) -> None:
     rig = Rig(8, true_size=true_size)
     _, reasons = judged(rig, rig.views(15))
@@ -177,7 +177,7 @@ def test_a_right_size_is_not_doubted() -> None:
         assert abs(found.size - 1.0) < 5.0 * found.size_stddev
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
     wrong, right, surprise = 0, 0, []
     for seed in range(12):
@@ -283,7 +283,7 @@ def test_too_few_views_and_places_are_refused() -> None:
     assert any("6 views are few" in text for text in notes(found, names(views)))
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_positions_of_other_images_are_doubted() -> None:
     rig = Rig(14)
     views = rig.views(20)

@@ -18,7 +18,7 @@ from deltacharger_vision.detector.electrode_detector_node_io import Shot
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.terminal import Terminal
 
-from ..marks import slow
+from ..marks import rest
 
 pytestmark = pytest.mark.ros
 
@@ -56,7 +56,7 @@ def calibration(dice: random.Random) -> CameraInfo:
     return message
 
 
-@pytest.mark.parametrize(("seed", "count"), [(1, 200), slow(2, 5000)])
+@pytest.mark.parametrize(("seed", "count"), [(1, 200), rest(2, 5000)])
 def test_no_image_raises_an_unnamed_error(seed: int, count: int) -> None:
     dice, detector = random.Random(seed), ElectrodeDetector(Terminal())
     read, refused = 0, list[str]()

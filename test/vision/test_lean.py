@@ -36,7 +36,7 @@ def lean_errors(seeds: range, nearest: float, farthest: float) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize(("nearest", "farthest"), [(0.18, 0.22), (0.22, 0.28), (0.28, 0.35), (0.35, 0.7)])
 def test_errors_of_the_lean_match_its_uncertainty(nearest: float, farthest: float) -> None:
     sigmas = lean_errors(range(21_000, 21_200), nearest, farthest)

@@ -57,7 +57,7 @@ def test_some_are_found_and_none_is_confidently_wrong(kind: str) -> None:
     assert sum(found is not None for found, _ in looks) >= 2
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", KINDS)
 def test_none_of_many_is_confidently_wrong(kind: str) -> None:
     looks = [look(kind, seed) for seed in range(22_300, 22_500)]

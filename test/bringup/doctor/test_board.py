@@ -18,8 +18,6 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from ...waiting import wait_until
 from .found import one, only
 
-pytestmark = pytest.mark.realtime
-
 
 def board_findings(port: str, watched: float = 0.5) -> list[Finding]:
     return list(examine_board(port, 1_000_000, watched))

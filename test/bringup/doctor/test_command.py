@@ -16,8 +16,6 @@ from ...emulated_ports import IDS
 from ...waiting import wait_until
 from .. import command
 
-pytestmark = pytest.mark.realtime
-
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
     code, out, _ = command.run(capsys, "doctor", *words, "--json")

@@ -17,8 +17,6 @@ from deltacharger_driver.serial_open import open_serial
 
 from .found import one
 
-pytestmark = pytest.mark.realtime
-
 
 def test_a_busy_port_names_its_user(board_port: str) -> None:
     script = "import sys, serial; port = serial.Serial(sys.argv[1], exclusive=True); print('open', flush=True); input()"

@@ -14,8 +14,6 @@ from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 from ...emulated_ports import written
 from .found import one, only, servo_findings
 
-pytestmark = pytest.mark.realtime
-
 
 def test_healthy_servos_are_ok_and_nothing_is_written(servos: ServoBusEmulator, servo_port: str) -> None:
     before = written(servos)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from deltacharger_bringup.doctor.set_baud import set_baud
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
@@ -12,8 +10,6 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 from ...emulated_ports import IDS, written
 from .found import LIKELY, only, servo_findings
-
-pytestmark = pytest.mark.realtime
 
 
 def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: ServoBusEmulator, servo_port: str) -> None:

@@ -16,8 +16,6 @@ from deltacharger_driver.board.protocol import POWER_RATE, BoardFault
 from .host import BoardHost
 from .sites import BoardSite, holds
 
-pytestmark = pytest.mark.realtime
-
 LARGEST_VOLTAGE = 60.0  # V
 LEAKAGE = 0.5  # A, largest reading with an open contactor
 

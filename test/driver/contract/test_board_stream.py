@@ -20,8 +20,6 @@ from deltacharger_driver.port_identity import identify
 from .host import BoardHost
 from .sites import BoardSite, holds, until
 
-pytestmark = pytest.mark.realtime
-
 STRETCH = 120  # frames
 SETTLED = 40  # frames whose stamps must follow the board's clock
 STAMP_STEP = 0.002  # s

@@ -26,8 +26,6 @@ from deltacharger_driver.board.protocol import (
 
 from .sites import BoardSite
 
-pytestmark = pytest.mark.realtime
-
 UNKNOWN_TYPE = 200
 STOP = encode_packet(Packet(PacketType.STOP, sequence=9))
 DAMAGES: list[tuple[str, Callable[[bytes], bytes]]] = [

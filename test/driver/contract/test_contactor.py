@@ -14,7 +14,7 @@ from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PR
 from .host import BoardHost
 from .sites import BoardSite, holds, until
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_close")]
+pytestmark = pytest.mark.usefixtures("may_close")
 
 LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
 SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that reports open

@@ -12,8 +12,6 @@ import pytest
 
 from .sites import emulated_board, emulated_servos
 
-pytestmark = pytest.mark.realtime
-
 HERE = Path(__file__).parent
 REPOSITORY = HERE.parents[2]
 

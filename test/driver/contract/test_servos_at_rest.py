@@ -40,8 +40,6 @@ from deltacharger_driver.servos.snapshot import (
 
 from .sites import ServoSite, holds, until
 
-pytestmark = pytest.mark.realtime
-
 OLDEST_FIRMWARE = 39
 CYCLES = 200
 RATE = 100.0  # Hz, of servo_node

@@ -20,7 +20,7 @@ from deltacharger_driver.servos.snapshot import WATCHDOG, BusSnapshot
 
 from .sites import ServoSite, until
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_move")]
+pytestmark = pytest.mark.usefixtures("may_move")
 
 STEP = math.radians(5.0)
 BOUND = 0.5  # A, less than in docking; 0.7 N·m
