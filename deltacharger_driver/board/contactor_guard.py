@@ -41,19 +41,22 @@ class ContactorGuard:
     Args:
         link: to the board.
         on_lease: called when a lease begins, so that the owner calls `tick` when it lapses.
+        clock: s; the one of the samples' times and of the link's heartbeat.
     """
 
     def __init__(
         self,
         link: BoardLink,
         on_lease: Callable[[], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._link = link
         self._on_lease = on_lease
+        self._clock = clock
         self._lease = ContactorLease()
         self._lock = threading.Lock()  # lease and observations; never held while waiting
         self._commands = threading.Lock()  # one contactor command at a time
-        self._probe = SharedCall(self._measure, _PROBE_SHARED)
+        self._probe = SharedCall(self._measure, _PROBE_SHARED, clock)
         self._power_seen = threading.Condition(self._lock)
         self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
@@ -65,7 +68,7 @@ class ContactorGuard:
     def lease_record(self) -> dict[str, object]:
         """Return holder and remaining time of the lease, and counts since the start, for diagnostics."""
         with self._lock:
-            lease, now = self._lease, time.monotonic()
+            lease, now = self._lease, self._clock()
             live = lease.is_live(now)
             return {
                 "holder": lease.holder if live else "",
@@ -80,12 +83,12 @@ class ContactorGuard:
     def probe_record(self) -> tuple[float, float]:
         """Return the last probe's ohm (NaN = none) and its age in s (inf = none, or voided by an opening)."""
         with self._lock:
-            return self._lease.resistance, self._lease.probe_age(time.monotonic())
+            return self._lease.resistance, self._lease.probe_age(self._clock())
 
     def remaining(self) -> float:
         """Return the seconds until `tick` is due; inf without a lease."""
         with self._lock:
-            return self._lease.remaining(time.monotonic())
+            return self._lease.remaining(self._clock())
 
     def observe_tactile(self, sample: TactileSample) -> None:
         """Record a tactile frame."""
@@ -142,7 +145,7 @@ class ContactorGuard:
             with self._commands:  # refuse without waiting for a probe
                 self._open_if_lapsed()
                 with self._lock:
-                    self._check(holder, duration, token, time.monotonic())
+                    self._check(holder, duration, token, self._clock())
             with self._probe:
                 return self._close(holder, duration, token)
         except DriverError as error:
@@ -155,7 +158,7 @@ class ContactorGuard:
         with self._commands:
             self._open_if_lapsed()
             with self._lock:
-                now = time.monotonic()
+                now = self._clock()
                 renewal = self._lease.is_live(now)
                 self._check(holder, duration, token, now)
                 until = self._lease.take(holder, duration, now, token)
@@ -239,7 +242,7 @@ class ContactorGuard:
 
     def _open_if_lapsed(self) -> None:
         with self._lock:
-            lapsed = self._lease.has_lapsed(time.monotonic())
+            lapsed = self._lease.has_lapsed(self._clock())
             self._lease.lapses += lapsed
         if lapsed:
             self._end_lease()
@@ -259,7 +262,7 @@ class ContactorGuard:
         with self._commands:
             self._open_if_lapsed()
         with self._lock:
-            if self._lease.is_live(time.monotonic()):
+            if self._lease.is_live(self._clock()):
                 raise LeaseRefused(f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
             openings = self._lease.openings
         result = self._link.probe()
@@ -279,13 +282,13 @@ class ContactorGuard:
         """
         with self._lock:
             self._shut = True
-            now = time.monotonic()
+            now = self._clock()
             power = self._power
             fresh = power is not None and now - power.time <= STALE_POWER
             if fresh and power is not None and not power.power.contactor_closed and not self._lease.holder:
                 return True
         self.open()
-        opened_at = time.monotonic()
+        opened_at = self._clock()
         with self._power_seen:
             return self._power_seen.wait_for(lambda: self._seen_open_since(opened_at), _CONFIRM_TIME)
 

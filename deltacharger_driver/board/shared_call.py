@@ -24,11 +24,13 @@ class SharedCall(Generic[Result]):
         action: what is called; takes a moment.
         lasts: s for which later callers reuse a result that several callers awaited. Without it, each caller queued
             for a thread would cost its own call.
+        clock: s.
     """
 
-    def __init__(self, action: Callable[[], Result], lasts: float) -> None:
+    def __init__(self, action: Callable[[], Result], lasts: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._action = action
         self._lasts = lasts
+        self._clock = clock
         self._changed = threading.Condition()
         self._running: _Run[Result] | None = None
         self._last: _Run[Result] | None = None  # the last success, if several callers awaited it
@@ -39,7 +41,7 @@ class SharedCall(Generic[Result]):
         with self._changed:
             run = self._running
             last = self._last
-            if run is None and last and last.later < _LATER and time.monotonic() - last.ended < self._lasts:
+            if run is None and last and last.later < _LATER and self._clock() - last.ended < self._lasts:
                 last.later += 1
                 return last.outcome()
             if run is None:
@@ -47,13 +49,13 @@ class SharedCall(Generic[Result]):
                 run = self._running
             begins = run is None
             if run is None:
-                run = self._running = _Run()
+                run = self._running = _Run(self._clock())
             run.callers += 1
         if begins:
             self._call(run)
         run.done.wait()
         if run.error is not None:
-            time.sleep(max(run.began + _REFUSAL - time.monotonic(), 0.0))
+            time.sleep(max(run.began + _REFUSAL - self._clock(), 0.0))
         return run.outcome()
 
     def forget(self) -> None:
@@ -67,7 +69,7 @@ class SharedCall(Generic[Result]):
         except BaseException as error:
             run.error = error
         finally:
-            run.ended = time.monotonic()
+            run.ended = self._clock()
             with self._changed:
                 self._running = None
                 self._last = run if run.callers > 1 and run.error is None else None
@@ -90,12 +92,12 @@ class SharedCall(Generic[Result]):
 class _Run(Generic[Result]):
     """One call: its waiting and later callers, its outcome, and its start and end (s)."""
 
-    def __init__(self) -> None:
+    def __init__(self, began: float) -> None:
         self.done = threading.Event()
         self.result: Result | None = None
         self.error: BaseException | None = None
         self.callers = self.later = 0
-        self.began, self.ended = time.monotonic(), 0.0
+        self.began, self.ended = began, 0.0
 
     def outcome(self) -> Result:
         """Return the result or raise the error."""
