@@ -62,7 +62,7 @@ class Bench:
             if self._beat > until:
                 break
             self._advance(self._beat)
-            self.send((PacketType.HEARTBEAT, b""))
+            self.beat()
             self._beat += 20 * MS
         self._advance(until)
         return self.packets[start:]
@@ -98,6 +98,20 @@ class Bench:
         """One value of the host program's `state`."""
         return self.host.state()[name]
 
+    def check(self, **expected: float) -> None:
+        """Assert values of the state."""
+        state = self.host.state()
+        assert {name: state[name] for name in expected} == expected
+
+    def beat(self, last: bool = False) -> None:
+        """Send a heartbeat; the last one ends the regular ones."""
+        self.beating = self.beating and not last
+        self.send((PacketType.HEARTBEAT, b""))
+
+    def reboot(self) -> None:
+        """Boot now."""
+        self.host.sent(f"boot {self.now}")
+
     def probe(self) -> Ack:
         """Probe and wait for the answer."""
         return self.ask(PacketType.PROBE, wait=160 * MS)
@@ -117,8 +131,7 @@ class Bench:
         assert self.probe().error == 0
         assert self.close_contactor() == 0
         self.run(duration)
-        state = self.host.state()
-        assert (state["contactor"], state["commanded"], state["fault"]) == (1, 1, 0)
+        self.check(contactor=1, commanded=1, fault=0)
         return self
 
     def run_until(self, name: str, value: float, longest: int, step: int = 1 * MS) -> int:

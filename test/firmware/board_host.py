@@ -8,8 +8,8 @@ import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
-from typing import ClassVar
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
 from deltacharger_driver.pseudo_terminal import ByteDevice
 
-from ..borrowed import anew
+from ..borrowed import anew, borrowed_tests
 
 
 class BoardHost:
@@ -178,10 +178,12 @@ class FirmwareBoard:
         return int(self.host.state()["unknown"])
 
     @property
-    def counters(self) -> Counters:
-        """Counters of the board's decoder."""
-        state = self.host.state()
-        return Counters(int(state["version"]), int(state["header"]), int(state["refused"]))
+    def counters(self) -> SimpleNamespace:
+        """The part of `DecoderCounters` that the driver's tests use."""
+        version, header, refused = (int(self.host.state()[name]) for name in ("version", "header", "refused"))
+        return SimpleNamespace(
+            version_errors=version, header_errors=header, refused_version=None if refused < 0 else refused
+        )
 
     def reboot(self) -> None:
         """Boot at the next poll."""
@@ -269,15 +271,8 @@ class FirmwareBus:
         return math.inf if self._device is None else self._device.next_event(now)
 
 
-class Counters:
-    """The part of `DecoderCounters` used by the driver's tests."""
-
-    def __init__(self, version_errors: int, header_errors: int, refused_version: int) -> None:
-        self.version_errors = version_errors
-        self.header_errors = header_errors
-        self.refused_version = None if refused_version < 0 else refused_version
-
-
-def on_firmware(name: str) -> ModuleType:
-    """Return a test module of the driver with the firmware as board and the host program as bench."""
-    return anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)
+def on_firmware(name: str, without: set[str] | None = None, mark: Any = None) -> dict[str, object]:
+    """Return a driver test module's tests, marked, and fixtures, with the firmware as board and its bench."""
+    module = anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)
+    borrowed = borrowed_tests(module, without or set())
+    return {key: mark(test) if mark and key.startswith("test_") else test for key, test in borrowed.items()}

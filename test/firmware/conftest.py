@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The firmware's host programs, built once per run with every warning an error: for this computer with sanitizers, and
-for the board's processor, which QEMU emulates."""
+"""The firmware's host programs: for this computer with sanitizers, and at night for the board's processor, which QEMU
+emulates."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -12,63 +11,37 @@ from pathlib import Path
 
 import pytest
 
+from ..marks import night
 from .bench import Bench
 from .board_host import FirmwareBoard
-
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
-
-
-def make(folder: Path, *arguments: str) -> str:
-    """Build the firmware in a folder and return what make printed."""
-    command = ["make", "-C", str(FIRMWARE), f"BUILD={folder}", *arguments]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stdout + built.stderr
-    return built.stdout
+from .build import host_programs, make, once
 
 
 @pytest.fixture(scope="session")
-def compiler() -> str:
-    """The C compiler that make uses."""
-    name = os.environ.get("CC", "cc")
-    if shutil.which(name) is None:
-        pytest.skip(f"no C compiler: '{name}' is not on the PATH")
+def programs() -> Path:
+    """The folder of board_host, codec and fuzz."""
+    return host_programs()
+
+
+@pytest.fixture(scope="session")
+def arm_compiler() -> str:
+    """The compiler for the board's processor, with its C library."""
+    name = "arm-none-eabi-gcc"
+    library = [name, "-mcpu=cortex-m3", "-mthumb", "-print-file-name=rdimon.specs"]
+    if not shutil.which(name) or not Path(subprocess.check_output(library, text=True).strip()).exists():
+        pytest.skip("no arm-none-eabi-gcc with newlib for the board's Cortex-M3: make cross")
     return name
 
 
 @pytest.fixture(scope="session")
-def programs(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of board_host, codec and fuzz."""
-    folder = tmp_path_factory.mktemp("firmware")
-    make(folder, f"CC={compiler}", "sanitize")
-    return folder / "sanitize"
-
-
-@pytest.fixture(scope="session")
-def arm_compiler() -> None:
-    """The compiler for the board's processor and its C library."""
-    try:
-        library = ["arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-print-file-name=rdimon.specs"]
-        found = Path(subprocess.run(library, capture_output=True, text=True, check=True).stdout.strip()).exists()
-    except FileNotFoundError:
-        found = False
-    if not found:
-        pytest.skip("no arm-none-eabi-gcc with newlib for the board's Cortex-M3: make cross")
-
-
-@pytest.fixture(scope="session")
-def arm_programs(arm_compiler: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def arm_programs(arm_compiler: str) -> Path:
     """The folder of board_host (without --pty), codec and fuzz for the board's processor, each run by QEMU."""
     if shutil.which("qemu-system-arm") is None:
         pytest.skip("no qemu-system-arm that emulates the board's Cortex-M3: make cross")
-    folder = tmp_path_factory.mktemp("firmware")
-    make(folder, "cortex-m3")
-    return folder / "cortex-m3"
+    return once("cortex-m3", arm_compiler, lambda folder: make(folder, "cortex-m3")) / "cortex-m3"
 
 
-ON_THE_BOARD = pytest.param("arm_programs", id="cortex-m3", marks=pytest.mark.rest)
-
-
-@pytest.fixture(scope="session", params=[pytest.param("programs", id="here"), ON_THE_BOARD])
+@pytest.fixture(scope="session", params=["programs", night("arm_programs")], ids=["here", "cortex-m3"])
 def core(request: pytest.FixtureRequest) -> Path:
     """The folder of board_host, codec and fuzz: the core on this computer's processor, then on the board's."""
     return request.getfixturevalue(request.param)

@@ -15,13 +15,13 @@ from deltacharger_driver.board.protocol import FLAG_TARED, Packet, PacketDecoder
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 
+from ..marks import night, rest
 from .board_host import FirmwareBoard, FirmwarePlant
 
 pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 STEP = 0.005
 PROBE_TIME = 0.152  # ends between two steps, whatever the rounding
-DAYS, DEEDS = 8, 120
 COMMANDS = [
     *[(PacketType.CONTACTOR, b"\1")] * 6,
     *[(PacketType.CONTACTOR, b"\0")] * 2,
@@ -166,11 +166,11 @@ class Day:
             self.run(1e-3 * ((20 - phase) % 50))
 
 
-@pytest.mark.parametrize("seed", range(DAYS))
-def test_a_random_session_is_the_same_on_both_boards(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "deeds"), [(3, 20), rest(0, 120), *(night(seed, 120) for seed in range(1, 8))])
+def test_a_random_session_is_the_same_on_both_boards(seed: int, deeds: int) -> None:
     day = Day(seed)
     emulated, firmware = day.sides
-    for _ in range(DEEDS):
+    for _ in range(deeds):
         day.do_something()
         assert firmware.story() == emulated.story()
         assert firmware.state() == emulated.state()

@@ -15,7 +15,7 @@ from ..borrowed import anew, borrowed_tests
 from ..driver.contract.sites import DEAD_TAXEL, LOAD, BoardSite
 from .board_host import FirmwareBoard, FirmwarePlant
 
-pytestmark = pytest.mark.rest
+pytestmark = pytest.mark.night
 
 for _name in ("conftest", "test_board_power", "test_board_stream", "test_board_wire", "test_contactor"):
     globals().update(borrowed_tests(anew(f"contract.{_name}", "contract_on_firmware"), set()))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-from ..borrowed import borrowed_tests
 from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
@@ -16,6 +15,6 @@ NOT_OF_THE_BOARD = {
 
 pytestmark = pytest.mark.usefixtures("firmware_boards")
 
-globals().update(borrowed_tests(on_firmware("test_board_emulator"), NOT_OF_THE_BOARD))
-globals().update(borrowed_tests(on_firmware("test_board_emulator_contactor"), set()))
-globals().update(borrowed_tests(on_firmware("test_board_emulator_pads"), set()))
+globals().update(on_firmware("test_board_emulator_contactor"))
+globals().update(on_firmware("test_board_emulator", NOT_OF_THE_BOARD, pytest.mark.rest))
+globals().update(on_firmware("test_board_emulator_pads", mark=pytest.mark.rest))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-from ..borrowed import borrowed_tests
 from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
@@ -19,6 +18,6 @@ NOT_OF_THE_BOARD = {
     "test_a_command_from_a_callback_is_refused",
 }
 
-pytestmark = pytest.mark.usefixtures("firmware_boards")
+pytestmark = [pytest.mark.night, pytest.mark.usefixtures("firmware_boards")]
 
-globals().update(borrowed_tests(on_firmware("test_board_link"), NOT_OF_THE_BOARD))
+globals().update(on_firmware("test_board_link", NOT_OF_THE_BOARD))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-from ..borrowed import borrowed_tests
 from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
@@ -14,6 +13,6 @@ NOT_OF_THE_BOARD = {
     "test_the_contactor_keeps_its_limits_under_continuous_servo_traffic",  # by hooks of the emulator
 }
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("firmware_boards")]
+pytestmark = [pytest.mark.ros, pytest.mark.night, pytest.mark.usefixtures("firmware_boards")]
 
-globals().update(borrowed_tests(on_firmware("test_pass_through"), NOT_OF_THE_BOARD))
+globals().update(on_firmware("test_pass_through", NOT_OF_THE_BOARD))

@@ -10,7 +10,7 @@ import pytest
 from ..behind_board import SERVO_TESTS, BehindFirmware, behind
 from ..borrowed import anew, borrowed_tests
 
-pytestmark = [pytest.mark.ros, pytest.mark.rest, pytest.mark.usefixtures("host_program")]
+pytestmark = [pytest.mark.ros, pytest.mark.night, pytest.mark.usefixtures("host_program")]
 
 for _name in SERVO_TESTS:
     globals().update(borrowed_tests(anew(_name, "tests_behind_firmware", PseudoTerminal=behind(BehindFirmware)), set()))

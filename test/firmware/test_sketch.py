@@ -4,32 +4,23 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
-from .conftest import make
+from .build import make, once
 
-pytestmark = pytest.mark.usefixtures("arm_compiler")
 FORMS = 8  # nothing or everything wired, servos elsewhere or on the board, link by UART or USB
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("sketch")
-
-
-def test_every_form_of_the_sketch_links_and_fits(folder: Path) -> None:
-    printed = make(folder, "arm")
-    sizes = re.findall(r"^(\S+)\.elf +flash +(\d+), static RAM +(\d+) bytes$", printed, re.MULTILINE)
+@pytest.mark.rest
+def test_every_form_of_the_sketch_links_and_fits(arm_compiler: str) -> None:
+    folder = once("sketches", arm_compiler, lambda folder: make(folder, "arm"))
+    sizes = re.findall(r"^(\S+)\.elf +flash +(\d+), static RAM +(\d+) bytes$", make(folder, "arm"), re.MULTILINE)
     flash = {name: int(size) for name, size, _ in sizes}
     assert len(flash) == FORMS
     for servos in "servos0", "servos1":
         assert flash[f"wired-{servos}-usb0"] > flash[f"bare-{servos}-usb0"]
     assert flash["wired-servos1-usb0"] > flash["wired-servos0-usb0"]
-
-
-@pytest.mark.parametrize("limit", ["FLASH_LEFT", "RAM_LEFT"])
-def test_a_sketch_that_does_not_fit_fails(folder: Path, limit: str) -> None:
-    with pytest.raises(AssertionError, match="static RAM"):
-        make(folder, "arm", f"{limit}=4000")
+    for limit in ("FLASH_LEFT", "RAM_LEFT"):
+        with pytest.raises(AssertionError, match="static RAM"):
+            make(folder, "arm", f"{limit}=4000")

@@ -11,93 +11,85 @@ from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType
 
 from .bench import MS, STRONG, Bench, S
 
-PROBE = (PacketType.PROBE, b"")
 
-
-def test_the_close_precharges_then_closes_then_ramps_up(bench: Bench) -> None:
-    bench.set(*STRONG)
+def closing(bench: Bench) -> None:
+    """Heartbeat, a good probe and an accepted close."""
     bench.beating = True
     bench.run(0)
     bench.probe()
     assert bench.close_contactor() == 0
-    assert (bench.state("precharge"), bench.state("contactor"), bench.state("limit")) == (1, 0, 0)
+
+
+def test_the_close_precharges_then_closes_then_ramps_up(bench: Bench) -> None:
+    bench.set(*STRONG)
+    closing(bench)
+    bench.check(precharge=1, contactor=0, limit=0)
     while bench.state("contactor") == 0:
-        assert bench.state("limit") == 0  # the contacts close without current
+        bench.check(limit=0)  # the contacts close without current
         assert bench.now < 1 * S
         bench.run(1 * MS)
     bench.run(5 * MS)
-    assert bench.state("precharge") == 0
+    bench.check(precharge=0)
     limits = []
     for _ in range(60):
         limits.append(bench.state("limit"))
         assert bench.state("current") <= 18.0
         bench.run(10 * MS)
-    rises = [after - before for before, after in itertools.pairwise(limits)]
-    assert max(rises) <= 0.010 * 40.0 + 0.05
-    assert bench.state("limit") == bench.state("current") == 18.0
+    assert max(after - before for before, after in itertools.pairwise(limits)) <= 0.010 * 40.0 + 0.05
+    bench.check(limit=18.0, current=18.0)
 
 
 def test_an_opening_ramps_below_1_a_within_50_ms(bench: Bench) -> None:
     bench.set(*STRONG)
-    bench.charge()
-    assert bench.state("current") == 18.0
+    bench.charge().check(current=18.0)
     assert bench.open() == 0
-    assert bench.state("commanded") == 0
+    bench.check(commanded=0)
     assert bench.run_until("contactor", 0, 51 * MS) <= 50 * MS
     assert bench.state("broken") < 1.0
     bench.run(200 * MS)
-    assert bench.state("fault") == 0
+    bench.check(fault=0)
 
 
 def test_a_small_current_under_a_high_limit_is_opened_soon(bench: Bench) -> None:
     bench.set("battery 29")  # 2.5 A
-    bench.charge()
-    assert bench.state("limit") == 18.0
+    bench.charge().check(limit=18.0)
     bench.open()
     assert bench.run_until("contactor", 0, 51 * MS) <= 6 * MS
     assert bench.state("broken") < 1.0
 
 
 def test_an_opening_opens_after_50_ms_if_the_current_does_not_fall(bench: Bench) -> None:
-    bench.charge()
-    bench.set("force current 12")
+    bench.charge().set("force current 12")
     bench.open()
     bench.run(49 * MS)
-    assert bench.state("contactor") == 1
+    bench.check(contactor=1)
     bench.open()  # a repeated opening does not restart the ramp
     bench.run(1 * MS)
-    assert bench.state("contactor") == 0
+    bench.check(contactor=0)
 
 
 def test_a_fault_opens_at_once_under_full_current(bench: Bench) -> None:
     bench.set(*STRONG)
-    bench.charge()
-    bench.set("trip 2")
-    assert bench.state("contactor") == 0
-    assert bench.state("broken") == 18.0
+    bench.charge().set("trip 2")
+    bench.check(contactor=0, broken=18.0)
 
 
 def test_an_opening_during_precharge_is_immediate_and_no_fault(bench: Bench) -> None:
-    bench.beating = True
-    bench.run(0)
-    bench.probe()
-    bench.close_contactor()
+    closing(bench)
     bench.run(20 * MS)
-    assert bench.state("precharge") == 1
+    bench.check(precharge=1)
     assert bench.open() == 0
-    assert bench.state("precharge") == 0
+    bench.check(precharge=0)
     bench.run(300 * MS)
-    assert bench.state("fault") == 0
+    bench.check(fault=0)
 
 
 def test_a_contactor_that_opens_on_its_own_is_no_fault_and_needs_a_new_probe(bench: Bench) -> None:
-    bench.charge()
-    bench.set("drop 1")
+    bench.charge().set("drop 1")
     bench.run(5 * MS)
-    assert bench.state("commanded") == 0
-    assert bench.state("limit") == 0
+    bench.check(commanded=0, limit=0)
     assert bench.close_contactor() == AckError.INTERLOCK
-    assert bench.state("fault") == 0
+    bench.check(fault=0)
     bench.set("drop 0")
     bench.charge()
 
@@ -118,29 +110,26 @@ def test_a_detected_fault_opens_at_once_and_is_latched(
     bench: Bench, fault: BoardFault, trouble: str, longest: int
 ) -> None:
     bench.set("battery 29")  # 2.5 A
-    bench.charge()
-    bench.set(trouble)
+    bench.charge().set(trouble)
     bench.run_until("contactor", 0, longest)
-    assert bench.state("fault") == fault
+    bench.check(fault=fault)
     bench.set(f"force {trouble.split()[1]} none")
     bench.run(500 * MS)
     assert bench.power().fault == fault
     assert bench.probe().error == 0  # a probe is allowed, a close is not
     assert bench.close_contactor() == AckError.INTERLOCK
     assert bench.open() == 0
-    assert bench.state("fault") == 0
+    bench.check(fault=0)
     bench.charge()
 
 
 def test_no_current_after_closing_is_a_fault_after_three_seconds(bench: Bench) -> None:
-    bench.charge()
-    bench.open()
+    bench.charge().open()
     bench.run(100 * MS)
     bench.set("target 26")  # nothing drives a current
     bench.charge()
-    taken = bench.run_until("contactor", 0, 3 * S, step=10 * MS)
-    assert taken > 1900 * MS
-    assert bench.state("fault") == BoardFault.NO_CHARGE_CURRENT
+    assert bench.run_until("contactor", 0, 3 * S, step=10 * MS) > 1900 * MS
+    bench.check(fault=BoardFault.NO_CHARGE_CURRENT)
 
 
 PRECHARGE = [
@@ -162,56 +151,49 @@ def test_a_close_that_cannot_be_completed_ends_with_its_fault(bench: Bench, faul
     bench.set(trouble)
     assert bench.close_contactor() == 0
     bench.run_until("commanded", 0, 700 * MS)
-    state = bench.host.state()
-    assert (state["fault"], state["contactor"], state["precharge"]) == (fault, 0, 0)
+    bench.check(fault=fault, contactor=0, precharge=0)
 
 
 def test_welded_contacts_are_detected_by_every_opening(bench: Bench) -> None:
-    bench.charge()
-    bench.set("welded 1")
-    bench.open()
-    bench.run(110 * MS)
-    assert bench.power().fault == BoardFault.CONTACTOR_WELDED
-    assert bench.open() == 0
-    bench.run(110 * MS)
-    assert bench.power().fault == BoardFault.CONTACTOR_WELDED
-    assert bench.ask(*PROBE).error == AckError.NOT_NOW
+    bench.charge().set("welded 1")
+    for _ in range(2):
+        assert bench.open() == 0
+        bench.run(110 * MS)
+        assert bench.power().fault == BoardFault.CONTACTOR_WELDED
+    assert bench.ask(PacketType.PROBE).error == AckError.NOT_NOW
     assert bench.close_contactor() == AckError.INTERLOCK
 
 
 @pytest.mark.parametrize(("release", "fault"), [(45 * MS, 0), (60 * MS, BoardFault.CONTACTOR_WELDED)])
 def test_contacts_have_50_ms_to_open(bench: Bench, release: int, fault: int) -> None:
-    bench.charge()
-    bench.set(f"release_time {release}", "trip 9")
+    bench.charge().set(f"release_time {release}", "trip 9")
     bench.open()  # clears the tripped fault
     bench.run(200 * MS)
-    assert bench.state("fault") == fault
+    bench.check(fault=fault)
 
 
 def test_contacts_welded_before_a_boot_are_detected_without_a_command(bench: Bench) -> None:
-    bench.charge()
-    bench.set("welded 1")
-    bench.host.sent(f"boot {bench.now}")
+    bench.charge().set("welded 1")
+    bench.reboot()
     bench.run(110 * MS)
-    assert bench.state("fault") == BoardFault.CONTACTOR_WELDED
+    bench.check(fault=BoardFault.CONTACTOR_WELDED)
 
 
 def test_current_through_an_open_contactor_is_also_a_weld(bench: Bench) -> None:
     bench.run(100 * MS)
     bench.set("force current 0.6")
     bench.run(20 * MS)
-    assert bench.state("fault") == BoardFault.CONTACTOR_WELDED
+    bench.check(fault=BoardFault.CONTACTOR_WELDED)
 
 
 @pytest.mark.parametrize("fault", [2, 4, 5, 6, 7, 9])
 def test_the_stages_own_detectors_are_latched_even_while_open(bench: Bench, fault: int) -> None:
-    bench.set(f"detected {fault}")
-    bench.run(60 * MS)
-    bench.set("detected 0")
-    bench.run(60 * MS)
+    for detected in (fault, 0):
+        bench.set(f"detected {detected}")
+        bench.run(60 * MS)
     assert bench.power().fault == fault
     bench.open()
-    assert bench.state("fault") == 0
+    bench.check(fault=0)
 
 
 def test_no_charge_current_is_no_fault_while_open(bench: Bench) -> None:
@@ -219,7 +201,7 @@ def test_no_charge_current_is_no_fault_while_open(bench: Bench) -> None:
     bench.run(100 * MS)
     assert bench.power().fault == 0
     bench.probe()
-    bench.send((PacketType.HEARTBEAT, b""))
+    bench.beat()
     assert bench.close_contactor() == 0
     bench.run(5 * MS)
-    assert bench.state("fault") == BoardFault.NO_CHARGE_CURRENT
+    bench.check(fault=BoardFault.NO_CHARGE_CURRENT)
