@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import signal
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
@@ -65,21 +66,28 @@ class RunningCharger:
     Args:
         scene: what to start.
         context: a running rclpy context.
-        by: how: "here" = in this process; "nodes" = each node in a separate process; `up` or another command line =
-            all nodes in one process.
+        apart: nodes that run in a process each; the others run in this one.
+        command: of one process that runs all nodes, such as `up`; None = as `apart` says.
         namespace: of the charger; '' = a new one.
 
     Attributes:
         scene: with the emulators' ports, if it is simulated.
         emulators: the simulated hardware; None = the scene has none.
-        composition: the nodes in this process; None = they run in others.
-        processes: by name of the node; "charger" = all nodes.
+        composition: the nodes in this process; None = there are none.
+        processes: the others by name of the node; "charger" = all nodes.
         client: of both actions; its node can have more subscriptions.
         states: every docking_state so far.
         phase: of the running goal, from its feedback.
     """
 
-    def __init__(self, scene: Scene, context: Any, by: str | CommandLine = "here", namespace: str = "") -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        context: Any,
+        apart: Collection[str] = (),
+        command: CommandLine | None = None,
+        namespace: str = "",
+    ) -> None:
         self.namespace = namespace or new_namespace()
         self.emulators: RecordedCharger | None = None
         self.composition: Composition | None = None
@@ -90,11 +98,15 @@ class RunningCharger:
         self._signalled: dict[str, int] = {}  # the last signal of each node
         with contextlib.ExitStack() as opened:
             self.scene = self._on_ports(scene, opened)
-            if by == "here":
-                self.composition = opened.enter_context(Composition(self.scene, context, self.namespace))
-            else:
-                opened.callback(self._kill)
-                self._start_processes(by, opened)
+            opened.callback(self._kill)
+            if command is not None:
+                self.processes["charger"] = Process(*command(self._file(opened), self.namespace))
+            for name in self.scene.start_order() if command is None else ():
+                if name in apart:
+                    self.processes[name] = Process(*node_command(self.scene, name, self.namespace))
+            if command is None and not set(apart) >= set(scene.nodes):
+                part = replace(self.scene, nodes=tuple(name for name in scene.nodes if name not in apart))
+                self.composition = opened.enter_context(Composition(part, context, self.namespace))
             self.client = opened.enter_context(ChargerClient(self.namespace, context))
             node = self.client.node
             self._topics = {
@@ -132,12 +144,9 @@ class RunningCharger:
         """Whether the contactor is truly closed."""
         if self.emulators is not None:
             return self.world.circuit.closed
-        return bool(self.power.contactor_closed if self.composition is None else self.board.contactor_closed)
-
-    @property
-    def board(self) -> Any:
-        """The mock of tactile_node in this process."""
-        return self.node("mock_tactile_node")
+        if self.composition is not None:
+            return bool(self.node("mock_tactile_node").contactor_closed)
+        return bool(self.power.contactor_closed)
 
     @property
     def state(self) -> DockingState:
@@ -257,7 +266,7 @@ class RunningCharger:
 
     def signal(self, number: int, *names: str) -> float:
         """Send a signal to processes, all by default, and return when, s of the world."""
-        at = self.world.time if self.emulators is not None else 0.0
+        at = self.world.time if self.emulators is not None else math.nan
         for name in names or self.processes:
             self._signalled[name] = number
             self.processes[name].process.send_signal(number)
@@ -308,16 +317,13 @@ class RunningCharger:
         parameters = {name: scene.node_parameters(name, {}) for name in scene.nodes}
         return replace(scene, simulation=None, ports=ports, parameters=parameters)
 
-    def _start_processes(self, by: str | CommandLine, opened: contextlib.ExitStack) -> None:
-        if callable(by):
-            file = Path(opened.enter_context(tempfile.TemporaryDirectory()), "running.yaml")
-            ports = {name: path for name, path in vars(self.scene.ports).items() if path}
-            content = {"nodes": list(self.scene.nodes), "parameters": dict(self.scene.parameters), "ports": ports}
-            file.write_text(json.dumps(content), encoding="utf-8")
-            self.processes["charger"] = Process(*by(file, self.namespace))
-            return
-        for name in self.scene.start_order():
-            self.processes[name] = Process(*node_command(self.scene, name, self.namespace))
+    def _file(self, opened: contextlib.ExitStack) -> Path:
+        """Return the scene as a file."""
+        file = Path(opened.enter_context(tempfile.TemporaryDirectory()), "running.yaml")
+        ports = {name: path for name, path in vars(self.scene.ports).items() if path}
+        content = {"nodes": list(self.scene.nodes), "parameters": dict(self.scene.parameters), "ports": ports}
+        file.write_text(json.dumps(content), encoding="utf-8")
+        return file
 
     def _kill(self) -> None:
         for each in self.processes.values():

@@ -11,34 +11,27 @@ import pytest
 from deltacharger_scenes.scene import load_scene
 
 from ..chargers import Process
-from ..scenes.test_processes import arguments
+from ..running_charger import node_command
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.rest]
 
 
-@pytest.fixture(autouse=True)
-def without_navigation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "shadow"
-    folder.mkdir()
+@pytest.mark.parametrize("what", ["mock_navigator_node", "mission_node", "up"])
+def test_a_process_that_needs_nav2_msgs_ends_with_2_and_names_it(
+    start: Callable[..., Process],
+    deltacharger: tuple[str, ...],
+    namespace: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    what: str,
+) -> None:
     text = "raise ModuleNotFoundError(\"No module named 'nav2_msgs'\", name='nav2_msgs')\n"
-    (folder / "nav2_msgs.py").write_text(text, encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
-
-
-@pytest.mark.parametrize("name", ["mock_navigator_node", "mission_node"])
-def test_a_node_that_needs_nav2_msgs_ends_with_2_and_one_line(
-    start: Callable[..., Process], namespace: str, name: str
-) -> None:
-    process = start(*arguments(load_scene("mission"), name, namespace))
-    assert process.end() == 2
-    assert len(process.err) == 1, process.err
-    assert "needs the package nav2_msgs" in process.err[0]
-
-
-def test_a_charger_that_needs_nav2_msgs_ends_with_2(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str
-) -> None:
-    process = start(*deltacharger, "up", "--scene", "mission", "--namespace", namespace)
+    (tmp_path / "nav2_msgs.py").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    if what == "up":
+        process = start(*deltacharger, "up", "--scene", "mission", "--namespace", namespace)
+    else:
+        process = start(*node_command(load_scene("mission"), what, namespace))
     assert process.end() == 2
     assert "needs the package nav2_msgs" in process.err[-1]
     assert not any("Traceback" in line for line in process.err)

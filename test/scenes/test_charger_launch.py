@@ -1,101 +1,305 @@
 # SPDX-License-Identifier: Apache-2.0
-"""charger.launch.py on mocks, in separate processes: it docks and charges, refuses, is cancelled, and all end with 0.
+"""`ros2 launch` of charger.launch.py: it docks, keeps scopes apart, restarts nodes that may, and ends safely.
 
-Without launch: docking and exit codes in test_processes.py; refused and cancelled goals in test_docking_mocks.py.
+Its exit code is 0 after Ctrl-C; 1, with a reason, if a part has ended or refuses. Without launch: test_stops.py and
+test_processes.py.
 """
 
 from __future__ import annotations
 
 import os
-import threading
-import unittest
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
+from deltacharger.srv import SolveForwardKinematics
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
+from deltacharger_core import runtime
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_ros.outcomes import DockRequest
+from deltacharger_scenes.scene import Scene, load_scene, parse_scene
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-from ..chargers import DEADLINE, wait_until
-from .launched import (
-    QUICK_NODES,
-    assert_all_ended_with_0,
-    charger,
-    description,
-    launch_testing,
-    run_launch_tests,
+from ..chargers import DEADLINE, Process, Spin, new_namespace, wait_until
+from ..nodes import call, options
+from ..running_charger import QUICK, RunningCharger
+from .processes import ALARM, CONTAINER, LEADER, OPEN, ROOT, TERMINAL, first, left, needs_containers
+
+pytestmark = [pytest.mark.ros, pytest.mark.night]
+
+pytest.importorskip("ros2launch", reason="ros2 launch comes with a ROS installation, not from PyPI")
+FILE = ROOT / "launch" / "charger.launch.py"
+LAUNCH = (sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())", "launch")
+PATIENCE = "60"  # s until launch forces a node to end, so that a loaded computer fails no test
+MOCKS = Path(__file__).with_name("quick.yaml")
+MOCK_NODES, REAL_NODES = 6, 5
+UNIT = dict(
+    line.split("=", 1)
+    for line in (ROOT / "config" / "systemd" / "deltacharger.service").read_text(encoding="utf-8").splitlines()
+    if "=" in line and line[0] != "#"
 )
-
-pytestmark = pytest.mark.ros
-
-NAMESPACE = f"launch_{os.getpid()}"
-PLACE = Pose(0.0, 0.0, 0.080)
+INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
+Launch = Callable[..., Process]
 
 
-def generate_test_description() -> Any:
-    return description(charger(namespace=NAMESPACE))
+@pytest.fixture(autouse=True)
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip if ament does not find the executables; else give launch its own folders."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        get_package_prefix("deltacharger")
+    except PackageNotFoundError:
+        pytest.skip("ament does not find deltacharger: launch needs it for the executables")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
 
 
-class TestDocking(unittest.TestCase):
-    """While it runs; collected by launch_testing only."""
-
-    __test__ = False
-    client: ChargerClient
-
-    @classmethod
-    def setUpClass(cls) -> None:
-        cls.client = ChargerClient(NAMESPACE)
-        assert cls.client.wait_until_ready(DEADLINE)
-
-    @classmethod
-    def tearDownClass(cls) -> None:
-        cls.client.close()
-
-    def dock(self, request: DockRequest, **options: Any) -> Outcome:
-        """Dock; a process that starts late makes the first goal fail as retriable."""
-        outcomes: list[Outcome] = []
-
-        def decided() -> bool:
-            outcomes.append(self.client.dock(request, deadline=DEADLINE, **options))
-            return not outcomes[-1].retriable or outcomes[-1].error_name == "CANCELED"
-
-        wait_until(decided, f"a docking that need not be tried again: {outcomes}")
-        return outcomes[-1]
-
-    def test_a_goal_is_accepted_and_charges_and_undocking_ends_it(self) -> None:
-        docked = self.dock(DockRequest(PLACE))
-        assert docked.success, docked
-        assert docked.details["charge_current"] > 0.5
-        undocked = self.client.undock(deadline=DEADLINE)
-        assert undocked.success, undocked
-
-    def test_a_goal_that_cannot_be_served_is_refused_with_its_code(self) -> None:
-        refused = self.dock(DockRequest(Pose(float("nan"), 0.0, 0.08)))
-        assert (refused.success, refused.error_name) == (False, "REJECTED"), refused
-        beyond = self.dock(DockRequest(Pose(0.5, 0.0, 0.08)))
-        assert (beyond.success, beyond.error_name) == (False, "UNREACHABLE"), beyond
-
-    def test_a_goal_is_cancelled(self) -> None:
-        cancel = threading.Event()
-
-        def on_progress(progress: Progress) -> None:
-            if progress.phase in ("approach", "contact"):
-                cancel.set()
-
-        outcome = self.dock(DockRequest(PLACE), on_progress=on_progress, cancel=cancel)
-        assert (outcome.success, outcome.error_name) == (False, "CANCELED"), outcome
-        assert self.client.undock(deadline=DEADLINE).success
+def command(file: Path | str = "", namespace: str = "", **more: Any) -> tuple[str, ...]:
+    """Return the command line that launches a scene in a namespace."""
+    given = {"sigterm_timeout": PATIENCE, "scene": file, "namespace": namespace} | more
+    return (*LAUNCH, str(FILE), *(f"{name}:={value}" for name, value in given.items() if value))
 
 
-@launch_testing.post_shutdown_test()
-class TestShutdown(unittest.TestCase):
-    """After SIGINT to all processes; collected by launch_testing only."""
-
-    __test__ = False
-
-    def test_every_node_ended_with_0(self, proc_info: Any) -> None:
-        assert_all_ended_with_0(proc_info, QUICK_NODES)
+@pytest.fixture
+def launched(start: Launch) -> Launch:
+    return lambda *where, **more: start(*command(*where, **more))
 
 
-def test_the_mocks_dock_when_launched() -> None:
-    run_launch_tests(__name__, 1)
+def output(process: Process) -> str:
+    return "\n".join([*process.out, *process.err])
+
+
+def pid(process: Process, name: str) -> int:
+    """Return the last process id of an executable in launch's output."""
+    found = re.findall(rf"\[{name}-\d+\]: process started with pid \[(\d+)\]", output(process))
+    return int(found[-1]) if found else 0
+
+
+def finished_cleanly(process: Process) -> int:
+    return output(process).count("process has finished cleanly")
+
+
+def assert_ends(process: Process, code: int, count: int) -> None:
+    """Send SIGINT; check the exit code, and how many processes have ended with 0."""
+    assert process.end(INT) == code, output(process)
+    assert finished_cleanly(process) == count, output(process)
+
+
+def test_two_chargers_dock_refuse_and_end_with_0(quick_scene: Scene, context: Any) -> None:
+    """They are distinguished by their namespaces only."""
+    with (
+        RunningCharger(quick_scene, context, command=command) as left,
+        RunningCharger(quick_scene, context, command=command) as right,
+    ):
+        assert left.charge().details["charge_current"] > 0.5
+        assert not right.is_closed
+        assert right.dock(DockRequest(None, critical_angle=0.4)).error_name == "REJECTED"
+        right.charge()
+        states = len(right.states)
+        left.go_home()
+        assert right.states[states:] == []
+        right.go_home()
+        for each in (left, right):
+            assert_ends(each.processes["charger"], 0, MOCK_NODES)
+
+
+def test_killed_nodes_that_move_nothing_restart_and_serve(quick_scene: Scene, context: Any) -> None:
+    with RunningCharger(quick_scene, context, command=command) as charger:
+        process = charger.processes["charger"]
+        docking = pid(process, "docking_node")
+        for name in ("mock_detector_node", "misalignment_node", "kinematics_node"):
+            killed = pid(process, name)
+            os.kill(killed, KILL)
+            wait_until(lambda: pid(process, name) != killed, f"{name} again")  # noqa: B023
+        charger.wait_until_ready()
+        charger.wait_until_single()
+        charger.charge(DockRequest(None))  # it asks detector and estimator
+        charger.go_home()
+        client = charger.client.node.create_client(SolveForwardKinematics, "solve_forward_kinematics")
+        assert client.wait_for_service(DEADLINE)
+        assert list(call(client, SolveForwardKinematics.Request(angles=[0.0, 0.0, 0.0])).status) == [0]
+        assert pid(process, "docking_node") == docking, "the others keep running"
+        assert process.end(INT) == 0, output(process)
+
+
+def test_ctrl_c_removes_the_emulators_folder(launched: Launch, namespace: str, tmp_path: Path) -> None:
+    process = launched(namespace=namespace)
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(DEADLINE), output(process)
+        assert list(tmp_path.glob("deltacharger-*"))
+    assert_ends(process, 0, REAL_NODES + 1)  # and the hardware
+    assert not list(tmp_path.glob("deltacharger-*"))
+
+
+def test_a_killed_docking_node_ends_the_charger_with_1(launched: Launch, namespace: str) -> None:
+    process = launched(MOCKS, namespace)
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(DEADLINE), output(process)
+        os.kill(pid(process, "docking_node"), KILL)
+        assert process.end() == 1, output(process)
+    assert "docking_node ended with code -9" in output(process)
+    assert finished_cleanly(process) == MOCK_NODES - 1, output(process)
+
+
+BROKEN = [
+    ({"scene": "simulatd"}, "", "did you mean 'simulated'"),
+    ({"scen": "mocks"}, "", "did you mean 'scene'"),
+    ({"camera": "perhaps"}, "", "give oak, topics, none"),
+    ({"log_level": "loud"}, "", "give one of debug"),
+    ({"namespace": "9a-b"}, "", "not a ROS namespace"),
+    ({}, "ports: {servo: /dev/no_servo, board: /dev/no_board}", "there is no such port"),
+    (
+        {},
+        "{nodes: [misalignment_node], parameters: {misalignment_node: {frames: 0}}}",
+        "misalignment_node cannot start as configured",
+    ),
+]
+
+
+@pytest.mark.parametrize(("arguments", "scene", "expected"), BROKEN)
+def test_a_wrong_argument_or_part_ends_it_with_1(
+    launched: Launch, tmp_path: Path, arguments: dict[str, str], scene: str, expected: str
+) -> None:
+    if scene:
+        (tmp_path / "mine.yaml").write_text(scene, encoding="utf-8")
+        arguments = {"scene": str(tmp_path / "mine.yaml")}
+    process = launched(**arguments)
+    assert process.end() == 1
+    assert expected in output(process)
+    assert scene or "process started" not in output(process)
+
+
+def test_mocks_launched_alone_use_the_domain_of_simulated_chargers(
+    launched: Launch, namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name)
+    process = launched(MOCKS, namespace)
+    context = Context()
+    rclpy.init(context=context, args=[], domain_id=87, signal_handler_options=SignalHandlerOptions.NO)
+    with ChargerClient(namespace, context) as client:
+        assert client.wait_until_ready(DEADLINE), output(process)
+    rclpy.try_shutdown(context=context)
+    assert process.end(INT) == 0
+    assert "export ROS_DOMAIN_ID=87" in output(process)
+
+
+NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
+REMAPS = {"docking_state": "what_it_does", "dock/_action/status": "how_it_goes"}
+GROUP = """<group>
+<set_env name="ROS_DOMAIN_ID" value="{domain}"/><push_ros_namespace namespace="{name}"/>
+<set_parameter name="use_sim_time" value="true"/>{remaps}
+<include file="{file}">{arguments}</include>
+</group>"""
+
+
+@pytest.fixture
+def groups(start: Launch, tmp_path: Path) -> Iterator[list[str]]:
+    """Launch a simulated scene and one on hardware, with emulated ports, in a group each; yield their namespaces."""
+    names, domain = [new_namespace(), new_namespace()], os.environ["ROS_DOMAIN_ID"]
+    simulation = load_scene("simulated").simulation
+    assert simulation is not None
+    remaps = "".join(f'<set_remap from="{old}" to="{new}"/>' for old, new in REMAPS.items())
+    with SimulatedCharger(simulation) as emulators:
+        ports = {"servo_port": emulators.servo_port, "board_port": emulators.board_port}
+        chosen = {"scene": "simulated"}, {"scene": "bench", **ports}
+        text = ""
+        for name, given in zip(names, chosen, strict=True):
+            every = {"namespace": "arm", "sigterm_timeout": PATIENCE, **given}
+            arguments = "".join(f'<arg name="{key}" value="{value}"/>' for key, value in every.items())
+            text += GROUP.format(domain=domain, name=name, remaps=remaps, file=FILE, arguments=arguments)
+        file = tmp_path / "robot.launch.xml"
+        file.write_text(f"<launch>{text}</launch>", encoding="utf-8")
+        process = start(*LAUNCH, str(file))
+        yield names
+        assert_ends(process, 0, 2 * REAL_NODES + 1)
+
+
+def test_a_groups_namespace_remaps_parameters_and_environment_apply(
+    groups: list[str], context: Any, spin: Spin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of a simulated charger and of one on hardware differ only by the group's namespace."""
+    node = spin(Node("integrator", **options(context)))
+
+    def found(group: str) -> set[str]:
+        others = [*node.get_topic_names_and_types(), *node.get_service_names_and_types()]
+        nodes = [f"{where}/{name}" for name, where in node.get_node_names_and_namespaces()]
+        every, outer = {*nodes, *(name for name, _ in others)}, f"/{group}"
+        return {name.removeprefix(outer) for name in every if name.startswith(f"{outer}/")}
+
+    wanted = {f"/arm/{name}" for name in (*NODES, *REMAPS.values(), "undock/_action/send_goal")}
+    wait_until(lambda: wanted <= found(groups[0]), f"{wanted} in the graph")
+    wait_until(lambda: found(groups[0]) == found(groups[1]), "the same names of both")
+    assert not {f"/arm/{old}" for old in REMAPS} & found(groups[0])
+    for group in groups:
+        for name in NODES:
+            asked = node.create_client(GetParameters, f"/{group}/arm/{name}/get_parameters")
+            wait_until(asked.service_is_ready, f"{name} of {group}")
+            response = call(asked, GetParameters.Request(names=["use_sim_time"]))
+            assert response.values[0].bool_value, f"{name} of {group}"
+    path = runtime.charger(int(os.environ["ROS_DOMAIN_ID"]), f"{groups[0]}/arm")
+    wait_until(path.is_symlink, "the simulated charger, for faults")
+
+
+@pytest.mark.parametrize(
+    ("prefix", "signals", "to_group", "code"),
+    [
+        pytest.param((), (INT,), False, 0, id="SIGINT"),
+        pytest.param(TERMINAL, (INT,), False, 0, id="SIGINT_to_launch_alone_in_a_terminal"),
+        pytest.param(TERMINAL, (INT, INT), True, 0, id="Ctrl-C_twice_in_a_terminal"),
+        pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_without_terminal"),
+        pytest.param(
+            (), (signal.Signals[UNIT["KillSignal"]],), UNIT["KillMode"] == "control-group", 0, id="systemctl_stop"
+        ),
+        pytest.param((), (TERM,), False, -TERM, id="SIGTERM"),
+        pytest.param((), (HUP,), True, -HUP, id="closed_terminal"),
+        pytest.param((), (KILL,), False, -KILL, id="SIGKILL"),
+        pytest.param(CONTAINER, (INT,), False, 0, id="docker_stop", marks=needs_containers),  # STOPSIGNAL SIGINT
+    ],
+)
+def test_a_signal_to_launch_makes_a_charging_charger_safe(
+    context: Any, prefix: tuple[str, ...], signals: tuple[int, ...], to_group: bool, code: int
+) -> None:
+    """The contactor is open within 350 ms, the arm ends without torque, and no process is left."""
+    words = (*LEADER, *prefix) if prefix != CONTAINER else CONTAINER
+    scene = parse_scene(QUICK, "launched")
+    with RunningCharger(scene, context, command=lambda *where: (*words, *command(*where))) as charger:
+        process = charger.processes["charger"]
+        group = process.process.pid
+        try:
+            charger.charge()
+            before, at = len(process.out), charger.world.time
+            for number in signals:
+                if to_group:
+                    os.killpg(group, number)
+                else:
+                    os.kill(first(process) if prefix == CONTAINER else group, number)
+            assert charger.opened(at) < OPEN
+            assert process.end() == code, output(process)
+            charger.assert_safe()
+            wait_until(lambda: not left(group), "the end of all processes", 10.0)
+        finally:
+            for each in left(group):
+                os.kill(each, KILL)
+    if code == 0:
+        assert finished_cleanly(process) == REAL_NODES, output(process)
+        assert not [line for line in process.out[before:] if "_node-" in line and ALARM.search(line)], output(process)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_systemd_accepts_the_unit() -> None:
+    file = ROOT / "config" / "systemd" / "deltacharger.service"
+    checked = subprocess.run(["systemd-analyze", "verify", str(file)], capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")

@@ -23,14 +23,14 @@ from std_msgs.msg import Header
 
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest
-from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene
 
-from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
+from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import answer, options
 from ..quick import quick_simulation
+from ..running_charger import PATIENT, RunningCharger
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.rest]
 
 NAME = re.compile(r"(\w+/)*\w+: \S.*")
 NOT_KNOWN = re.compile(r"\b(None|nan|NaN|inf)\b")
@@ -102,7 +102,7 @@ class Listener(Node):
 
 def camera() -> Scene:
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    scene = quick_simulation("camera")
+    scene = quick_simulation("camera", PATIENT)
     return replace(scene, nodes=(*scene.nodes, "camera_node", "docking_recorder_node"))
 
 
@@ -116,23 +116,22 @@ def mocks() -> Scene:
 
 
 @pytest.fixture(params=[camera, mission, mocks], ids=lambda each: each.__name__)
-def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Iterator[Listener]:
+def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Listener:
     """A charger of each kind, with all its messages from the first to the end of a goal."""
     scene = request.param()
     if "docking_recorder_node" in scene.nodes:
         parameters = {**scene.parameters, "docking_recorder_node": {"folder": str(tmp_path)}}
         scene = replace(scene, parameters=parameters)
-    heard = spin(Listener(context, namespace))
-    with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE)
+    heard: Listener = spin(Listener(context, namespace))
+    with RunningCharger(scene, context, namespace=namespace) as charger:
         wait_until(lambda: diagnosed(heard) >= nodes_with_diagnostics(scene), "diagnostics of every node before a goal")
         wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
         if "mission_node" in scene.nodes:
-            errand(client)
+            errand(charger.client)
         else:
-            dock_at_last(client, DockRequest(None))
-            client.undock(deadline=DEADLINE)
-        yield heard
+            assert charger.dock(DockRequest(None)).success
+            assert charger.undock().success
+    return heard
 
 
 def names(topics: Iterable[str]) -> set[str]:

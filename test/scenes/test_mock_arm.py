@@ -54,16 +54,6 @@ def test_at_rest_its_currents_carry_the_weight_and_the_push() -> None:
     assert 5.0 < push(arm) < 60.0
 
 
-def test_friction_carries_the_weight_once_it_rests_on_the_target() -> None:
-    arm = powered()
-    aim(arm, (0.0, 0.0, 0.083))
-    arm.advance(1.0)
-    before = arm.position
-    arm.goals = list(DELTA.inverse(0.0, 0.0, 0.083))  # without compensation of gravity
-    arm.advance(1.0)
-    assert abs(arm.position[1] - before[1]) < 2e-4
-
-
 def test_a_bound_clips_every_current() -> None:
     arm = powered()
     arm.bounds = [0.3] * 3

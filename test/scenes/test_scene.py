@@ -30,26 +30,21 @@ def write(folder: Path, text: str) -> Path:
         ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2 to 40 N·m/rad"),
         ("simulation: {world: {target: {x: left}}}", "simulation.world.target.x", "'left' is not a number"),
         ("simulation: {seed: 1.5}", "simulation.seed", "not a whole number"),
-        ("simulation: {seed: -1}", "simulation.seed", "outside 0 to"),
         ("simulation: 3", "simulation", "not a mapping of keys to values"),
         ("simulation: {geometry_file: nowhere.yaml}", "simulation.geometry_file", "'nowhere.yaml' cannot be read"),
         ("simulation: {faults: [{kind: servo_missin}]}", "simulation.faults[0].kind", "servo_missing"),
         ("simulation: {faults: [{kind: board_drop, amount: 2}]}", "simulation.faults[0].amount", "share of 0 to 1"),
         ("goal: {z: 80}\nsimulation: {}", "goal.z", "-0.1 to 0.5 m"),
-        ("goal: {zz: 0.08}\nsimulation: {}", "goal.zz", "unknown key"),
         ("nodes: [servo_nod]", "nodes[0]", "did you mean 'servo_node'"),
         ("nodes: [docking_node, docking_node]", "nodes[1]", "twice"),
         ("nodes: [servo_node, mock_servo_node]\nsimulation: {}", "nodes[1]", "keep one"),
-        ("nodes: [servo_node, recording_player_node]\nsimulation: {}", "nodes[1]", "keep one"),
         ("nodes: [recording_player_node, mock_tactile_node]", "nodes[0]", "keep one"),
-        ("nodes: servo_node", "nodes", "list"),
         ("nodes: [docking_node]\nparameters: {servo_node: {rate: 50.0}}", "parameters.servo_node", "no such node"),
         (
             "nodes: [docking_node]\nparameters: {docking_node: {a: {b: 1}}}",
             "parameters.docking_node.a",
             "give a number",
         ),
-        ("nodes: [docking_node]\nparameters: {docking_node: 3}", "parameters.docking_node", "parameters and values"),
         ("nodes: [servo_node]", "ports.servo", "/dev/ttyUSB0"),
         ("nodes: [[servo_node]]", "nodes", "is not text"),
         ("simulation: {}\nports: {servo: /dev/ttyUSB0}", "ports", "excludes 'simulation'"),
@@ -58,9 +53,7 @@ def write(folder: Path, text: str) -> Path:
             "parameters.servo_node.port",
             "must not open a port of real hardware",
         ),
-        ("name: 3\nnodes: [docking_node]", "name", "3 is not text"),
         ("", "", "is empty"),
-        ("- 1", "", "is a list"),
         ("a: [", "", "not valid YAML: line"),
     ],
 )
@@ -71,8 +64,6 @@ def test_an_invalid_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, 
     assert caught.value.file == str(path)
     assert caught.value.key == key
     assert why in caught.value.problem
-    assert str(path) in str(caught.value)
-    assert key in str(caught.value)
 
 
 def test_a_missing_scene_is_reported_with_similar_names(tmp_path: Path) -> None:
@@ -83,11 +74,12 @@ def test_a_missing_scene_is_reported_with_similar_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(packaged_scenes()))
-def test_every_packaged_scene_is_valid_and_described(name: str) -> None:
+def test_a_packaged_scene_is_valid_described_and_closed_to_the_network(name: str) -> None:
     scene = load_scene(name)
-    assert scene.name == name
+    assert (scene.name, scene.network) == (name, "localhost")
     assert len(scene.description) > 20
     assert scene.docks is (name not in ("tactile_lab", "replay"))
+    assert scene.touches_hardware is (name in ("bench", "oakd", "rgbd", "tactile_lab"))
 
 
 def test_the_default_scenes_target_is_offset_from_its_goal() -> None:
@@ -98,16 +90,6 @@ def test_the_default_scenes_target_is_offset_from_its_goal() -> None:
     assert 0.001 < abs(target.x - scene.goal.x) < 0.01
     assert 0.001 < abs(target.y - scene.goal.y) < 0.01
     assert 0.01 < abs(target.roll - scene.goal.roll) < 0.12
-
-
-def test_only_a_scene_without_simulation_touches_hardware() -> None:
-    assert load_scene("bench").touches_hardware
-    assert not load_scene("simulated").touches_hardware
-    assert not load_scene("mocks").touches_hardware
-
-
-def test_no_packaged_scene_is_open_to_the_network() -> None:
-    assert {load_scene(name).network for name in packaged_scenes()} == {"localhost"}
 
 
 def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: Path) -> None:

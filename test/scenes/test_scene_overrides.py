@@ -3,17 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from deltacharger_bringup.cli import main as cli
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import RECORDER, Overrides, override
 from deltacharger_scenes.scene import SceneError, load_scene
-
-from ..chargers import Process
 
 HARDWARE = "ports: {servo: /dev/no_servo, board: /dev/no_board}\nparameters: {servo_node: {port: /dev/own, rate: 50.0}}"
 
@@ -105,10 +101,8 @@ REFUSED = [
     ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
     ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
     ("bench", {"camera": "usb"}, "give oak, topics, none"),
-    ("replay", {"camera": "topics"}, "leave it out"),
     ("bench", {"model": "nowhere.npz"}, "there is no such file"),
     ("bench", {"recording": __file__}, "starts no recording_player_node"),
-    ("replay", {"recording": "nowhere.mcap"}, "there is no such file"),
     ("bench", {"record": __file__}, "is a file"),
     ("bench", {"record": "/proc/records"}, "cannot be written"),
 ]
@@ -119,19 +113,6 @@ def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: di
     with pytest.raises(SceneError, match=expected) as caught:
         override(load_scene(scene), Overrides(**arguments))
     assert caught.value.key == next(iter(arguments))
-
-
-def test_up_refuses_it_with_2_before_anything_starts(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["up", "--scene", "mocks", "--board-port", "/dev/null"]) == 2
-    assert "--board-port: no node of this scene opens it" in capsys.readouterr().err
-
-
-def test_up_uses_the_given_ports(start: Callable[..., Process], deltacharger: tuple[str, ...]) -> None:
-    """/dev/null exists but is not a serial port, so the node that opens it reports that."""
-    process = start(*deltacharger, "up", "--scene", "tactile_lab", "--board-port", "/dev/null", "--namespace", "lab")
-    assert process.end() == 2
-    assert any("tactile_node: /dev/null" in line for line in process.err), process.err
-    assert "open to every program on this computer; see docs/security.md" in process.err
 
 
 def test_nodes_that_move_or_carry_current_do_not_restart() -> None:

@@ -2,94 +2,98 @@
 """A charging charger, ended by each signal that people, containers and systemd send, without launch.
 
 Started by `deltacharger up`, and as nodes in separate processes. Each time, the contactor is open within 350 ms and the
-arm ends without torque. Under launch: test_charger_launch_stops.py.
+arm ends without torque. Under launch: test_charger_launch.py.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from deltacharger_scenes.scene import load_scene
+from deltacharger_ros.outcomes import DockRequest
+from deltacharger_scenes.scene import load_scene, parse_scene
 
 from ..chargers import Process, wait_until
-from .stopping import ALARM, CONTAINER, OPEN, Stopped, first, lives, needs_containers
-from .test_processes import arguments
+from ..marks import rest
+from ..running_charger import GOAL, QUICK, RunningCharger, node_command, up
+from .processes import ALARM, CONTAINER, OPEN, first, lives, needs_containers
 
 pytestmark = pytest.mark.ros
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 Start = Callable[..., Process]
+SCENE = parse_scene(QUICK, "stopped")
 
 
-def send_all(process: Process, signals: Sequence[int]) -> None:
-    for number in signals:
-        process.process.send_signal(number)
-
-
-@pytest.fixture
-def stopped(tmp_path: Path, namespace: str, context: Any) -> Iterator[Stopped]:
-    rig = Stopped(tmp_path, namespace, context)
-    yield rig
-    rig.charger.stop()
-
-
-@pytest.mark.parametrize(
-    ("signals", "code"),
-    [
-        pytest.param((INT, INT), 130, id="Ctrl-C_twice"),
-        pytest.param((TERM,), 0, id="docker_stop", marks=pytest.mark.rest),
-        pytest.param((HUP, TERM), 0, id="closed_terminal", marks=pytest.mark.rest),
-    ],
-)
-def test_up_makes_a_charging_charger_safe(
-    stopped: Stopped, start: Start, deltacharger: tuple[str, ...], namespace: str, signals: tuple[int, ...], code: int
-) -> None:
-    process = start(*deltacharger, "up", "--scene", str(stopped.scene), "--namespace", namespace)
-    stopped.charge(process)
-    before = len(process.err)
-    assert stopped.stop(lambda: send_all(process, signals)) < OPEN
-    assert process.end() == code, process.err
-    stopped.assert_safe()
-    assert not [line for line in process.err[before:] if ALARM.search(line)], process.err
-
-
-def test_nodes_that_get_signals_until_they_end_make_a_charging_charger_safe(
-    stopped: Stopped, start: Start, namespace: str
-) -> None:
-    scene = load_scene(stopped.scene)
-    processes = [start(*arguments(scene, name, namespace)) for name in scene.start_order()]
-    stopped.charge(processes[-1])
-    before = [len(each.err) for each in processes]
-    assert stopped.stop(lambda: [send_all(each, (INT,)) for each in processes]) < OPEN
-    for each in processes:
-        while each.process.poll() is None:  # as an impatient person or a supervisor does
-            each.process.send_signal(INT)
-            time.sleep(0.001)
-    assert [each.end() for each in processes] == [0] * len(processes), [each.err for each in processes]
-    stopped.assert_safe()
+def stop(charger: RunningCharger, send: Callable[[], object], *codes: int) -> None:
+    """Send signals while current flows; the processes must end with these codes, all safe and without an alarm."""
+    processes = list(charger.processes.values())
+    before, at = [len(each.err) for each in processes], charger.world.time
+    send()
+    assert charger.opened(at) < OPEN
+    assert [each.end() for each in processes] == list(codes), [each.err for each in processes]
+    charger.assert_safe()
     lines = [line for each, count in zip(processes, before, strict=True) for line in each.err[count:]]
     assert not [line for line in lines if ALARM.search(line)], lines
 
 
+@pytest.mark.parametrize(
+    ("signals", "code"),
+    [pytest.param((INT, INT), 130, marks=pytest.mark.witness), rest((TERM,), 0), rest((HUP, TERM), 0)],
+)
+def test_up_makes_a_charging_charger_safe(context: Any, signals: tuple[int, ...], code: int) -> None:
+    with RunningCharger(SCENE, context, command=up) as charger:
+        charger.charge()
+        stop(charger, lambda: [charger.signal(number) for number in signals], code)
+
+
 @needs_containers
-@pytest.mark.parametrize(("number", "code"), [(TERM, 0), pytest.param(INT, 130, marks=pytest.mark.rest)])
-def test_docker_stop_of_up_makes_a_charging_charger_safe(
-    stopped: Stopped, start: Start, deltacharger: tuple[str, ...], namespace: str, number: int, code: int
-) -> None:
-    process = start(*CONTAINER, *deltacharger, "up", "--scene", str(stopped.scene), "--namespace", namespace)
-    stopped.charge(process)
-    assert stopped.stop(lambda: os.kill(first(process), number)) < OPEN
-    assert process.end() == code, process.err
-    stopped.assert_safe()
+@pytest.mark.rest
+@pytest.mark.parametrize(("number", "code"), [(TERM, 0), (INT, 130)])
+def test_docker_stop_of_up_makes_a_charging_charger_safe(context: Any, number: int, code: int) -> None:
+    with RunningCharger(SCENE, context, command=lambda *where: (*CONTAINER, *up(*where))) as charger:
+        charger.charge()
+        stop(charger, lambda: os.kill(first(charger.processes["charger"]), number), code)
+
+
+def passages(lines: Sequence[str], title: str) -> list[tuple[str, str]]:
+    """Return the transitions that a goal's log lines name."""
+    found = [re.search(rf"{title}: (\w+) → (\w+)", line) for line in lines]
+    return [(each[1], each[2]) for each in found if each]
+
+
+@pytest.mark.rest
+def test_nodes_as_processes_log_a_docking_and_end_with_0_after_any_number_of_signals(context: Any) -> None:
+    with RunningCharger(SCENE, context, apart=SCENE.nodes) as charger:
+        charger.charge(DockRequest(GOAL.electrodes, request_id="order-1"))
+        processes = list(charger.processes.values())
+
+        def send() -> None:
+            charger.signal(INT)
+            while any(each.process.poll() is None for each in processes):
+                for each in processes:
+                    each.process.send_signal(INT)  # as an impatient person or a supervisor does
+                time.sleep(0.001)
+
+        stop(charger, send, *[0] * len(processes))
+        lines = charger.processes["docking_node"].err
+        every = [line for each in processes for line in each.err]
+    assert not [line for line in every if ALARM.search(line)], every
+    steps = passages(lines, "dock order-1")
+    assert steps[0][0] == "idle"
+    assert all(before[1] == after[0] for before, after in itertools.pairwise(steps)), steps
+    assert {"approach", "contact", "measure", "energise", "charging"} <= {after for _, after in steps}
+    assert any("contactor closed" in line for line in lines)
+    assert any("contactor open" in line for line in lines)
 
 
 def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) -> None:
@@ -107,6 +111,7 @@ def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) ->
     assert (process.out, process.err) == ([], [])
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("what", ["kinematics_node", "simulate"])
 def test_a_process_ends_with_its_starter(
     what: str, start: Start, deltacharger: tuple[str, ...], namespace: str, tmp_path: Path
@@ -114,7 +119,7 @@ def test_a_process_ends_with_its_starter(
     if what == "simulate":
         words = [*deltacharger, "simulate", "--directory", str(tmp_path), "--namespace", namespace]
     else:
-        words = arguments(load_scene("mocks"), what, namespace)
+        words = node_command(load_scene("mocks"), what, namespace)
     code = (
         "import os, subprocess, sys, time\n"
         "from deltacharger_core import signals\n"
