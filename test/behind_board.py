@@ -13,7 +13,10 @@ from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
+from deltacharger_driver.servos.port import ServoPort
 
+from .borrowed import anew, borrowed_tests
+from .driver.virtual_line import RealClock
 from .waiting import wait_until
 
 SERVO_TESTS = (
@@ -23,13 +26,27 @@ SERVO_TESTS = (
     "test_servo_setup",
     "test_servo_controller",
     "test_servo_controller_trajectory",
-    "test_servo_watchdog",
 )
 """Driver test modules that also apply to servos behind a board, and their fixtures."""
+SOME = {
+    "test_torque_on_holds_and_off_releases",
+    "test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values",
+    "test_a_vanished_port_opens_the_contactor_and_is_back_soon_after_its_return",
+    "test_closing_opens_the_contactor_and_switches_torque_off_whatever_happens",
+    "test_a_contactor_that_stays_closed_does_not_keep_the_torque_on",
+    "test_a_line_sent_in_pieces_is_followed_like_one_message_and_its_end_is_held",
+    "test_repeated_pauses_of_the_host_stop_the_arm",
+    "test_torque_off_reaches_the_servos_that_answer",
+    "test_gains_are_written_to_every_servo_and_again_after_its_restart",
+    "test_torque_trajectory_torque_off",
+}
+"""Those that CI runs behind the emulated board; the others run at night."""
 
 
 class BehindEmulator:
-    """Servos behind the emulated board, in place of their own `PseudoTerminal`."""
+    """Servos behind the emulated board, in place of their own `PseudoTerminal` or `Line`."""
+
+    handler = ServoPort
 
     def __init__(self, device: ServoBusEmulator, link: Path | None = None) -> None:
         self._folder = tempfile.TemporaryDirectory("", "deltacharger-")
@@ -122,6 +139,15 @@ class BehindFirmware(BehindEmulator):
         assert self._process.returncode == 0, errors
         assert not errors, errors
         self._bus.stop()
+
+
+def servo_tests(group: str, kind: type[BehindEmulator]) -> dict[str, object]:
+    """Return the tests of servos by name, run in real time on servos behind a board."""
+    others = {"PseudoTerminal": behind(kind), "Line": lambda device, clock: kind(device), "Clock": RealClock}
+    tests: dict[str, object] = {}
+    for name in SERVO_TESTS:
+        tests |= borrowed_tests(anew(name, group, **others), set())
+    return tests
 
 
 def behind(kind: type[BehindEmulator]) -> object:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import time
 from collections.abc import Sequence
 
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
@@ -22,6 +21,7 @@ from deltacharger_driver.servos.mx64 import (
     describe_hardware_error,
     ticks_to_angle,
 )
+from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.protocol import sync_write_packet
 from deltacharger_driver.servos.setup import configure, restart_watchdog, set_up
 from deltacharger_driver.servos.snapshot import (
@@ -51,14 +51,17 @@ class ServoBus:
 
     Args:
         settings: wiring and mounting.
+        handler: class of the port.
 
     Attributes:
         counters: communication errors so far.
+        clock: keeps the time.
     """
 
-    def __init__(self, settings: BusSettings) -> None:
+    def __init__(self, settings: BusSettings, handler: type[ServoPort] = ServoPort) -> None:
         self.settings = settings
-        self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
+        self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin, handler)
+        self.clock = self._link.clock
         self.counters = self._link.counters
         self._count = len(settings.ids)
         self._largest_counts = current_to_counts(settings.current_max)
@@ -137,7 +140,7 @@ class ServoBus:
             for index, servo in enumerate(ids):
                 if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
                     replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
-        now = time.monotonic()
+        now = self.clock.now()
         self._cycle += 1
         return self._snapshot(now, replies)
 
@@ -236,14 +239,14 @@ class ServoBus:
     def _forget(self) -> None:
         """Reset the known state of all servos."""
         self._missed = [0] * self._count
-        self._seen = [time.monotonic()] * self._count
+        self._seen = [self.clock.now()] * self._count
         self._rebooted = [False] * self._count
         self._errors = [0] * self._count
         self._torque = [False] * self._count
         self._tripped = [False] * self._count
 
     def _missing(self, index: int) -> bool:
-        silent = time.monotonic() - self._seen[index]
+        silent = self.clock.now() - self._seen[index]
         return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
 
     def _bound(self, current: float) -> int:

@@ -11,13 +11,13 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.reconnection import Reconnection
 from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
 from deltacharger_driver.servos.requests import Contactor, NoContactor, ServoRequest, ServoRequests, wait_until_open
@@ -39,6 +39,7 @@ class ServoController:
         torque_constant: N·m/A, converts a trajectory's torque bound into a current.
         notify: called with (severity "info" | "warning" | "error", message) for every event to log.
         contactor: opened before torque is switched off.
+        handler: class of the port, which also keeps the time.
 
     Attributes:
         stop_reason: reason of the last stop; it and the next may be read from any thread.
@@ -53,9 +54,11 @@ class ServoController:
         torque_constant: float,
         notify: Callable[[str, str], None] = lambda severity, sentence: None,
         contactor: Contactor | None = None,
+        handler: type[ServoPort] = ServoPort,
     ) -> None:
         self.watchdog_trips = 0
-        self.bus = ServoBus(settings)
+        self.bus = ServoBus(settings, handler)
+        self._clock = self.bus.clock
         self._ids = settings.ids
         self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
         self._notify = notify
@@ -108,7 +111,7 @@ class ServoController:
         Waits at most `OPENING_TIME` for the contactor. If possible, first call `stop` and cycle until torque is off.
         """
         if self.bus.is_open and self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
-            wait_until_open(self._contactor, OPENING_TIME)
+            wait_until_open(self._contactor, OPENING_TIME, self._clock)
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
@@ -154,7 +157,7 @@ class ServoController:
             self._phase = ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
-        self._stop_at = time.monotonic() + seconds
+        self._stop_at = self._clock.now() + seconds
         self._goals.hold(self._memory.angles)
         self._contactor.request_open()
 
@@ -168,7 +171,7 @@ class ServoController:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
-        return self._memory.report(time.monotonic(), self._phase, self._faults())
+        return self._memory.report(self._clock.now(), self._phase, self._faults())
 
     def _exchange(self) -> None:
         """Send goals, read the state and react to it."""
@@ -216,11 +219,11 @@ class ServoController:
 
     def _may_switch_off(self) -> bool:
         """Return whether torque may go off: the stop time has passed, or it was requested and the contactor is open."""
-        return time.monotonic() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
+        return self._clock.now() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
 
     def _advance(self) -> None:
         """Take a submitted trajectory; update goal and bounds for now."""
-        now = time.monotonic()
+        now = self._clock.now()
         with self._lock:
             submitted, self._submitted = self._submitted, None
         if submitted is not None and self._phase is ServoPhase.ON:
@@ -242,7 +245,7 @@ class ServoController:
 
     def _resume_after_silence(self, event: str) -> None:
         self.watchdog_trips += 1
-        self._trips.append(now := time.monotonic())
+        self._trips.append(now := self._clock.now())
         if now - self._trips[0] < _TRIPS_WITHIN:
             self.stop(f"{event} repeatedly; this computer is overloaded")
         else:
@@ -298,7 +301,7 @@ class ServoController:
         if self._phase is ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
         elif self._phase is ServoPhase.STOPPING:
-            self._stop_at = min(self._stop_at, time.monotonic() + OPENING_TIME)
+            self._stop_at = min(self._stop_at, self._clock.now() + OPENING_TIME)
             self._contactor.request_open()
         else:
             self._switch_off()

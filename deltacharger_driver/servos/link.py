@@ -27,16 +27,20 @@ class ServoLink:
         port: path of the serial port.
         baud_rate: bit/s.
         reply_margin: s, for accesses with `hurry`, see `parameters.REPLY_MARGIN`.
+        handler: class of the port.
 
     Attributes:
         counters: communication errors so far.
+        clock: keeps the time.
     """
 
-    def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
+    def __init__(
+        self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN, handler: type[ServoPort] = ServoPort
+    ) -> None:
         self.port = port
         self.baud_rate = baud_rate
         self._margin = reply_margin
-        self._handler = ServoPort(port, baud_rate, reply_margin)
+        self._handler = self.clock = handler(port, baud_rate, reply_margin)
         self._protocol = ServoProtocol()
         self.counters = self._protocol.counters
         self._protocol_1 = Protocol1PacketHandler()

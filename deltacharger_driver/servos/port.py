@@ -46,6 +46,8 @@ def latency_timer(port: str) -> float:
 class ServoPort(PortHandler):  # type: ignore[misc]
     """The SDK's port handler: waits in `poll`, keeps time by the monotonic clock, and reports a pulled cable.
 
+    It is also the clock of everything that uses it, so that emulated servos can be driven in virtual time.
+
     Every method that receives raises `WrongDevice` if the first bytes after opening are the board's.
 
     Args:
@@ -126,9 +128,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         Raises:
             PortGone: the port vanished.
         """
-        end = time.monotonic() + _DRAIN_LONGEST
+        end = self.now() + _DRAIN_LONGEST
         quiet = 2.0 * self.latency
-        while self._wait(min(quiet, end - time.monotonic())):
+        while self._wait(min(quiet, end - self.now())):
             self._buffer.clear()
         self._buffer.clear()
 
@@ -177,7 +179,15 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def getCurrentTime(self) -> float:  # noqa: N802
         """Return the monotonic time in milliseconds, the SDK's unit."""
-        return time.monotonic() * 1e3
+        return self.now() * 1e3
+
+    def now(self) -> float:
+        """Return the monotonic time, s."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Do nothing for a time."""
+        time.sleep(seconds)
 
     def _wait(self, timeout: float) -> bool:
         """Wait at most `timeout` s for bytes and buffer them; return whether any arrived."""

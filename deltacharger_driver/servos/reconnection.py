@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError
@@ -36,17 +35,17 @@ class Reconnection:
         """Restart the attempts: the port has just vanished."""
         self.fault = str(error)
         self._pause = _FIRST
-        self._next = time.monotonic() + self._pause
+        self._next = self._bus.clock.now() + self._pause
 
     def attempt(self) -> bool:
         """Open the bus if the next attempt is due; return whether it is open now."""
-        if time.monotonic() < self._next:
+        if self._bus.clock.now() < self._next:
             return False
         try:
             self._bus.open(scan=False)
         except DriverError as error:
             self._pause = min(2.0 * self._pause, _LONGEST)
-            self._next = time.monotonic() + self._pause
+            self._next = self._bus.clock.now() + self._pause
             if str(error) != self.fault:
                 self.fault = str(error)
                 self._notify("error", self.fault)

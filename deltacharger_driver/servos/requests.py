@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from typing import Protocol
+
+from deltacharger_driver.servos.port import ServoPort
 
 _POLL_PERIOD = 0.005  # s between two checks of the contactor
 
@@ -101,9 +102,9 @@ class NoContactor:
         return True
 
 
-def wait_until_open(contactor: Contactor, seconds: float) -> None:
+def wait_until_open(contactor: Contactor, seconds: float, clock: ServoPort) -> None:
     """Request an opening and wait for it, at most `seconds`; for use outside the cycle."""
     contactor.request_open()
-    end = time.monotonic() + seconds
-    while not contactor.is_open() and time.monotonic() < end:
-        time.sleep(_POLL_PERIOD)
+    end = clock.now() + seconds
+    while not contactor.is_open() and clock.now() < end:
+        clock.sleep(_POLL_PERIOD)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortGone
@@ -48,7 +47,7 @@ class ServoRestarts:
         self._away = set(faulty or range(len(self._bus.settings.ids)))
         for index in sorted(self._away):
             self._bus.reboot(index)
-        self._request, self._deadline = request, time.monotonic() + _REBOOT_TIME
+        self._request, self._deadline = request, self._bus.clock.now() + _REBOOT_TIME
 
     def restore(self, snapshot: BusSnapshot) -> list[int]:
         """Configure every restarted servo; return the ids of those that restarted without a request.
@@ -86,7 +85,7 @@ class ServoRestarts:
             return
         if not self._away and snapshot.complete:
             self._request.finish(not faults, "; ".join(faults) or "rebooted and configured; torque is off")
-        elif time.monotonic() >= self._deadline:
+        elif self._bus.clock.now() >= self._deadline:
             self._request.finish(False, "; ".join(faults) or "the servos did not come back in time")
         else:
             return

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos behind real pseudo-terminals, and their hosts."""
+"""Emulated servos in virtual time or behind real pseudo-terminals, and their hosts."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +17,8 @@ from deltacharger_driver.servos.snapshot import BusSettings
 
 from ..emulated_ports import board, board_port, servo_port, servos
 from .servo_host import Host
-from .servo_rig import Rig
+from .servo_rig import START, Rig
+from .virtual_line import Clock, Line
 
 __all__ = ("board", "board_port", "servo_port", "servos")
 
@@ -28,13 +29,25 @@ def host() -> Host:
 
 
 @pytest.fixture
-def arm() -> BenchArm:
-    return BenchArm((-0.7, -0.5, 0.2))
+def clock() -> Any:
+    return Clock()
+
+
+@pytest.fixture
+def arm(clock: Any) -> BenchArm:
+    return BenchArm(START, clock=clock)
 
 
 @pytest.fixture
 def emulator(arm: BenchArm) -> ServoBusEmulator:
     return ServoBusEmulator(arm)
+
+
+@pytest.fixture
+def line(emulator: ServoBusEmulator, clock: Any) -> Iterator[Any]:
+    with Line(emulator, clock) as line:
+        emulator.line_speed = line.speed
+        yield line
 
 
 @pytest.fixture
@@ -44,17 +57,17 @@ def terminal(emulator: ServoBusEmulator) -> Iterator[PseudoTerminal]:
 
 
 @pytest.fixture
-def link(terminal: PseudoTerminal) -> Iterator[ServoLink]:
-    link = ServoLink(terminal.path, 1_000_000)
+def link(line: Any) -> Iterator[ServoLink]:
+    link = ServoLink(line.path, 1_000_000, handler=line.handler)
     link.open()
     yield link
     link.close()
 
 
 @pytest.fixture
-def closed(terminal: PseudoTerminal) -> Iterator[ServoBus]:
+def closed(line: Any) -> Iterator[ServoBus]:
     """A bus that a test opens itself."""
-    bus = ServoBus(BusSettings(terminal.path))
+    bus = ServoBus(BusSettings(line.path), line.handler)
     yield bus
     bus.close()
 
@@ -66,8 +79,8 @@ def bus(closed: ServoBus) -> ServoBus:
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    rig = Rig(tmp_path / "servo")
+def rig(arm: BenchArm, emulator: ServoBusEmulator, line: Any, clock: Any) -> Iterator[Rig]:
+    rig = Rig(arm, emulator, line, clock)
     rig.controller.open()
     yield rig
-    rig.close()
+    rig.controller.close()

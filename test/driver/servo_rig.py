@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A servo controller over emulated servos on a real pseudo-terminal; waiting for a condition runs its cycles."""
+"""A servo controller over emulated servos; waiting for a condition runs its cycles."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.requests import ServoRequest
@@ -28,51 +25,43 @@ LIMITS = JointLimits(NAMES, -1.2, 1.3, 4.4)
 DEFAULT = 0.83
 
 
-class Contactor:
-    """A contactor that opens `delay` s after a request; it records the state of the arm then."""
+class Rig:
+    """A controller, and a contactor that opens `delay` s after a request and records the arm's torque then."""
 
-    def __init__(self, arm: BenchArm) -> None:
-        self.arm = arm
-        self.delay = 0.0
+    def __init__(self, arm: BenchArm, emulator: ServoBusEmulator, line: Any, clock: Any) -> None:
+        self.arm, self.emulator, self.line, self.clock = arm, emulator, line, clock
+        self.events: list[tuple[str, str]] = []
         self.requests: list[float] = []
-        self.opened_at = 0.0
+        self.delay = 0.0
         self.torque_when_opened: list[bool] | None = None
+        self.controller = ServoController(
+            BusSettings(line.path),
+            DEFAULT,
+            TORQUE_CONSTANT,
+            lambda *event: self.events.append(event),
+            self,
+            line.handler,
+        )
+        self.report: Any = None
 
     def request_open(self) -> None:
-        self.requests.append(time.monotonic())
-        self.opened_at = self.requests[0] + self.delay
+        self.requests.append(self.clock())
 
     def is_open(self) -> bool:
-        if not self.requests or time.monotonic() < self.opened_at:
+        if not self.requests or self.clock() < self.requests[0] + self.delay:
             return False
-        if self.torque_when_opened is None:
-            self.torque_when_opened = self.arm.torque_enabled()
+        self.torque_when_opened = self.torque_when_opened or self.arm.torque_enabled()
         return True
-
-
-class Rig:
-    """A controller that cycles at 100 Hz while it waits for a condition."""
-
-    def __init__(self, path: Path) -> None:
-        self.arm = BenchArm(START)
-        self.emulator = ServoBusEmulator(self.arm)
-        self.terminal = PseudoTerminal(self.emulator, path).start()
-        self.events: list[tuple[str, str]] = []
-        self.controller = ServoController(
-            BusSettings(self.terminal.path), DEFAULT, TORQUE_CONSTANT, lambda *event: self.events.append(event)
-        )
-        self.contactor = Contactor(self.arm)
-        self.report: Any = None
 
     def cycle(self) -> ServoReport:
         self.report = self.controller.cycle()
-        time.sleep(0.005)
+        self.clock.sleep(0.005)
         return self.report
 
-    def until(self, condition: Callable[[ServoReport], Any], seconds: float = DEADLINE) -> Any:
-        deadline = time.monotonic() + seconds
+    def until(self, condition: Callable[[ServoReport], Any]) -> Any:
+        deadline = self.clock() + DEADLINE
         while not (result := condition(self.cycle())):
-            assert time.monotonic() < deadline, f"the condition did not become true; {self.report}"
+            assert self.clock() < deadline, f"the condition did not become true; {self.report}"
         return result
 
     def ask(self, action: str) -> ServoRequest:
@@ -80,23 +69,16 @@ class Rig:
         self.until(lambda report: request.wait(0.0))
         return request
 
-    def wire_contactor(self) -> None:
-        """Give the controller a contactor."""
-        self.controller._contactor = self.contactor
-
     def torque_on(self) -> None:
         request = self.ask("torque_on")
         assert request.success, request.message
 
-    def send(self, *rows: tuple[Any, ...]) -> None:
-        self.controller.submit(check(NAMES, [ServoWaypoint(*row) for row in rows], LIMITS))
+    def send(self, *rows: tuple[Any, ...], start: float | None = None) -> None:
+        trajectory = check(NAMES, [ServoWaypoint(*row) for row in rows], LIMITS)
+        self.controller.submit(trajectory, *([] if start is None else [start]))
 
     def references(self) -> list[float]:
         return [command[1] for command in self.arm.commands]
 
     def bounds(self) -> list[float]:
         return [command[2] for command in self.arm.commands]
-
-    def close(self) -> None:
-        self.controller.close()
-        self.terminal.stop()

@@ -10,7 +10,6 @@ import pytest
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, ControlTable
 from deltacharger_driver.servos.mx64 import REGISTERS
@@ -37,8 +36,7 @@ def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
     assert not [address for address in written if address < 64]
 
 
-def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:
-    emulator.line_speed = terminal.speed
+def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.set_speed(1, 1)
     emulator.faults.missing = {2}
     emulator.use_protocol_1(3)
@@ -56,10 +54,7 @@ def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmula
     assert not closed.is_open
 
 
-def test_old_firmware_at_the_factory_speed_is_found_too(
-    closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal
-) -> None:
-    emulator.line_speed = terminal.speed
+def test_old_firmware_at_the_factory_speed_is_found_too(closed: ServoBus, emulator: ServoBusEmulator) -> None:
     for servo in (1, 2, 3):
         emulator.set_speed(servo, 1)
         emulator.use_protocol_1(servo)
@@ -149,7 +144,7 @@ def test_one_rejection_does_not_hide_the_next(
 
 @pytest.mark.parametrize("name", ["position_p_gain", "position_i_gain", "position_d_gain"])
 def test_a_gain_that_a_servo_does_not_keep_is_named(
-    terminal: PseudoTerminal, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
+    line: Any, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     write, stubborn = ControlTable.write, emulator.servo(2).table
     stubborn.set(name, 17)
@@ -160,15 +155,13 @@ def test_a_gain_that_a_servo_does_not_keep_is_named(
         return write(table, address, data)
 
     monkeypatch.setattr(ControlTable, "write", forget)
-    bus = ServoBus(BusSettings(terminal.path, gains=(500, 20, 3)))
+    bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
     with pytest.raises(HandshakeError, match=rf"servo 2: {name.replace('_', ' ')} reads 17 after \d+ was written"):
         bus.open()
 
 
-def test_gains_are_written_to_every_servo_and_again_after_its_restart(
-    terminal: PseudoTerminal, emulator: ServoBusEmulator
-) -> None:
-    bus = ServoBus(BusSettings(terminal.path, gains=(500, 20, 3)))
+def test_gains_are_written_to_every_servo_and_again_after_its_restart(line: Any, emulator: ServoBusEmulator) -> None:
+    bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
 
     def gains(servo: int) -> list[int]:
         return [emulator.servo(servo).table.get(f"position_{letter}_gain") for letter in "pid"]

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ..behind_board import SERVO_TESTS, BehindFirmware, behind
-from ..borrowed import anew, borrowed_tests
+from ..behind_board import BehindFirmware, servo_tests
 
 pytestmark = [pytest.mark.ros, pytest.mark.night, pytest.mark.usefixtures("host_program")]
 
-for _name in SERVO_TESTS:
-    globals().update(borrowed_tests(anew(_name, "tests_behind_firmware", PseudoTerminal=behind(BehindFirmware)), set()))
+globals().update(servo_tests("tests_behind_firmware", BehindFirmware))
 
 
 @pytest.fixture

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The guard of the contactor on the emulated board, in virtual time."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from deltacharger_driver.board.contactor_guard import ContactorGuard
+from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_driver.board.errors import CommandRefused
+from deltacharger_driver.board.payloads import decode_probe
+from deltacharger_driver.board.protocol import BoardFault, PacketType
+from deltacharger_driver.board.receiver import BoardReceiver
+from deltacharger_driver.board.requests import BoardRequests
+from deltacharger_driver.board.samples import ProbeResult
+from deltacharger_driver.errors import NoAnswer
+
+from ..waiting import wait_until
+from .board_bench import STEP, Bench, acks
+
+LEASE = 0.25
+
+
+class Charger:
+    """A guard whose link, heartbeat and keeper this is.
+
+    Attributes:
+        commands: to the contactor.
+        on_probe, on_keep_alive: called in between.
+    """
+
+    def __init__(self) -> None:
+        self.bench, self.until, self.commands = Bench(), -math.inf, list[bool]()
+        self.board, self.plant = self.bench.board, self.bench.plant
+        self.on_probe: Callable[[], object] = lambda: None
+        self.on_keep_alive: Callable[[], object] = lambda: None
+        self.guard = ContactorGuard(self, clock=lambda: self.bench.now)  # type: ignore[arg-type]
+        self._receiver = BoardReceiver(
+            BoardRequests(), self.guard.observe_tactile, self.guard.observe_power, self.guard.interrupted
+        )
+        self.bench.send(PacketType.START)
+        self.run(0.1)
+        assert self.bench.error(PacketType.TARE, wait=0.05) == 0
+        self.plant.press(20.0)
+        self.run(0.2)
+
+    @property
+    def is_closed(self) -> bool:
+        return self.plant.read_power()[3]
+
+    def run(self, seconds: float) -> None:
+        """Let time pass: heartbeat, keeper, reports."""
+        for _ in range(round(seconds / STEP)):
+            self.bench.beating = self.bench.now < self.until
+            for packet in self.bench.run(STEP):
+                self._receiver.take(packet, self.bench.now)
+            if self.guard.remaining() <= 0.0:
+                self.guard.tick()
+
+    def close(self, holder: str = "dock", lease: float = LEASE, token: str = "") -> float:
+        return self.guard.close(holder, lease, token)
+
+    def charge(self, seconds: float) -> None:
+        """Hold the lease as docking_node does."""
+        for _ in range(round(seconds / 0.1)):
+            self.close()
+            self.run(0.1)
+
+    def keep_alive(self, until: float) -> None:
+        self.until = until
+        self.bench.send(PacketType.HEARTBEAT)
+        self.on_keep_alive()
+
+    def stop_heartbeat(self) -> None:
+        self.until = -math.inf
+
+    def contactor(self, close: bool) -> None:
+        self.commands.append(close)
+        error = self.bench.error(PacketType.CONTACTOR, bytes([close]))
+        if error:
+            raise CommandRefused(PacketType.CONTACTOR, error)
+
+    def probe(self) -> ProbeResult:
+        self.on_probe()
+        before = len(self.bench.packets)
+        self.bench.send(PacketType.PROBE)
+        while not (found := [each for each in acks(self.bench.packets[before:]) if each.type == PacketType.PROBE]):
+            self.run(STEP)
+        (ack,) = found
+        return ProbeResult(*decode_probe(ack.data), self.bench.now)
+
+
+@pytest.fixture
+def charger() -> Charger:
+    """Ready to close."""
+    charger = Charger()
+    charger.guard.probe()
+    return charger
+
+
+def test_a_held_lease_charges_and_anyone_ends_it_by_an_open(charger: Charger) -> None:
+    charger.run(0.2)
+    assert charger.until == -math.inf  # no heartbeat without a lease
+    charger.charge(0.6)
+    assert charger.is_closed
+    assert charger.bench.power().charge_current == pytest.approx(1.0)
+    assert charger.guard.lease_record()["lease_renewals"] == 5
+    charger.guard.open()
+    assert not charger.board.contactor_commanded
+    assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
+    assert math.isinf(charger.guard.probe_record()[1])
+    charger.run(0.1)
+    assert not charger.is_closed
+    assert charger.board.fault == 0
+    with pytest.raises(LeaseRefused, match="probe"):
+        charger.close()
+
+
+def test_a_lease_that_is_not_renewed_lapses_in_time_without_a_fault(charger: Charger) -> None:
+    charger.charge(0.3)
+    charger.close()
+    charger.run(LEASE - 2 * STEP)
+    assert charger.is_closed
+    charger.run(4 * STEP)
+    assert not charger.is_closed
+    charger.run(0.3)
+    assert charger.board.fault == 0
+    assert charger.guard.lease_record()["lease_lapses"] == 1
+    with pytest.raises(LeaseRefused, match="probe"):
+        charger.close()
+
+
+def short(charger: Charger) -> None:
+    charger.plant.resistance = 0.5
+    charger.guard.probe()
+
+
+def drop(type: PacketType) -> Callable[[Charger], None]:
+    return lambda charger: charger.board.faults.inject("drop", 1000, type)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "wait", "word"),
+    [
+        (lambda charger: charger.plant.press(0.0), 0.3, "contact"),
+        (drop(PacketType.TACTILE), 0.15, "stale"),
+        (drop(PacketType.POWER), 0.6, "power stage"),
+        (lambda charger: None, 2.0 + STEP, "probe"),
+        (short, 0.0, "short"),
+        (lambda charger: charger.board.trip(BoardFault.OVER_CURRENT), 0.06, "over current"),
+        (lambda charger: charger.guard.interrupted(), 0.0, "power stage"),
+        (lambda charger: charger.guard.shut_down(), 0.0, "shutting down"),
+    ],
+    ids=["no contact", "no frames", "no power", "old probe", "short", "fault", "interrupted", "shut"],
+)
+def test_reasons_to_refuse_a_close(
+    charger: Charger, spoil: Callable[[Charger], object], wait: float, word: str
+) -> None:
+    spoil(charger)
+    charger.run(wait)
+    fault = charger.board.fault
+    with pytest.raises(LeaseRefused, match=word):
+        charger.close()
+    record = charger.guard.lease_record()
+    assert (record["refused_closes"], record["holder"], charger.until) == (1, "", -math.inf)
+    assert word in str(record["last_refusal"])
+    assert True not in charger.commands
+    assert charger.board.fault == fault  # it stays visible
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [{"lease": -1.0}, {"lease": 0.0}, {"lease": math.nan}, {"holder": ""}, {"holder": "x" * 65}, {"token": "x" * 65}],
+)
+def test_impossible_closes_are_refused_and_a_good_one_follows(charger: Charger, request_: dict[str, object]) -> None:
+    with pytest.raises(LeaseRefused):
+        charger.close(**request_)  # type: ignore[arg-type]
+    assert not charger.board.contactor_commanded
+    assert charger.close(lease=2.0**31) <= LEASE  # an endless lease is shortened
+    assert charger.board.contactor_commanded
+
+
+def test_only_the_token_renews(charger: Charger) -> None:
+    charger.close(token="secret")
+    for holder, token in (("dock", ""), ("dock", "guess"), ("other", "secret")):
+        with pytest.raises(LeaseRefused, match="'dock'"):
+            charger.close(holder, token=token)
+    charger.close(token="secret")
+
+
+def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(charger: Charger) -> None:
+    charger.charge(0.3)
+    charger.board.trip(BoardFault.REVERSE_CURRENT)
+    charger.run(0.06)
+    assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
+    with pytest.raises(LeaseRefused, match="reverse current"):
+        charger.close()
+    charger.run(0.4)  # a lapse would have opened by now, which clears the fault
+    assert charger.guard.shut_down()  # nor does the end of the driver
+    assert charger.board.fault == BoardFault.REVERSE_CURRENT
+    charger.guard.open()
+    charger.run(0.1)
+    assert charger.bench.power().fault == 0
+
+
+def test_a_probe_while_closed_is_refused(charger: Charger) -> None:
+    charger.close()
+    with pytest.raises(LeaseRefused, match="'dock'"):
+        charger.guard.probe()
+
+
+def test_an_open_does_not_wait_for_a_probe_and_voids_it(charger: Charger) -> None:
+    charger.on_probe = charger.guard.open
+    with pytest.raises(LeaseRefused, match="opened"):
+        charger.guard.probe()
+    assert math.isinf(charger.guard.probe_record()[1])
+
+
+def test_a_close_waits_for_a_running_probe(charger: Charger) -> None:
+    closing = threading.Thread(target=charger.close)
+
+    def begin() -> None:
+        closing.start()
+        wait_until(lambda: charger.guard._probe._priority, "the close to wait")
+        assert not charger.commands
+
+    charger.on_probe = begin
+    charger.guard.probe()
+    closing.join()
+    assert charger.commands == [True]
+
+
+@pytest.mark.parametrize("reboots", [True, False], ids=["the board reboots", "the port vanishes"])
+def test_an_interruption_while_charging_ends_the_lease(charger: Charger, reboots: bool) -> None:
+    charger.charge(0.3)
+    if reboots:
+        charger.board.reboot()
+        charger.run(0.1)
+    else:
+        charger.guard.interrupted()
+    assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
+    charger.run(0.3)
+    assert not charger.is_closed
+    charger.bench.send(PacketType.START)
+    charger.run(0.2)
+    with pytest.raises(LeaseRefused):
+        charger.close()
+
+
+def test_an_opening_during_a_close_refuses_it_and_ends_the_heartbeat(charger: Charger) -> None:
+    def trip() -> None:
+        charger.board.trip(BoardFault.OVER_CURRENT)
+        charger.run(0.06)
+        charger.on_keep_alive = lambda: None
+
+    charger.charge(0.3)
+    charger.on_keep_alive = trip
+    with pytest.raises(LeaseRefused, match="opened"):
+        charger.close()
+    assert charger.until == -math.inf
+
+
+def test_a_close_without_an_answer_is_followed_by_an_open(charger: Charger, monkeypatch: pytest.MonkeyPatch) -> None:
+    switch = charger.contactor
+
+    def lost(close: bool) -> None:
+        switch(close)
+        raise NoAnswer("board", "CONTACTOR", 0.2)
+
+    monkeypatch.setattr(charger, "contactor", lost)
+    with pytest.raises(NoAnswer):
+        charger.close()
+    assert charger.commands == [True, False]
+    assert not charger.board.contactor_commanded
+    assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
