@@ -22,10 +22,12 @@ from setuptools.command.build import build
 from setuptools.dist import Distribution
 
 ROOT = Path(__file__).resolve().parent
-# One build folder per Python and environment, because their ROS may differ.
+# One build folder per Python and environment, because their ROS may differ. It is laid out as colcon's --build-base, so
+# that a colcon build of the same environment finds the interfaces compiled.
 ENVIRONMENT = Path(sys.prefix).name.lstrip(".")
-BUILD = ROOT / "build" / f"pip-{sysconfig.get_platform()}-{sys.implementation.cache_tag}-{ENVIRONMENT}"
-STAGE = BUILD / "stage"
+BASE = ROOT / "build" / f"{sysconfig.get_platform()}-{sys.implementation.cache_tag}-{ENVIRONMENT}"
+BUILD = BASE / "deltacharger"
+STAGE = BASE / "stage"
 
 # Forwarders in lib/deltacharger let launch files and `ros2 run` find the executables of any venv.
 FORWARDER = '#!/bin/sh\nexec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"\n'
@@ -53,6 +55,8 @@ def run_cmake() -> None:
     environment = dict(os.environ)
     for variable in ("CMAKE_PREFIX_PATH", "AMENT_PREFIX_PATH"):
         environment[variable] = os.pathsep.join(filter(None, [str(prefix), environment.get(variable)]))
+    # The cmake and ninja that [build-system] asks for, also where the environment is not activated.
+    environment["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)])
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     command = [
         "cmake", "-S", str(ROOT), "-B", str(BUILD), "-G", "Ninja",
