@@ -35,7 +35,14 @@ from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 PATIENT = {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0}
 """Of docking_node: a busy computer is not a broken cable."""
-QUICK = {**SCENE, "parameters": {"docking_node": {**STEPS, **PATIENT}}}
+QUICK = {
+    **SCENE,
+    "parameters": {
+        "docking_node": {**STEPS, **PATIENT},
+        "servo_node": {"reply_margin": 0.1},
+        "misalignment_node": {"max_age": 1.0},
+    },
+}
 """Content of a scene: five nodes on a simulated charger whose target is exactly at GOAL, quick and patient."""
 _LOOK = 1.0  # s between docking_node's checks for second sources while it rests
 

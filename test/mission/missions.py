@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -224,10 +225,8 @@ def squarely(limit: float, code: Code = Code.LEANING) -> Answer:
 
     def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
         seen = world.seen()
-        if abs(seen.yaw) <= limit:
-            return dock(world, request)
-        where = BasePose.before(seen.position, seen.yaw)
-        return 0.2, TaskReply(request.number, End.FAILED, code, "askew", suggested=where)
+        askew = ends(End.FAILED, "askew", 0.2, code=code, suggested=BasePose.before(seen.position, seen.yaw))
+        return (dock if abs(seen.yaw) <= limit else askew)(world, request)
 
     return answer
 
@@ -251,15 +250,16 @@ def fails(code: Code, retriable: bool = False, after: float = 1.0, charging: boo
     return answer
 
 
-def ends(end: End, message: str = "") -> Answer:
-    """Return a server whose requests end in this way."""
-    return lambda world, request: (1.0, TaskReply(request.number, end, message=message))
+def ends(end: End, message: str = "", after: float = 1.0, **fields: Any) -> Answer:
+    """Return a server whose requests end in this way after some seconds."""
+    return lambda world, request: (after, TaskReply(request.number, end, message=message, **fields))
+
+
+def in_turn(*answers: Answer) -> Answer:
+    """Return a server that answers with these in turn, the last one for ever."""
+    left = list(answers)
+    return lambda world, request: (left.pop(0) if len(left) > 1 else left[0])(world, request)
 
 
 def silent(world: World, request: TaskRequest) -> None:
     """Answer nothing."""
-
-
-def without(parameters: MissionParameters, **changes: float) -> MissionParameters:
-    """Return parameters with other values."""
-    return replace(parameters, **changes)  # type: ignore[arg-type]

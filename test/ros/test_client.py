@@ -22,75 +22,132 @@ from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_ros.sent_goal import LOST
 
 from ..chargers import DEADLINE, wait_until
+from ..marks import rest
 from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
+GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+
+
+class Server:
+    """Both actions of a charger: goals end as `execute` says, and dock drops its first responses of some kinds.
+
+    Attributes:
+        dock: the action server.
+        dropped: number of responses so far.
+        over: set at the end.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        execute: Callable[[Any], None] = lambda handle: handle.succeed(),
+        decides: bool = True,
+        **drops: int,
+    ) -> None:
+        self.dropped = 0
+        self.over = threading.Event()
+        self._drops = {f"send_{kind}_response": number for kind, number in drops.items()}
+
+        def work(handle: Any) -> Any:
+            execute(handle)
+            return Dock.Result(success=True)
+
+        def decide(goal: Any) -> GoalResponse:
+            return GoalResponse.ACCEPT if decides else self.over.wait(DEADLINE) and GoalResponse.REJECT
+
+        self._servers: list[Any] = [
+            ActionServer(
+                node, kind, name, work, goal_callback=decide, cancel_callback=lambda handle: CancelResponse.ACCEPT
+            )
+            for kind, name in ((Dock, "dock"), (Undock, "undock"))
+        ]
+        self.dock = self._servers[0]
+        self._handle, self.dock._handle = self.dock._handle, self
+        self._spinner = Spinner(node)
+
+    def __getattr__(self, name: str) -> Any:
+        """Stand in for the handle of dock's server."""
+        if not self._drops.get(name):
+            return getattr(self._handle, name)
+
+        def drop(*arguments: Any) -> None:
+            self._drops[name] -= 1
+            self.dropped += 1
+
+        return drop
+
+    def close(self) -> None:
+        self.over.set()
+        self._spinner.close(*self._servers)
+
 
 @pytest.fixture
-def silent_charger(context: Any, namespace: str) -> Iterator[str]:
-    """Both actions of a charger that answers no goal until the test is over; yields its namespace."""
-    over = threading.Event()
+def serve(context: Any, namespace: str) -> Iterator[Callable[..., Server]]:
+    started: list[Server] = []
 
-    def decide(goal: Any) -> GoalResponse:
-        over.wait(DEADLINE)
-        return GoalResponse.REJECT
+    def start(*arguments: Any, **options_: Any) -> Server:
+        started.append(Server(Node("docking_node", **options(context, namespace)), *arguments, **options_))
+        return started[-1]
 
-    node = Node("docking_node", **options(context, namespace))
-    servers = [
-        ActionServer(node, kind, name, execute_callback=lambda handle: None, goal_callback=decide)
-        for kind, name in ((Dock, "dock"), (Undock, "undock"))
-    ]
-    spinner = Spinner(node)
-    yield namespace
-    over.set()
-    spinner.close(*servers)
+    yield start
+    for server in started:
+        server.close()
 
 
-def test_an_unanswered_goal_ends_with_an_error(
-    silent_charger: str, context: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def client(context: Any, namespace: str) -> Iterator[ChargerClient]:
+    with ChargerClient(namespace, context) as client:
+        yield client
+
+
+@pytest.fixture
+def answering(serve: Callable[..., Server], client: ChargerClient) -> Callable[..., Server]:
+    """Start a server, and wait until the client has discovered it."""
+
+    def start(*arguments: Any, **options_: Any) -> Server:
+        server = serve(*arguments, **options_)
+        assert client.wait_until_it_answers(DEADLINE)
+        return server
+
+    return start
+
+
+Answering = Callable[..., Server]
+
+
+@pytest.mark.parametrize("cancels", [False, True])
+def test_an_unanswered_goal_ends_with_an_error_with_or_without_a_cancel(
+    answering: Answering, client: ChargerClient, monkeypatch: pytest.MonkeyPatch, cancels: bool
 ) -> None:
-    with ChargerClient(silent_charger, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        monkeypatch.setattr(client_module, "_LOST_AFTER", 0.5)
-        with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
-            client.undock()
-
-
-def test_a_cancel_does_not_wait_for_an_unanswered_goal(silent_charger: str, context: Any) -> None:
+    answering(decides=False)
     cancel = threading.Event()
-    with ChargerClient(silent_charger, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
+    monkeypatch.setattr(client_module, "_LOST_AFTER", DEADLINE if cancels else 0.3)
+    if cancels:
         cancel.set()
-        started = time.monotonic()
-        with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
-            client.undock(cancel=cancel)
-        assert time.monotonic() - started < 3.0
+    with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
+        client.undock(cancel=cancel)
 
 
-def test_an_answer_during_sending_is_received(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.version
+def test_an_answer_during_sending_is_received(
+    answering: Answering, client: ChargerClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Late(action_client.Future):  # type: ignore[misc]
         def __init__(self, *args: Any, **kwargs: Any) -> None:
             time.sleep(0.1)  # a stall between the request and the lookup of its answer
             super().__init__(*args, **kwargs)
 
-    def execute(handle: Any) -> Dock.Result:
-        handle.succeed()
-        return Dock.Result(success=True)
-
-    node = Node("docking_node", **options(context, namespace))
-    servers = [ActionServer(node, kind, name, execute) for kind, name in ((Dock, "dock"), (Undock, "undock"))]
-    spinner = Spinner(node)
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        monkeypatch.setattr(action_client, "Future", Late)
-        assert client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
-    spinner.close(*servers)
+    answering()
+    monkeypatch.setattr(action_client, "Future", Late)
+    assert client.dock(GOAL, deadline=DEADLINE).success
 
 
-def test_a_callers_unanswered_goal_is_lost(silent_charger: str, context: Any) -> None:
+def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context: Any, namespace: str) -> None:
+    serve(decides=False)
     ends: list[tuple[Any, ...]] = []
-    node = Node("mission_node", **options(context, silent_charger))
+    node = Node("mission_node", **options(context, namespace))
     caller = ActionCaller(node, Dock, "dock", lambda *end: ends.append(end), lost_timeout=0.3)
     spinner = Spinner(node)
     caller.send(7, Dock.Goal())
@@ -105,120 +162,58 @@ def test_a_callers_unanswered_goal_is_lost(silent_charger: str, context: Any) ->
     spinner.close(caller)
 
 
-class Lossy:
-    """Handle of an action server; drops the first responses of some kinds."""
-
-    def __init__(self, server: Any, **drops: int) -> None:
-        self.server = server
-        self._handle = server._handle
-        self._drops = {f"send_{kind}_response": number for kind, number in drops.items()}
-        self.dropped = 0
-
-    def __getattr__(self, name: str) -> Any:
-        if not self._drops.get(name):
-            return getattr(self._handle, name)
-
-        def drop(*arguments: Any) -> None:
-            self._drops[name] -= 1
-            self.dropped += 1
-
-        return drop
+@pytest.mark.parametrize("drops", [rest({"goal": 1}), rest({"result": 1})], ids=str)
+def test_a_lost_response_is_requested_again(answering: Answering, client: ChargerClient, drops: dict[str, int]) -> None:
+    server = answering(**drops)
+    assert client.dock(GOAL, deadline=DEADLINE).success
+    assert server.dropped == sum(drops.values())
 
 
-@pytest.fixture
-def lossy_charger(context: Any, namespace: str) -> Iterator[Callable[..., Lossy]]:
-    """Function that starts both actions of a charger: goals end as `execute` says, and dock drops responses."""
-    started: list[Any] = []
-
-    def start(execute: Callable[[Any], None] = lambda handle: handle.succeed(), **drops: int) -> Lossy:
-        def work(handle: Any) -> Any:
-            execute(handle)
-            return Dock.Result(success=True)
-
-        node = Node("docking_node", **options(context, namespace))
-        servers: Any = [
-            ActionServer(node, kind, name, work, cancel_callback=lambda handle: CancelResponse.ACCEPT)
-            for kind, name in ((Dock, "dock"), (Undock, "undock"))
-        ]
-        servers[0]._handle = lossy = Lossy(servers[0], **drops)
-        started.append((Spinner(node), servers))
-        return lossy
-
-    yield start
-    for spinner, servers in started:
-        spinner.close(*servers)
-
-
-@pytest.mark.parametrize("drops", [{"goal": 1}, {"result": 1}, {"goal": 1, "result": 1}], ids=str)
-def test_a_lost_response_is_requested_again(
-    lossy_charger: Callable[..., Lossy], context: Any, namespace: str, drops: dict[str, int]
-) -> None:
-    lossy = lossy_charger(**drops)
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        assert client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
-    assert lossy.dropped == sum(drops.values())
-
-
+@pytest.mark.rest
 def test_feedback_shows_that_a_goal_was_accepted(
-    lossy_charger: Callable[..., Lossy], context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
+    answering: Answering, client: ChargerClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    over = threading.Event()
+    begun = time.monotonic()
 
     def execute(handle: Any) -> None:
-        while not over.wait(0.05):
+        while time.monotonic() - begun < 3.0:
             handle.publish_feedback(Dock.Feedback())
+            time.sleep(0.05)
         handle.succeed()
 
-    lossy_charger(execute, goal=1)
+    answering(execute, goal=1)
     monkeypatch.setattr(client_module, "_LOST_AFTER", 2.0)
-    timer = threading.Timer(3.0, over.set)
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        timer.start()
-        assert client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
+    assert client.dock(GOAL, deadline=DEADLINE).success
 
 
-def test_a_goal_that_its_server_has_forgotten_is_lost(
-    lossy_charger: Callable[..., Lossy], context: Any, namespace: str
-) -> None:
-    over = threading.Event()
+@pytest.mark.version
+def test_a_goal_that_its_server_has_forgotten_is_lost(answering: Answering, client: ChargerClient) -> None:
+    def execute(handle: Any) -> None:
+        server.dock._goal_handles.clear()  # like a node that has restarted
+        server.over.wait(DEADLINE)
+
+    server = answering(execute)
+    with pytest.raises(ClientError, match="no longer knows the goal 'dock'"):
+        client.dock(GOAL)
+
+
+def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answering, client: ChargerClient) -> None:
+    cancel, ended = threading.Event(), threading.Event()
 
     def execute(handle: Any) -> None:
-        lossy.server._goal_handles.clear()  # like a node that has restarted
-        over.wait(DEADLINE)
-
-    lossy = lossy_charger(execute)
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        with pytest.raises(ClientError, match="no longer knows the goal 'dock'"):
-            client.dock(DockRequest(Pose(0.0, 0.0, 0.080)))
-    over.set()
-
-
-def test_a_goal_is_cancelled_although_its_acceptance_was_lost(
-    lossy_charger: Callable[..., Lossy], context: Any, namespace: str
-) -> None:
-    begun, cancel, ended = threading.Event(), threading.Event(), threading.Event()
-
-    def execute(handle: Any) -> None:
-        begun.set()
+        cancel.set()
         wait_until(lambda: handle.is_cancel_requested, "the cancel")
         handle.canceled()
         ended.set()
 
-    lossy_charger(execute, goal=1)
-    threading.Thread(target=lambda: begun.wait(DEADLINE) and cancel.set(), daemon=True).start()
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        with pytest.raises(ClientError, match="did not answer the goal 'dock'"):
-            client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), cancel=cancel)
-        assert ended.wait(DEADLINE)
+    answering(execute, goal=1)
+    with pytest.raises(ClientError, match="did not answer the goal 'dock'"):
+        client.dock(GOAL, cancel=cancel)
+    assert ended.wait(DEADLINE)
 
 
-def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(silent_charger: str, context: Any) -> None:
-    with ChargerClient(silent_charger, context) as client:
-        assert client.wait_until_it_answers(DEADLINE)
-        for _ in range(2):
-            with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
-                client.undock("\udcff")
+def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(answering: Answering, client: ChargerClient) -> None:
+    answering(decides=False)
+    for _ in range(2):
+        with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
+            client.undock("\udcff")

@@ -7,24 +7,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 import rclpy
 from deltacharger.action import Dock
 from rclpy.action import ActionClient, ActionServer
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
-from std_msgs.msg import Empty, Int64
+from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import DEADLINE, wait_until
-from ..nodes import answer, options
+from ..nodes import answer, call, options
 
 pytestmark = pytest.mark.ros
+
+Serve = Callable[..., Spinner]
 
 
 @pytest.fixture
@@ -35,142 +37,145 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
 
 
 @pytest.fixture
-def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Suppress error output of ending threads."""
-    monkeypatch.setattr(threading, "excepthook", lambda arguments: None)
+def serve(node: Node) -> Iterator[Serve]:
+    """Serve the node from the call on; at the end close it with the given waitables."""
+    closers: list[Callable[[], None]] = []
+
+    def begin(*waitables: Any) -> Spinner:
+        spinner = Spinner(node)
+        closers.append(lambda: spinner.close(*waitables))
+        return spinner
+
+    yield begin
+    for close in closers:
+        close()
 
 
-def test_an_idle_executor_uses_no_processor_time(node: Node) -> None:
+class Slow:
+    """A callback that waits until the test releases it."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Semaphore(0)
+        self.release = threading.Event()
+
+    def serve(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.begun.release()
+        self.release.wait(DEADLINE)
+        return response
+
+    def execute(self, handle: Any) -> Dock.Result:
+        self.begun.release()
+        self.release.wait(DEADLINE)
+        handle.succeed()
+        return Dock.Result(success=True)
+
+    def wait_for(self, count: int) -> None:
+        assert all(self.begun.acquire(timeout=DEADLINE) for _ in range(count))
+
+
+@pytest.fixture
+def slow(serve: Serve) -> Iterator[Slow]:
+    slow = Slow()
+    yield slow
+    slow.release.set()
+
+
+def quick(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    response.message = "quick"
+    return response
+
+
+def fails(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    raise RuntimeError("a defect")
+
+
+def ended(spinner: Spinner) -> bool:
+    return bool(wait_until(lambda: not spinner.is_alive(), "the end of the spinner"))
+
+
+def test_an_idle_executor_uses_no_processor_time(node: Node, serve: Serve) -> None:
     ticks: list[None] = []
     node.create_timer(0.05, lambda: ticks.append(None))
-    spinner = Spinner(node)
-    try:
-        wait_until(lambda: ticks, "the timer")
-        spent, wall = time.process_time(), time.monotonic()
-        wait_until(lambda: len(ticks) > 10, "more of it")
-        share = (time.process_time() - spent) / (time.monotonic() - wall)
-    finally:
-        spinner.close()
+    serve()
+    wait_until(lambda: ticks, "the timer")
+    spent, wall = time.process_time(), time.monotonic()
+    time.sleep(0.3)  # it has nothing else to do
+    share = (time.process_time() - spent) / (time.monotonic() - wall)
     assert share < 0.3, f"the process used {100 * share:.0f} % of a core for nothing"
 
 
-def test_services_of_a_reentrant_group_wait_concurrently(node: Node) -> None:
-    busy, release, ticks = threading.Semaphore(0), threading.Event(), []
-
-    def slow(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        busy.release()
-        release.wait(DEADLINE)
-        return response
-
-    def quick(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.message = "quick"
-        return response
-
-    waits = ReentrantCallbackGroup()
-    node.create_service(Trigger, "slow", slow, callback_group=waits)
+@pytest.mark.version
+def test_services_of_a_reentrant_group_wait_concurrently(node: Node, serve: Serve, slow: Slow) -> None:
+    ticks: list[None] = []
+    node.create_service(Trigger, "slow", slow.serve, callback_group=ReentrantCallbackGroup())
     node.create_service(Trigger, "own_workers", quick, callback_group=ReentrantCallbackGroup())
     node.create_service(Trigger, "no_worker", quick)
     node.create_timer(0.01, lambda: ticks.append(None))
     clients: list[Any] = [node.create_client(Trigger, name) for name in ("slow", "own_workers", "no_worker")]
-    spinner = Spinner(node)
-    try:
-        assert all(client.wait_for_service(DEADLINE) for client in clients)
-        waiting = [clients[0].call_async(Trigger.Request()) for _ in range(6)]  # more than there are workers
-        for _ in range(2):
-            assert busy.acquire(timeout=DEADLINE)
-        for client in clients[1:]:
-            answer = client.call_async(Trigger.Request())
-            wait_until(answer.done, "the answer")
-            assert answer.result().message == "quick"
-        ticks.clear()
-        wait_until(lambda: ticks, "the timer")
-        assert not any(each.done() for each in waiting)
-        release.set()
-        wait_until(lambda: all(each.done() for each in waiting), "all answers")
-    finally:
-        release.set()
-        spinner.close()
+    serve()
+    assert all(client.wait_for_service(DEADLINE) for client in clients)
+    waiting = [clients[0].call_async(Trigger.Request()) for _ in range(6)]  # more than there are workers
+    slow.wait_for(2)
+    assert [call(client, Trigger.Request()).message for client in clients[1:]] == ["quick"] * 2
+    ticks.clear()
+    wait_until(lambda: ticks, "the timer")
+    assert not any(each.done() for each in waiting)
+    slow.release.set()
+    wait_until(lambda: all(each.done() for each in waiting), "all answers")
 
 
-def test_goals_wait_concurrently_and_are_answered(node: Node) -> None:
-    begun, release = threading.Semaphore(0), threading.Event()
-
-    def execute(handle: Any) -> Dock.Result:
-        begun.release()
-        release.wait(DEADLINE)
-        handle.succeed()
-        return Dock.Result(success=True)
-
-    server: Any = ActionServer(node, Dock, "dock", execute, callback_group=ReentrantCallbackGroup())
+@pytest.mark.version
+def test_goals_wait_concurrently_and_are_answered(node: Node, serve: Serve, slow: Slow) -> None:
+    server: Any = ActionServer(node, Dock, "dock", slow.execute, callback_group=ReentrantCallbackGroup())
     client: Any = ActionClient(node, Dock, "dock")
-    spinner = Spinner(node)
-    try:
-        assert client.wait_for_server(DEADLINE)
-        sent = [answer(spinner.call_soon(client.send_goal_async, Dock.Goal())) for _ in range(2)]
-        for _ in sent:
-            assert begun.acquire(timeout=DEADLINE)
-        wait_until(lambda: all(each.done() for each in sent), "both accepted")
-        results = [each.result().get_result_async() for each in sent]
-        release.set()
-        wait_until(lambda: all(each.done() for each in results), "both results")
-        assert all(each.result().result.success for each in results)
-    finally:
-        release.set()
-        spinner.close(client, server)
+    spinner = serve(client, server)
+    assert client.wait_for_server(DEADLINE)
+    sent = [answer(spinner.call_soon(client.send_goal_async, Dock.Goal())) for _ in range(2)]
+    slow.wait_for(2)
+    results = [answer(each).get_result_async() for each in sent]
+    slow.release.set()
+    assert all(answer(each).result.success for each in results)
 
 
-def test_messages_are_served_in_order_during_a_slow_service(node: Node) -> None:
-    called, release = threading.Event(), threading.Event()
-
-    def slow(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        called.set()
-        release.wait(DEADLINE)
-        return response
-
+@pytest.mark.version
+def test_messages_are_served_in_order_during_a_slow_service(node: Node, serve: Serve, slow: Slow) -> None:
     received: list[int] = []
     group = ReentrantCallbackGroup()
-    node.create_service(Trigger, "service", slow, callback_group=group)
+    node.create_service(Trigger, "service", slow.serve, callback_group=group)
     client: Any = node.create_client(Trigger, "service", callback_group=group)
     node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 100, callback_group=group)
     publisher = node.create_publisher(Int64, "topic", 100)
     wait_until(publisher.get_subscription_count, "the subscription")
-    spinner = Spinner(node)
-    try:
-        assert client.wait_for_service(DEADLINE)
-        answer = client.call_async(Trigger.Request())
-        assert called.wait(DEADLINE)
-        for number in range(50):
-            publisher.publish(Int64(data=number))
-        wait_until(lambda: len(received) == 50, "every message")
-        assert received == list(range(50))
-        assert not answer.done()
-        release.set()
-        wait_until(answer.done, "the answer")
-    finally:
-        release.set()
-        spinner.close()
+    serve()
+    assert client.wait_for_service(DEADLINE)
+    future = client.call_async(Trigger.Request())
+    slow.wait_for(1)
+    for number in range(50):
+        publisher.publish(Int64(data=number))
+    wait_until(lambda: len(received) == 50, "every message")
+    assert received == list(range(50))
+    assert not future.done()
 
 
-def test_added_entities_are_served_and_removed_ones_released(node: Node) -> None:
-    spinner = Spinner(node)
+@pytest.mark.version
+def test_added_entities_are_served_and_removed_ones_released(node: Node, serve: Serve) -> None:
+    spinner = serve()
     received: list[int] = []
     publisher = node.create_publisher(Int64, "topic", 10)
-    try:
-        for number in range(20):
-            subscription = node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 10)
-            wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
-            publisher.publish(Int64(data=number))
-            wait_until(lambda number=number: received and received[-1] == number, f"message {number}")
-            node.destroy_subscription(subscription)
-            wait_until(lambda: publisher.get_subscription_count() == 0, "its end")
-        assert spinner.is_alive()
-    finally:
-        spinner.close()
-    assert received == list(range(20))
+    for number in range(5):
+        subscription = node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 10)
+        wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
+        publisher.publish(Int64(data=number))
+        wait_until(lambda number=number: received and received[-1] == number, f"message {number}")
+        node.destroy_subscription(subscription)
+        wait_until(lambda: publisher.get_subscription_count() == 0, "its end")
+    assert spinner.is_alive()
+    assert received == list(range(5))
 
 
+@pytest.mark.version
 def test_an_action_client_may_be_created_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
-    add = Node.add_waitable
+    add, came = Node.add_waitable, threading.Event()
 
     def add_early(self: Node, waitable: Any) -> None:
         add(self, waitable)
@@ -178,47 +183,28 @@ def test_an_action_client_may_be_created_while_its_node_is_served(node: Node, mo
 
     monkeypatch.setattr(Node, "add_waitable", add_early)
     spinner = Spinner(node)
-    came = threading.Event()
-    try:
-        clients: list[Any] = [ActionClient(node, Dock, f"dock_{number}") for number in range(3)]
-        node.create_timer(0.01, came.set)
-        assert came.wait(DEADLINE)
-    finally:
-        spinner.close()
-    for client in clients:
-        client.destroy()
+    clients = [ActionClient(node, Dock, f"dock_{number}") for number in range(2)]
+    node.create_timer(0.01, came.set)
+    assert came.wait(DEADLINE)
+    spinner.close(*clients)
 
 
-def test_a_callback_that_raises_ends_the_spinner(node: Node, quiet: None) -> None:
-    def fail(message: Empty) -> None:
-        raise RuntimeError("a defect")
-
-    node.create_subscription(Empty, "topic", fail, 1)
-    publisher = node.create_publisher(Empty, "topic", 1)
-    wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
-    spinner = Spinner(node)
-    try:
-        publisher.publish(Empty())
-        wait_until(lambda: not spinner.is_alive(), "the end of the spinner")
-    finally:
-        spinner.close()
-
-
-def test_a_service_that_raises_in_its_worker_ends_the_spinner(node: Node, quiet: None) -> None:
-    def fail(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        raise RuntimeError("a defect")
-
-    node.create_service(Trigger, "service", fail, callback_group=ReentrantCallbackGroup())
+@pytest.mark.version
+@pytest.mark.parametrize("group", [MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup])
+def test_a_callback_that_raises_ends_the_spinner(
+    node: Node, serve: Serve, monkeypatch: pytest.MonkeyPatch, group: Any
+) -> None:
+    """In the serving thread, and in a worker."""
+    monkeypatch.setattr(threading, "excepthook", lambda arguments: None)
+    node.create_service(Trigger, "service", fails, callback_group=group())
     client: Any = node.create_client(Trigger, "service")
-    spinner = Spinner(node)
-    try:
-        assert client.wait_for_service(DEADLINE)
-        client.call_async(Trigger.Request())
-        wait_until(lambda: not spinner.is_alive(), "the end of the spinner")
-    finally:
-        spinner.close()
+    spinner = serve()
+    assert client.wait_for_service(DEADLINE)
+    client.call_async(Trigger.Request())
+    assert ended(spinner)
 
 
+@pytest.mark.witness
 def test_a_program_that_closes_nothing_ends_normally() -> None:
     """Even while many messages arrive."""
     code = """
@@ -237,8 +223,8 @@ def pour():
 threading.Thread(target=pour, daemon=True).start()
 received.acquire()
 """
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=DEADLINE, check=False)
-    assert ended.returncode == 0, ended.stderr.decode()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=DEADLINE, check=False)
+    assert process.returncode == 0, process.stderr.decode()
 
 
 def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:
@@ -246,43 +232,32 @@ def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:
     rclpy.init(context=own, args=[])
     spinner = Spinner(Node("subject", context=own, namespace=namespace, use_global_arguments=False))
     rclpy.shutdown(context=own)
-    wait_until(lambda: not spinner.is_alive(), "the end of the spinner")
+    assert ended(spinner)
     spinner.close()
 
 
 def test_callbacks_work_while_a_node_closes(context: Any, namespace: str) -> None:
     class Subject(Node):
-        answered = False
+        answered = ""
 
         def close(self) -> None:
-            future = self.create_client(Trigger, "service").call_async(Trigger.Request())
-            wait_until(future.done, "the answer")
-            self.answered = True
+            self.answered = call(self.create_client(Trigger, "service"), Trigger.Request()).message
 
     node = Subject("subject", **options(context, namespace))
-    node.create_service(Trigger, "service", lambda request, response: response, callback_group=ReentrantCallbackGroup())
+    node.create_service(Trigger, "service", quick, callback_group=ReentrantCallbackGroup())
     spinner = Spinner(node)
     spinner.close()
-    assert node.answered
+    assert node.answered == "quick"
     assert not spinner.is_alive()
 
 
-def test_a_node_closes_despite_a_callback_that_never_ends(node: Node) -> None:
-    called, release = threading.Event(), threading.Event()
-
-    def stuck(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        called.set()
-        release.wait(DEADLINE)
-        return response
-
-    node.create_service(Trigger, "service", stuck, callback_group=ReentrantCallbackGroup())
+@pytest.mark.rest
+def test_a_node_closes_despite_a_callback_that_never_ends(node: Node, serve: Serve, slow: Slow) -> None:
+    node.create_service(Trigger, "service", slow.serve, callback_group=ReentrantCallbackGroup())
     client: Any = node.create_client(Trigger, "service")
-    spinner = Spinner(node)
+    spinner = serve()
     assert client.wait_for_service(DEADLINE)
     client.call_async(Trigger.Request())
-    assert called.wait(DEADLINE)
-    try:
-        spinner.close()
-        assert not spinner.is_alive()
-    finally:
-        release.set()  # its answer has no receiver
+    slow.wait_for(1)
+    spinner.close()
+    assert not spinner.is_alive()

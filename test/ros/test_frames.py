@@ -30,6 +30,7 @@ from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 from ..chargers import Spin, wait_until
 from ..nodes import options
 from ..transforms import Robot, stamp, transforms
+from ..waiting import host
 
 pytestmark = pytest.mark.ros
 
@@ -94,10 +95,8 @@ def test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name(
     frames = Frames(node, TransformParameters("left/"), "base_link", MOUNT)
     assert frames.charger_base_in("base_link") == MOUNT
     assert frames.charger_base_in("left/charger_base") == IDENTITY
-    with pytest.raises(UnknownFrame) as refusal:
+    with pytest.raises(UnknownFrame, match="tf2_ros, which is not installed"):
         frames.charger_base_in("map")
-    for word in ("unknown frame 'map'", "left/charger_base", "base_link", "tf2_ros, which is not installed"):
-        assert word in str(refusal.value)
     assert "/tf" not in {each.topic_name for each in node.subscriptions}
     node.destroy_node()
 
@@ -106,30 +105,23 @@ def close(a: Pose, b: Pose) -> bool:
     return max(apart(a, b)) < EXACT
 
 
+@pytest.mark.version
 def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make) -> None:
     frames, source = make(), random.Random(23)
     robot.fix("base_link", "charger_base", MOUNT)
-    for number in range(20):
+    target: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
+    expected = electrodes(stamped(target, "charger_base"), DockingNodeParameters())
+    assert expected is not None
+    for number in range(5):
         place, odom = drawn(source), drawn(source)
         robot.move(("map", f"odom_{number}", odom), (f"odom_{number}", "base_link", place))
-        target: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
         in_map = stamped(composed(composed(composed(odom, place), MOUNT), target), "map")
         wait_until(lambda number=number: frames._tf is not None and frames._tf.knows(f"odom_{number}"), "it")
         found = electrodes(in_map, DockingNodeParameters(), frames.charger_base_in("map"))
-        expected = electrodes(stamped(target, "charger_base"), DockingNodeParameters())
         assert found is not None
-        assert expected is not None
-        assert found.position == pytest.approx(expected.position, abs=EXACT)
-        assert (found.roll, found.yaw, found.pitch) == pytest.approx(
-            (expected.roll, expected.yaw, expected.pitch), abs=EXACT
+        assert (*found.position, found.roll, found.yaw, found.pitch) == pytest.approx(
+            (*expected.position, expected.roll, expected.yaw, expected.pitch), abs=EXACT
         )
-
-
-def test_without_a_charger_in_the_urdf_base_pose_is_used(robot: Robot, make: Make) -> None:
-    frames, place = make(base_pose=MOUNT), (1.0, 2.0, 0.0, 0.0, 0.0, math.sin(0.3), math.cos(0.3))
-    robot.move(("map", "base_link", place))
-    assert close(frames.charger_base_in("map"), composed(place, MOUNT))
-    assert frames.charger_base_in("base_link") == MOUNT
 
 
 def test_a_late_transform_is_awaited_unless_the_goal_must_not_wait(robot: Robot, make: Make) -> None:
@@ -146,33 +138,22 @@ def test_a_late_transform_is_awaited_unless_the_goal_must_not_wait(robot: Robot,
 
 
 def test_only_one_goal_waits_so_that_unknown_frames_block_no_other(robot: Robot, make: Make) -> None:
-    frames = make(timeout=3.0)
+    frames = make(timeout=30.0)
     robot.fix("base_link", "charger_base", MOUNT)
     wait_until(lambda: frames._tf is not None and frames._tf.knows("charger_base"), "the charger")
-    refused: list[float] = []
-
-    def ask() -> None:
-        with pytest.raises(UnknownFrame):
-            frames.charger_base_in("nowhere")
-        refused.append(time.monotonic())
-
-    askers = [threading.Thread(target=ask) for _ in range(4)]
-    for asker in askers:
-        asker.start()
-    for asker in askers:
-        asker.join(10.0)
-    assert refused[3] - refused[0] > 1.0, "one waited"
-    assert refused[2] - refused[0] < 1.0, "the others did not wait"
+    assert frames._tf is not None
+    began = time.monotonic()
+    with frames._tf._waits, pytest.raises(UnknownFrame):  # another one waits
+        frames.charger_base_in("nowhere")
+    assert time.monotonic() - began < host(1.0)
 
 
-def test_an_unknown_frame_is_refused_with_its_name_those_known_and_the_remedy(robot: Robot, make: Make) -> None:
+def test_an_unknown_frame_is_refused_with_its_name_and_those_known(robot: Robot, make: Make) -> None:
     frames = make(timeout=0.1)
     robot.fix("base_link", "charger_base", MOUNT)
     wait_until(lambda: frames._tf is not None and frames._tf.knows("charger_base"), "the charger")
-    with pytest.raises(UnknownFrame) as refusal:
+    with pytest.raises(UnknownFrame, match=r"unknown frame 'mapp'.*charger_base"):
         frames.charger_base_in("mapp")
-    for word in ("unknown frame 'mapp'", "it knows 2, such as", "charger_base", "base_link", "'' to use the camera"):
-        assert word in str(refusal.value)
     for endless in ("map" * 10_000, "map\n", "/map"):
         with pytest.raises(UnknownFrame) as refusal:
             frames.charger_base_in(endless)
@@ -202,9 +183,10 @@ def test_the_error_names_a_transform_of_another_time(robot: Robot, make: Make, a
     wait_until(lambda: _known(frames), "the newest")
 
 
-def _known(frames: Frames) -> bool:
+def _known(frames: Frames, frame: str = "map", pose: Pose = MOUNT) -> bool:
+    """Return whether charger_base now has this pose in a frame."""
     try:
-        return close(frames.charger_base_in("map"), MOUNT)
+        return close(frames.charger_base_in(frame, timeout=0.0), pose)
     except TransformError:
         return False
 
@@ -235,11 +217,6 @@ def _is_told(frames: Frames, frame: str) -> bool:
     return True
 
 
-def test_tf_is_used_if_no_base_pose_is_given(robot: Robot, make: Make) -> None:
-    robot.fix("base_link", "charger_base", MOUNT)
-    assert close(make().base_pose(), MOUNT), "from the start: latched messages are awaited"
-
-
 def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: Make) -> None:
     """Not even by a second caller that does not wait; a retry is allowed."""
     frames = make(timeout=10.0)
@@ -259,17 +236,14 @@ def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: M
 def test_remapped_tf_topics_are_detected(context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch) -> None:
     kind = transforms().TFMessage
     monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.0)
-    for number, (topic, counts) in enumerate((("/a/tf_static", True), ("/tf_static", False))):
-        remapped = ["--ros-args", "-r", "/tf:=/a/tf", "-r", "/tf_static:=/a/tf_static"]
-        node = Node(f"asker_{number}", **options(context, namespace), cli_args=remapped)
-        publisher = node.create_publisher(kind, topic, 10) if counts else None
-        tree = tf_tree.TfTree(node, TransformParameters(transform_timeout=10.0))
-        if publisher is not None:
-            wait_until(lambda tree=tree: tree.settling > 0.0, "the publisher")
-            node.destroy_publisher(publisher)
-        else:
-            assert tree.settling == 0.0
-        node.destroy_node()
+    remapped = ["--ros-args", "-r", f"/tf:={namespace}/tf", "-r", f"/tf_static:={namespace}/tf_static"]
+    node = Node("asker", **options(context, namespace), cli_args=remapped)
+    tree = tf_tree.TfTree(node, TransformParameters(transform_timeout=10.0))
+    node.create_publisher(kind, "/elsewhere/tf_static", 10)
+    assert tree.settling == 0.0
+    node.create_publisher(kind, f"/{namespace}/tf_static", 10)
+    wait_until(lambda: tree.settling > 0.0, "the publisher")
+    node.destroy_node()
 
 
 def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
@@ -283,7 +257,7 @@ def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
     began = time.monotonic()
     for _ in range(3):
         assert frames.charger_base_in("base_link") == USUAL
-    assert time.monotonic() - began < 3.0
+    assert time.monotonic() - began < host(3.0)
     node.destroy_node()
     assert "".join(capfd.readouterr()).count("base_pose is used for the charger's mount") == 1
 
@@ -348,6 +322,7 @@ def test_a_base_pose_that_contradicts_tf_is_an_error_but_rounding_is_not(robot: 
         assert frames.charger_base_in("charger_base") == IDENTITY
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("use_sim_time", [False, True])
 def test_a_contradiction_is_logged_before_any_goal(
     robot: Robot, make: Make, spin: Spin, capfd: pytest.CaptureFixture[str], use_sim_time: bool
@@ -356,13 +331,7 @@ def test_a_contradiction_is_logged_before_any_goal(
     frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5), use_sim_time=use_sim_time)
     robot.fix("base_link", "charger_base", MOUNT)
     spin(frames._tf._node)
-    lines: list[str] = []
-
-    def is_logged() -> bool:
-        lines.extend(capfd.readouterr())
-        return "base_pose contradicts tf" in "".join(lines)
-
-    wait_until(is_logged, "the log")
+    wait_until(lambda: "base_pose contradicts tf" in "".join(capfd.readouterr()), "the log")
 
 
 def test_two_chargers_of_one_robot_have_separate_frames(robot: Robot, make: Make) -> None:

@@ -21,6 +21,7 @@ pytestmark = pytest.mark.ros
 OTHERS = 200
 
 
+@pytest.mark.version
 def test_answers_to_others_do_not_displace_a_late_clients_answer(context: Any, namespace: str, spin: Spin) -> None:
     server, others = (
         spin(Node("server", **options(context, namespace))),

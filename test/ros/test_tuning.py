@@ -94,6 +94,7 @@ def setter(context: Any, namespace: str, spin: Callable[[Any], Any]) -> Setter:
     return Setter(spin(Node("setter", **options(context, namespace))), subject)
 
 
+@pytest.mark.version
 def test_new_values_are_applied_and_logged(setter: Setter) -> None:
     assert setter.each(low=0.45, tries=5) == ["", ""]
     assert setter.subject.taken == [Band(low=0.45), Band(low=0.45, tries=5)]
@@ -106,7 +107,6 @@ def test_new_values_are_applied_and_logged(setter: Setter) -> None:
 
 def test_an_integer_is_accepted_for_a_float(setter: Setter) -> None:
     assert setter.each(high=1) == [""], "so does `ros2 param set` send it"
-    assert setter.values_now()["high"] == 1.0
     assert setter.subject.taken == [Band(high=1.0)]
     assert "high" in setter.each(high=3)[0]
     assert "Wrong parameter type" in setter.each(high=True)[0]
@@ -125,11 +125,8 @@ def test_coupled_values_must_be_set_together(setter: Setter) -> None:
     [
         ({"low": 0.45, "tries": 10}, "tries"),
         ({"low": 0.45, "high": math.nan}, "high"),
-        ({"low": 0.45, "high": math.inf}, "high"),
         ({"low": 0.45, "tries": 2.5}, "Wrong parameter type"),
-        ({"low": 0.45, "tries": None}, "cannot be undeclared"),
         ({"low": 0.45, "port": "/dev/ttyUSB1"}, "read-only parameter: port"),
-        ({"low": 0.45, "rate": 50.0}, "read-only parameter: rate"),
         ({"low": 0.45, "corner": [0.0, 0.5]}, "read-only parameter: corner"),
         ({"low": 0.45, "lower": 0.1}, "undeclared parameter"),
     ],
