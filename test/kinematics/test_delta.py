@@ -18,7 +18,6 @@ from deltacharger_kinematics import (
     WORKING_MODES,
     Delta,
     DeltaGeometry,
-    KinematicsError,
     LimbAdjustment,
     Status,
 )
@@ -33,7 +32,6 @@ DOCK = (0.0, 0.0, 0.080)
 MILLIMETRE = 1e-3
 
 AZIMUTHS = np.radians((0.0, 120.0, 240.0))
-
 lateral = st.floats(-0.060, 0.060)
 forward = st.floats(0.0, 0.110)
 
@@ -60,10 +58,11 @@ def test_the_scalar_path_agrees_with_the_arrays(x: float, y: float, z: float) ->
     assert np.allclose(SCALAR.holding_torque(x, y, z, weight), DELTA.holding_torque((x, y, z), weight), atol=1e-14)
 
 
-def test_published_angles() -> None:
+def test_published_angles_and_currents() -> None:
     home, dock = DELTA.inverse([(0.0, 0.0, 0.0), DOCK]).angles
     assert np.allclose(np.degrees(home), -41.55, atol=0.01)
     assert np.allclose(np.degrees(dock), 15.27, atol=0.01)
+    assert np.allclose(DELTA.torque(DOCK, (0.0, 0.0, 20.0)) / TORQUE_CONSTANT, 0.521, atol=5e-4)
 
 
 def test_the_jacobian_is_the_derivative_of_forward_kinematics() -> None:
@@ -91,11 +90,6 @@ def test_torque_does_the_work_of_the_force() -> None:
     assert np.allclose(DELTA.force(points, DELTA.torque(points, force)), force, atol=1e-12)
 
 
-def test_twenty_newtons_at_the_dock_cost_half_an_ampere() -> None:
-    current = DELTA.torque(DOCK, (0.0, 0.0, 20.0)) / TORQUE_CONSTANT
-    assert np.allclose(current, 0.521, atol=5e-4)
-
-
 def test_holding_torque_is_the_slope_of_potential_energy() -> None:
     geometry, gravity = DELTA.geometry, np.array((1.0, -9.0, 2.0))
 
@@ -113,7 +107,7 @@ def test_holding_torque_is_the_slope_of_potential_energy() -> None:
         carried = (geometry.platform_mass + 1.5 * geometry.rod_mass) * platform
         return -float(gravity @ (carried + 0.5 * geometry.rod_mass * elbows.sum(0)))
 
-    for point in workspace_points(20):
+    for point in workspace_points(6):
         angles = DELTA.inverse(point).angles
         slope = [(energy(angles + 1e-6 * e) - energy(angles - 1e-6 * e)) / 2e-6 for e in np.eye(3)]
         assert np.allclose(DELTA.holding_torque(point, gravity), slope, atol=1e-8)
@@ -125,31 +119,11 @@ def test_contact_force_is_free_of_the_arms_weight() -> None:
     assert np.allclose(DELTA.contact_force(DOCK, current), push, atol=1e-12)
 
 
-def test_a_bad_point_does_not_affect_its_neighbours() -> None:
-    points = np.array([DOCK, (math.nan, 0, 0), (0, 0, 9.0), DOCK])
-    solved = DELTA.inverse(points)
-    assert solved.status.tolist()[0::3] == [0, 0]
-    assert np.array_equal(solved.angles[0], DELTA.inverse(DOCK).angles)
-    assert np.isnan(solved.margin[1])
-    assert solved.margin[2] < 0
-
-
-def test_strict_names_the_bad_points() -> None:
-    with pytest.raises(KinematicsError, match="point 1") as caught:
-        DELTA.inverse([DOCK, (0, 0, 9.0)], strict=True)
-    assert caught.value.indices == [1]
-
-
-def test_a_reachable_point_outside_the_box_has_a_flag_and_a_solution() -> None:
+def test_a_reachable_point_outside_the_box_or_the_joint_limits_has_a_flag() -> None:
     solved = DELTA.inverse((0.0, 0.0, 0.115))
     assert solved.status == Status.OUTSIDE_WORKSPACE
     assert np.isfinite(solved.angles).all()
-
-
-def test_joint_limit_names_the_limb() -> None:
-    solved = DELTA.inverse((0.0, 0.0, 0.178))
-    assert Status.JOINT_LIMIT in solved.status
-    assert Status.LIMB_0 in solved.status
+    assert Status.JOINT_LIMIT | Status.LIMB_0 in DELTA.inverse((0.0, 0.0, 0.178)).status
 
 
 def test_reachable_points_of_the_mirror_assembly_are_flagged() -> None:
@@ -162,21 +136,12 @@ def test_reachable_points_of_the_mirror_assembly_are_flagged() -> None:
     assert np.array_equal(elsewhere, (solved.status[good] & Status.WRONG_ASSEMBLY) != 0)
 
 
-def rotated(points: np.ndarray, angle: float) -> np.ndarray:
-    cosine, sine = math.cos(angle), math.sin(angle)
-    return points @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
 @given(lateral, lateral, forward)
-def test_a_third_of_a_turn_renames_the_limbs(x: float, y: float, z: float) -> None:
-    angles = DELTA.inverse((x, y, z)).angles
-    turned = DELTA.inverse(rotated(np.array((x, y, z)), math.radians(120.0))).angles
+def test_the_limbs_are_symmetric(x: float, y: float, z: float) -> None:
+    """A third of a turn renames them, and a mirrored point swaps the outer two."""
+    angles, cosine, sine = DELTA.inverse((x, y, z)).angles, -0.5, math.sqrt(0.75)
+    turned = DELTA.inverse((cosine * x - sine * y, sine * x + cosine * y, z)).angles
     assert np.allclose(np.roll(angles, 1), turned, atol=3e-15)
-
-
-@given(lateral, lateral, forward)
-def test_a_mirrored_point_swaps_the_outer_limbs(x: float, y: float, z: float) -> None:
-    angles = DELTA.inverse((x, y, z)).angles
     assert np.allclose(angles[[0, 2, 1]], DELTA.inverse((x, -y, z)).angles, atol=1e-15)
 
 
@@ -204,11 +169,11 @@ def test_forward_kinematics_agree_alone_and_in_a_batch(arms: tuple[float, float,
 def test_every_mode_and_assembly_is_consistent(mode: tuple[int, int, int], assembly: int) -> None:
     """Round trip, derivative and statics hold wherever the status reports the right assembly."""
     delta, scalar = (kind(CALIBRATED, working_mode=mode, assembly=assembly) for kind in (Delta, ScalarDelta))
-    points = np.random.default_rng(4).uniform((-0.1, -0.1, -0.25), (0.1, 0.1, 0.15), (400, 3))
+    points = np.random.default_rng(4).uniform((-0.1, -0.1, -0.25), (0.1, 0.1, 0.15), (200, 3))
     solved = delta.inverse(points)
     refused = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1 | Status.NEAR_TYPE_2
     good = (np.asarray(solved.status) & refused) == 0
-    assert 10 < good.sum() < 400
+    assert 5 < good.sum() < 200
     points, angles = points[good], solved.angles[good]
     assert np.allclose(delta.forward(angles).position, points, atol=1e-13)
     matrix = delta.jacobian(points).matrix
@@ -216,7 +181,7 @@ def test_every_mode_and_assembly_is_consistent(mode: tuple[int, int, int], assem
         shift = 1e-7 * np.eye(3)[joint]
         slope = (delta.forward(angles + shift).position - delta.forward(angles - shift).position) / 2e-7
         assert np.allclose(matrix[..., joint], slope, rtol=1e-4, atol=1e-6)
-    for point, expected in zip(points[:20], matrix[:20], strict=True):
+    for point, expected in zip(points[:5], matrix[:5], strict=True):
         assert np.allclose(np.reshape(scalar.jacobian(*point), (3, 3)), expected, rtol=1e-12, atol=1e-14)
         assert np.allclose(scalar.forward(*scalar.inverse(*point)), point, atol=1e-13)
 
@@ -249,7 +214,7 @@ def test_angle_offset_is_true_angle_minus_commanded_angle() -> None:
 
 
 def test_threads_do_not_disturb_each_other() -> None:
-    batches = [workspace_points(20_000, seed) for seed in range(4)]
+    batches = [workspace_points(4000, seed) for seed in range(4)]
     expected = [DELTA.inverse(batch).angles for batch in batches]
     with ThreadPoolExecutor(len(batches)) as pool:
         for _ in range(5):

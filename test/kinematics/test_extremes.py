@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -43,27 +44,20 @@ def alone_and_in_a_batch(delta: Delta, point: tuple[float, float, float]) -> Inv
     return alone
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("value", "status"),
+    [
+        *((value, Status.INVALID_INPUT) for value in (math.nan, math.inf, -math.inf)),
+        *((value, Status.UNREACHABLE_FAR | LIMBS) for value in (1e200, -1e200, 1e308, -sys.float_info.max)),
+    ],
+)
 @pytest.mark.parametrize("axis", range(3))
-def test_non_finite_input_is_invalid(value: float, axis: int) -> None:
-    point = [*DOCK]
-    point[axis] = value
-    solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
-    assert solved.status == Status.INVALID_INPUT
+def test_non_finite_input_is_invalid_and_overflow_unreachable(value: float, status: Status, axis: int) -> None:
+    point = (*DOCK[:axis], value, *DOCK[axis + 1 :])
+    solved = alone_and_in_a_batch(DELTA, point)
+    assert solved.status == status
     assert np.isnan(solved.angles).all()
-    assert math.isnan(solved.margin)
-    assert np.isnan(ScalarDelta().inverse(*point)).all()
-
-
-@pytest.mark.parametrize("value", [1e200, -1e200, 1e308, -1.7976931348623157e308])
-@pytest.mark.parametrize("axis", range(3))
-def test_overflow_is_unreachable_far(value: float, axis: int) -> None:
-    point = [*DOCK]
-    point[axis] = value
-    solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
-    assert solved.status == Status.UNREACHABLE_FAR | LIMBS
-    assert np.isnan(solved.angles).all()
-    assert solved.margin == -math.inf
+    assert np.array_equal(solved.margin, math.nan if status == Status.INVALID_INPUT else -math.inf, equal_nan=True)
     assert np.isnan(ScalarDelta().inverse(*point)).all()
 
 
@@ -109,22 +103,17 @@ def test_exactly_at_the_edge_there_is_an_angle_and_no_margin(x: float, angle: fl
         assert Status.NEAR_TYPE_1 | Status.LIMB_0 in solved.status
 
 
-def test_a_platform_joint_on_its_motor_axis_turns_freely() -> None:
-    solved = alone_and_in_a_batch(Delta(SQUARE), (0.125, 0.0, -0.5))
-    assert solved.status == Status.INDETERMINATE | Status.LIMB_0
-    assert math.isnan(solved.angles[0])
-    assert math.isnan(solved.margin)
-    assert np.isnan(ScalarDelta(SQUARE).inverse(0.125, 0.0, -0.5)).all()
-    assert np.isnan(Delta(SQUARE).jacobian((0.125, 0.0, -0.5)).matrix).all()
-
-
-@pytest.mark.parametrize("distance", [5e-324, 1e-170, 1e-30, 1e-20])
-def test_a_platform_joint_almost_on_its_motor_axis(distance: float) -> None:
+@pytest.mark.parametrize("distance", [0.0, 5e-324, 1e-170, 1e-30, 1e-20])
+def test_a_platform_joint_on_its_motor_axis_turns_freely(distance: float) -> None:
     limbs = (LimbAdjustment(radius_offset=distance), LimbAdjustment(), LimbAdjustment())
-    solved = alone_and_in_a_batch(Delta(dataclasses.replace(SQUARE, limbs=limbs)), (0.125, 0.0, -0.5))
+    geometry, point = dataclasses.replace(SQUARE, limbs=limbs), (0.125, 0.0, -0.5)
+    solved = alone_and_in_a_batch(Delta(geometry), point)
     assert solved.status == Status.INDETERMINATE | Status.LIMB_0
     assert math.isnan(solved.angles[0])
     assert math.isnan(solved.margin)
+    if not distance:
+        assert np.isnan(ScalarDelta(geometry).inverse(*point)).all()
+        assert np.isnan(Delta(geometry).jacobian(point).matrix).all()
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int64, np.uint8, ">f8", np.longdouble, object])
@@ -164,38 +153,28 @@ def test_masked_numbers_are_unknown() -> None:
     assert np.asarray(DELTA.inverse(points).status).tolist() == [0, Status.INVALID_INPUT]
 
 
-BAD = {
-    "text": ["1", "2", "3"],
-    "a word": "abc",
-    "none": None,
-    "none among numbers": [None, 0.0, 0.0],
-    "complex": [1j, 0.0, 0.0],
-    "true": [True, False, False],
-    "dates": np.zeros(3, dtype="datetime64[s]"),
-    "too large for a double": [10**400, 0, 0],
-    "two numbers": [1.0, 2.0],
-    "four numbers": np.zeros((5, 4)),
-    "one number": 0.1,
-    "nothing": [],
-    "ragged": [[1.0, 2.0, 3.0], [1.0, 2.0]],
-    "a mapping": {"x": 0.0},
-}
-
-
-@pytest.mark.parametrize("bad", BAD.values(), ids=list(BAD))
+@pytest.mark.parametrize(
+    "bad",
+    [
+        *(["1", "2", "3"], "abc", None, [None, 0.0, 0.0], [1j, 0.0, 0.0], [True, False, False]),
+        *(np.zeros(3, dtype="datetime64[s]"), [10**400, 0, 0], [1.0, 2.0], np.zeros((5, 4)), 0.1, []),
+        *([[1.0, 2.0, 3.0], [1.0, 2.0]], {"x": 0.0}),
+    ],
+    ids=repr,
+)
 def test_an_invalid_array_is_refused_by_name(bad: Any) -> None:
-    calls = {
-        "position": [DELTA.inverse, DELTA.jacobian, lambda value: DELTA.torque(value, DOCK)],
-        "angles": [DELTA.forward],
-        "force": [lambda value: DELTA.torque(DOCK, value)],
-        "torque": [lambda value: DELTA.force(DOCK, value)],
-        "gravity": [lambda value: DELTA.holding_torque(DOCK, value)],
-        "current": [lambda value: DELTA.contact_force(DOCK, value)],
-    }
-    for name, functions in calls.items():
-        for function in functions:
-            with pytest.raises(ValueError, match=f"^{name}: "):
-                function(bad)
+    calls: list[tuple[str, Any, tuple[Any, ...]]] = [
+        *(("position", call, (bad,)) for call in (DELTA.inverse, DELTA.jacobian)),
+        ("position", DELTA.torque, (bad, DOCK)),
+        ("angles", DELTA.forward, (bad,)),
+        ("force", DELTA.torque, (DOCK, bad)),
+        ("torque", DELTA.force, (DOCK, bad)),
+        ("gravity", DELTA.holding_torque, (DOCK, bad)),
+        ("current", DELTA.contact_force, (DOCK, bad)),
+    ]
+    for name, function, values in calls:
+        with pytest.raises(ValueError, match=f"^{name}: "):
+            function(*values)
 
 
 def test_mismatched_shapes_are_refused_by_name() -> None:
@@ -240,26 +219,22 @@ def test_angles_of_many_turns_are_equivalent(turn: float) -> None:
     assert wound.status & ~(Status.JOINT_LIMIT | LIMBS) == plain.status & ~(Status.JOINT_LIMIT | LIMBS)
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
 @pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.1, 0.18), (0.01, 1.0), (0.001, 1.0), (0.18, 0.17)])
 def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:
     """The round-trip error grows only with 1/|det|, as expected from rounded angles."""
     geometry = DeltaGeometry(base_radius=0.055, platform_radius=0.05, arm=arm, rod=rod, z_offset=0.1)
-    delta = Delta(scaled(geometry, scale))
-    arms = np.random.default_rng(6).uniform(-1.2, 1.2, (4000, 3))
+    lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
+    delta = Delta(dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths}))
+    arms = np.random.default_rng(6).uniform(-1.2, 1.2, (1000, 3))
     points = delta.forward(arms).position
     solved = delta.inverse(points)
     good = (np.asarray(solved.status) & (NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1)) == 0
-    assert good.sum() > 100
+    assert good.sum() > 25
     points = points[good]
     error = np.linalg.norm(delta.forward(solved.angles[good]).position - points, axis=1)
     determinant = np.abs(delta.jacobian(points).determinant)
     assert (error <= 1e-15 * (arm + rod) * scale / determinant).all()
-
-
-def scaled(geometry: DeltaGeometry, scale: float) -> DeltaGeometry:
-    lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
-    return dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths})
 
 
 def test_a_singular_pose_is_flagged_and_does_not_affect_its_neighbours() -> None:
@@ -286,18 +261,14 @@ def test_strict_names_exactly_the_bad_indices() -> None:
     assert DELTA.inverse(DOCK, strict=True).status == Status.OK
 
 
-@pytest.mark.parametrize("mode", [(1, 1), [-1, -1, -1], (0, 1, 1), "out", None])
-def test_unknown_modes_are_refused(mode: Any) -> None:
-    with pytest.raises(ValueError, match="working_mode"):
-        Delta(working_mode=mode)
-
-
-@pytest.mark.parametrize("assembly", [0, 2, None, "ahead"])
-def test_unknown_assemblies_are_refused(assembly: Any) -> None:
-    with pytest.raises(ValueError, match="assembly"):
-        Delta(assembly=assembly)
-
-
-def test_any_other_type_than_a_geometry_is_refused() -> None:
-    with pytest.raises(ValueError, match="geometry"):
-        Delta({"arm": 0.1})  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("working_mode", mode) for mode in ((1, 1), [-1, -1, -1], (0, 1, 1), "out", None)),
+        *(("assembly", assembly) for assembly in (0, 2, None, "ahead")),
+        ("geometry", {"arm": 0.1}),
+    ],
+)
+def test_unknown_modes_and_other_types_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        Delta(**{name: value})

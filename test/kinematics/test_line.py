@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -16,6 +17,8 @@ from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, Line, LineRefused, plan_line
 from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_sim.parameters import ServoParameters
+
+from ..marks import night
 
 DELTA = Delta()
 HOME, DOCK = (0.0, 0.0, 0.0), (0.0, 0.0, 0.080)
@@ -43,7 +46,7 @@ def shares(line: Line, limits: ArmLimits) -> tuple[float, float]:
     return np.abs(line.velocities).max() / limits.speed, np.abs(line.accelerations).max() / limits.acceleration
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(place, place, speeds)
 def test_a_line_joins_its_ends_at_rest_and_keeps_every_limit(
     start: tuple[float, float, float], goal: tuple[float, float, float], speed: float
@@ -131,13 +134,15 @@ def test_half_the_speed_takes_twice_the_time_and_a_quarter_of_the_acceleration_t
     assert soft.duration == pytest.approx(2 * hard.duration, rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [6, night(120)])
 @pytest.mark.parametrize(("speed", "bound"), [(0.12, 0.02), (0.5, 0.2), (1e3, 0.2)])
-def test_linear_interpolation_of_angles_keeps_the_platform_near_the_line(speed: float, bound: float) -> None:
+def test_linear_interpolation_of_angles_keeps_the_platform_near_the_line(
+    speed: float, bound: float, count: int
+) -> None:
     worst = 0.0
-    corners = np.array(np.meshgrid(*zip(DELTA.geometry.workspace_min, DELTA.geometry.workspace_max, strict=True)))
-    corners = corners.reshape(3, -1).T
-    pairs = [(a, b) for a in corners for b in corners if not np.array_equal(a, b)]
-    for start, goal in [*lines(60, seed=4), *pairs]:
+    box = np.array([DELTA.geometry.workspace_min, DELTA.geometry.workspace_max])
+    corners = [box[[i, j, k], range(3)] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    for start, goal in [*lines(count, seed=4), *list(itertools.permutations(corners, 2))[: 2 * count]]:
         angles = plan_line(DELTA, start, goal, speed).angles
         for share in (0.25, 0.5, 0.75):
             between = DELTA.forward((1 - share) * angles[:-1] + share * angles[1:]).position
@@ -145,20 +150,13 @@ def test_linear_interpolation_of_angles_keeps_the_platform_near_the_line(speed: 
     assert 0.0 < worst < bound * MILLIMETRE
 
 
-def test_a_line_to_where_it_starts_stays_there() -> None:
-    line = plan_line(DELTA, DOCK, DOCK, 0.12)
-    assert len(line.times) == 3
-    assert np.array_equal(line.positions, [DOCK] * 3)
-    assert not line.velocities.any()
-    assert not line.accelerations.any()
-
-
-@pytest.mark.parametrize("length", [1e-300, 1e-15, 1e-9, 1e-6])
+@pytest.mark.parametrize("length", [0.0, 1e-300, 1e-15, 1e-9, 1e-6])
 def test_the_shortest_lines_take_two_intervals(length: float) -> None:
-    line = plan_line(DELTA, HOME, (0.0, 0.0, length), 0.12)
-    assert len(line.times) == 3
-    assert line.duration == 0.04
-    assert line.positions[-1].tolist() == [0.0, 0.0, length]
+    goal = (0.0, 0.0, length)
+    line = plan_line(DELTA, HOME, goal, 0.12)
+    assert (len(line.times), line.positions[-1].tolist()) == (3, list(goal))
+    assert length == 0.0 or line.duration == 0.04
+    assert length or not line.velocities.any() | line.accelerations.any()
 
 
 def test_the_default_acceleration_takes_no_more_torque_than_docking_allows() -> None:
@@ -247,32 +245,26 @@ def test_a_stretched_arm_is_always_refused_because_it_would_jump() -> None:
         plan_line(delta, (0.0, 0.0, 0.200), reach, 0.1, refuse=Status.OK)
 
 
-@pytest.mark.parametrize("name", ["start", "goal"])
+BAD_PLACES = [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0), [[0.0, 0.0, 0.0]], "abc", (1e300, 0.0, 0.0), None]
+BAD_NUMBERS = [0.0, -0.1, math.nan, math.inf, True, "fast", None]
+
+
 @pytest.mark.parametrize(
-    "value",
-    [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0), [[0.0, 0.0, 0.0]], 1.0, "abc", (1e300, 0.0, 0.0), None],
+    ("name", "value"),
+    [
+        *itertools.product(("start", "goal"), BAD_PLACES),
+        *itertools.product(("speed", "interval"), [*BAD_NUMBERS, 1e-300, 1e300]),
+        ("speed", 1e-6),  # more points than a line may have
+    ],
 )
-def test_impossible_places_are_refused_by_name(name: str, value: object) -> None:
-    places = {"start": HOME, "goal": DOCK, name: value}
+def test_impossible_values_are_refused_by_name(name: str, value: object) -> None:
+    values = {"start": HOME, "goal": DOCK, "speed": 0.12, name: value}
     with np.errstate(all="raise"), pytest.raises(ValueError, match=name):
-        plan_line(DELTA, speed=0.12, **places)
+        plan_line(DELTA, **values)
 
 
-@pytest.mark.parametrize("value", [0.0, -0.1, math.nan, math.inf, 1e-300, 1e300, True, "fast", None])
-@pytest.mark.parametrize("name", ["speed", "interval"])
-def test_impossible_speeds_and_intervals_are_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"^{name}"):
-        plan_line(DELTA, HOME, DOCK, **{"speed": 0.12, name: value})
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, True, "5", None])
+@pytest.mark.parametrize("value", BAD_NUMBERS)
 @pytest.mark.parametrize("name", ["speed", "acceleration"])
 def test_impossible_limits_are_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"^{name}:"):
         ArmLimits(**{name: value})
-
-
-def test_a_line_with_too_many_points_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"^speed: .* longer interval"):
-        plan_line(DELTA, HOME, DOCK, 1e-6)
-    assert plan_line(DELTA, HOME, DOCK, 1e-4).duration == pytest.approx(1500.0)

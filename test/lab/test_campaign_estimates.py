@@ -20,18 +20,12 @@ from deltacharger_lab.campaigns.paper import PaperClasses
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
 from deltacharger_lab.campaigns.servo_load import SECONDS
 
+from ..marks import rest
 from .campaigns import QUICK
 
-ESTIMATE = MisalignmentEstimate(
-    angle=0.05,
-    angle_stddev=0.002,
-    vertical=0.001,
-    vertical_stddev=0.0002,
-    horizontal=-0.003,
-    horizontal_stddev=0.0012,
-    across=0.001 * math.cos(0.05) + 0.003 * math.sin(0.05),
-    across_stddev=0.0002,
-)
+STDDEV = {"angle_stddev": 0.002, "vertical_stddev": 0.0002, "horizontal_stddev": 0.0012, "across_stddev": 0.0002}
+ACROSS = 0.001 * math.cos(0.05) + 0.003 * math.sin(0.05)
+ESTIMATE = MisalignmentEstimate(angle=0.05, vertical=0.001, horizontal=-0.003, across=ACROSS, **STDDEV)
 TRUTH = (-0.002, 0.0012, 0.052)
 
 
@@ -69,6 +63,7 @@ def test_bias_and_scale_are_exact() -> None:
     assert (found.sure, found.in_range, found.contact) == (ESTIMATE.sure, ESTIMATE.in_range, ESTIMATE.contact)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("tail", "beyond_5"), [(1e6, 0.0), (3.0, 0.003)])
 def test_tails_have_the_reported_width_and_the_weight_of_students_t(tail: float, beyond_5: float) -> None:
     _, found = answers(EstimatorErrors(tail=tail, stddev_scale=0.5), 6000)
@@ -135,7 +130,7 @@ def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     assert {classes.horizontal, classes.vertical} <= {-0.01, -0.005, 0.0, 0.005, 0.01}
 
 
-@pytest.mark.parametrize("paper", [False, True])
+@pytest.mark.parametrize("paper", [False, rest(True)])
 def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_uses_the_estimate(paper: bool) -> None:
     content = {**QUICK, "estimator": {"paper": paper, "bias_angle": 0.2}}
     printed = dock_once(parse_campaign_scene(content, "x"), 3, 0, "published")

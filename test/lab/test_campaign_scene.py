@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws of a campaign: values within bounds, complete checks of scenes, and a world with the drawn values."""
+"""Draws of a campaign: values within bounds, and a world with the drawn values."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_core.parameters import Declaration, ParameterError, declared
+from deltacharger_core.parameters import Declaration, declared
 from deltacharger_lab.campaigns.draw import draw, zero_angle
 from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
-from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
-from deltacharger_lab.campaigns.settings import meaning
+from deltacharger_lab.campaigns.scene import CampaignScene, load_campaign_scene, parse_campaign_scene
 from deltacharger_lab.campaigns.spread import read_spread
-from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
+
+from ..marks import night
 
 METRES = Declaration("x", float, None, "a place", "m", -0.06, 0.06)
 
@@ -52,67 +52,6 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
     assert all(-0.06 <= spread.draw(source) <= 0.06 for _ in range(2000))
 
 
-@pytest.mark.parametrize(
-    ("content", "key", "problem"),
-    [
-        ([], "(top)", "not a mapping"),
-        ({"wrold": {}}, "wrold", "did you mean 'world'"),
-        ({"name": 3}, "name", "not text"),
-        ({"world": {"servo": {"stifness": 15}}}, "world.servo.stifness", "did you mean 'stiffness'"),
-        ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2 to 40 N·m/rad"),
-        ({"world": {"servo": 15}}, "world.servo", "not a mapping"),
-        ({"world": {"target": {"x": 0.01}}}, "world.target.x", "give target.x"),
-        ({"docking": {"approach": "paper"}}, "docking.approach", "--approach"),
-        ({"target": {"x": [0.01, -0.01]}}, "target.x", "above"),
-        ({"target": {"x": [0.01, 0.02, 0.03]}}, "target.x", "not a range"),
-        ({"target": {"x": {"mean": 0.0}}}, "target.x", "not a distribution"),
-        ({"target": {"x": {"log": [0.0, 0.01]}}}, "target.x.log", "no logarithm"),
-        ({"target": {"x": {"either_sign": [-0.01, 0.01]}}}, "target.x.either_sign", "not a size"),
-        ({"target": {"x": {"either_sign": 0.01}}}, "target.x.either_sign", "not a range"),
-        ({"target": {"z": {"either_sign": [0.0, 0.05]}}}, "target.z.either_sign[1]", "outside"),
-        (
-            {"world": {"servo": {"friction": {"either_sign": [0.0, 0.1]}}}},
-            "world.servo.friction.either_sign",
-            "outside",
-        ),
-        ({"estimator": {"tail": 2.0}}, "estimator.tail", "2.1 to"),
-        ({"gravity": {"anywhere": True, "tilt": 0.1}}, "gravity.tilt", "gravity.anywhere"),
-        ({"shift": {"beyond_zero": 0.01, "roll": 0.1}}, "shift.roll", "shift.beyond_zero"),
-        ({"based_on": "bad"}, "based_on", "no other packaged campaign"),
-        ({"target": {"x": {"mean": 0.0, "stddev": -1.0}}}, "target.x.stddev", "outside 0"),
-        ({"target": {"x": {"choose": []}}}, "target.x.choose", "list of values"),
-        ({"target": {"x": float("nan")}}, "target.x", "not finite"),
-        ({"target": {"x": "left"}}, "target.x", "not a number"),
-        ({"gravity": {"known": 1}}, "gravity.known", "true or false"),
-        ({"tactile": {"sensor": {"bits": 9.5}}}, "tactile.sensor.bits", "whole number"),
-        ({"dockings": []}, "dockings", "not a list"),
-        ({"dockings": [{"target": {"x": [0.0, 0.01]}}]}, "dockings[0].target.x", "fixed values"),
-        ({"dockings": [{"traget": {}}]}, "dockings[0].traget", "did you mean 'target'"),
-        ({"target": {"x": 0.0}, "dockings": [{"target": {"x": 0.01}}]}, "dockings[0].target.x", "keep one"),
-        ({"world": {"magnets": {"force": 0.0, "width": 0.01}}}, "world.magnets.width", "no effect"),
-        ({"gravity": {"azimuth": 1.0}}, "gravity.azimuth", "no effect"),
-        ({"docking": {"current_min": [0.40, 0.48]}}, "docking.current_min", "current_min + 2"),
-        ({"world": {"circuit": {"voltage_min": 30.0, "voltage_max": 30.0}}}, "world.circuit.voltage_min", "below"),
-    ],
-)
-def test_a_scene_refuses_wrong_keys_and_values(content: Any, key: str, problem: str) -> None:
-    with pytest.raises(ParameterError) as refusal:
-        parse_campaign_scene(content, "bad")
-    assert refusal.value.key == key
-    assert problem in refusal.value.problem
-
-
-def test_packaged_scenes_load_and_a_file_names_itself(tmp_path: Path) -> None:
-    assert {"default", "steep"} <= set(packaged_campaigns())
-    for name in packaged_campaigns():
-        assert load_campaign_scene(name).description
-    path = tmp_path / "mine.yaml"
-    path.write_text("target: {x: 9}", encoding="utf-8")
-    with pytest.raises(SceneError) as refusal:
-        load_campaign_scene(str(path))
-    assert (refusal.value.file, refusal.value.key) == (str(path), "target.x")
-
-
 def test_every_number_of_the_world_can_be_drawn_or_names_its_replacement() -> None:
     for each in declared(WorldParameters, "world"):
         assert each.name in set(known_keys()) | set(TAKEN), each.name
@@ -132,16 +71,28 @@ def test_the_goal_is_the_cameras_pose_and_the_world_has_the_true_one() -> None:
     assert drawn.estimator == EstimatorErrors(angle_stddev=0.01)
 
 
-def test_errors_of_camera_and_mount_have_their_declared_width() -> None:
-    content = {"camera": {"position_stddev": 0.001, "roll_stddev": 0.01}, "hand_eye": {"position_stddev": 0.002}}
-    scene = parse_campaign_scene(content, "x")
-    goals = np.array([draw(scene, 1, number, "guarded").goal.position for number in range(1500)])
-    assert np.std(goals, axis=0) == pytest.approx(math.hypot(0.001, 0.002), rel=0.06)
-    assert np.mean(goals, axis=0) == pytest.approx((0.0, 0.0, 0.08), abs=2e-4)
-    turned = parse_campaign_scene({"hand_eye": {"rotation_stddev": 0.01}}, "x")
-    goals = np.array([draw(turned, 1, number, "guarded").goal.position for number in range(1500)])
-    # A camera at (0, 0.12, -0.12) m is 0.233 m from (0, 0, 80 mm): 0.2 m along z, 0.12 m along y, none along x.
-    assert np.std(goals, axis=0) == pytest.approx((0.00233, 0.002, 0.0012), rel=0.06)
+def scattered(scene: CampaignScene, count: int) -> list[Any]:
+    return [draw(scene, 1, number, "guarded") for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (
+            {"camera": {"position_stddev": 0.001, "roll_stddev": 0.01}, "hand_eye": {"position_stddev": 0.002}},
+            (math.hypot(0.001, 0.002),) * 3,
+        ),
+        # A camera at (0, 0.12, -0.12) m is 0.233 m from (0, 0, 80 mm): 0.2 m along z, 0.12 m along y, none along x.
+        ({"hand_eye": {"rotation_stddev": 0.01}}, (0.00233, 0.002, 0.0012)),
+    ],
+)
+@pytest.mark.parametrize(("count", "within"), [(150, 0.2), night(1500, 0.06)])
+def test_errors_of_camera_and_mount_have_their_declared_width(
+    content: dict[str, Any], expected: tuple[float, ...], count: int, within: float
+) -> None:
+    goals = np.array([each.goal.position for each in scattered(parse_campaign_scene(content, "x"), count)])
+    assert np.std(goals, axis=0) == pytest.approx(expected, rel=within)
+    assert np.mean(goals, axis=0) == pytest.approx((0.0, 0.0, 0.08), abs=0.0033 * within)
 
 
 @pytest.mark.parametrize(("azimuth", "expected"), [(0.0, (0.0, 0.0)), (math.pi / 2.0, (1.0, 0.0))])
@@ -161,8 +112,6 @@ def test_electrodes_have_the_hole_that_the_scene_gives_them() -> None:
     holed, plain = (draw(load_campaign_scene(name), 3, 5, "guarded") for name in ("holes", "random"))
     assert (holed.tactile.contact.hole, plain.tactile.contact.hole) == (0.0022, 0.0)
     assert (holed.world, holed.goal, holed.rig_seed) == (plain.world, plain.goal, plain.rig_seed)
-    with pytest.raises(ParameterError, match=r"tactile\.contact\.hole.*give electrode\.hole"):
-        parse_campaign_scene({"tactile": {"contact": {"hole": 0.002}}}, "x")
 
 
 def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
@@ -210,13 +159,14 @@ def test_a_new_key_does_not_change_the_values_of_others(more: dict[str, Any]) ->
         assert (one.goal, one.seed, one.rig_seed) == (two.goal, two.seed, two.rig_seed)
 
 
-def test_gravity_from_anywhere_has_all_directions_equally_likely() -> None:
+@pytest.mark.parametrize(("count", "within"), [(200, 0.12), night(1500, 0.05)])
+def test_gravity_from_anywhere_has_all_directions_equally_likely(count: int, within: float) -> None:
     scene = parse_campaign_scene({"gravity": {"anywhere": True, "known": True}}, "x")
-    drawn = [draw(scene, 1, number, "guarded") for number in range(1500)]
+    drawn = scattered(scene, count)
     pull = np.array([(each.world.gravity_x, each.world.gravity_y, each.world.gravity_z) for each in drawn]) / 9.81
     assert np.linalg.norm(pull, axis=1) == pytest.approx(1.0)
-    assert np.mean(pull, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
-    assert np.mean(pull**2, axis=0) == pytest.approx((1 / 3, 1 / 3, 1 / 3), abs=0.03)
+    assert np.mean(pull, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=within)
+    assert np.mean(pull**2, axis=0) == pytest.approx((1 / 3,) * 3, abs=0.6 * within)
     assert drawn[0].docking.gravity == pytest.approx(tuple(9.81 * pull[0]))
     assert {"gravity.tilt", "gravity.azimuth"} <= set(scene.drawn())
 
@@ -224,28 +174,26 @@ def test_gravity_from_anywhere_has_all_directions_equally_likely() -> None:
 def test_errors_of_vision_stay_within_the_limit_at_contact() -> None:
     content = {"shift": {"x": [-0.01, 0.01], "y": 0.009, "limit": 0.01}, "hand_eye": {"position_stddev": 0.005}}
     scene = parse_campaign_scene(content, "x")
-    drawn = [draw(scene, 1, number, "guarded") for number in range(400)]
-    offsets = np.array(
-        [(one.world.target.x - one.goal.position[0], one.world.target.y - one.goal.position[1]) for one in drawn]
-    )
-    assert np.max(np.abs(offsets)) <= 0.01
-    assert np.min(np.abs(offsets), axis=0) == pytest.approx((0.0, 0.0), abs=0.001)
-    assert np.std([one.goal.position[2] for one in drawn]) == pytest.approx(0.005, rel=0.1)
+    drawn = scattered(scene, 150)
+    places = np.array([(one.world.target.x, one.world.target.y) for one in drawn])
+    goals = np.array([one.goal.position for one in drawn])
+    assert np.max(np.abs(places - goals[:, :2])) <= 0.01
+    assert np.min(np.abs(places - goals[:, :2]), axis=0) == pytest.approx((0.0, 0.0), abs=0.001)
+    assert np.std(goals[:, 2]) == pytest.approx(0.005, rel=0.2)
 
 
 def test_near_zero_clearance_the_wrong_bars_nearly_touch() -> None:
     scene = parse_campaign_scene({"shift": {"y": [-0.006, 0.006], "beyond_zero": [-0.01, 0.01]}}, "x")
     below = sides = 0
-    for number in range(200):
-        one = draw(scene, 1, number, "guarded")
+    for one in scattered(scene, 60):
         target = one.world.target
         x, y = target.x - one.goal.position[0], target.y - one.goal.position[1]
         true = Overlap(one.world.terminal, x, y, target.roll).clearance
         assert abs(true) < 0.0008  # 0.01 rad · 35 mm and the formula's error against the geometry
         below += true < 0.0
         sides += target.roll > 0.0
-    assert 40 < below < 160
-    assert 70 < sides < 130
+    assert 12 < below < 48
+    assert 18 < sides < 42
     assert math.degrees(zero_angle(0.0, 0.0037, 0.035)) == pytest.approx(12.07, abs=0.005)
     assert zero_angle(0.06, 0.0037, 0.035) == 0.0
 
@@ -260,15 +208,3 @@ def test_a_scene_inherits_the_keys_that_it_does_not_set(tmp_path: Path) -> None:
     assert "shift.roll" not in mine.spreads
     assert mine.spreads["shift.limit"] == edge.spreads["shift.limit"] == everything.spreads["shift.limit"]
     assert parse_campaign_scene(mine.content, "again").spreads == mine.spreads
-    for base in ("mine", "rnadom"):
-        path.write_text(f"based_on: {base}", "utf-8")
-        with pytest.raises(SceneError, match="no other packaged campaign"):
-            load_campaign_scene(str(path))
-
-
-def test_a_number_changes_the_version_and_a_comment_does_not(tmp_path: Path) -> None:
-    meanings = []
-    for text in ("LIMIT = 2.2\n", "# of a contact\nLIMIT = (2.2)\n", "LIMIT = 2.3\n"):
-        (tmp_path / "rule.py").write_text(text)
-        meanings.append(meaning(tmp_path / "rule.py"))
-    assert meanings[0] == meanings[1] != meanings[2]

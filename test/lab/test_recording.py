@@ -20,6 +20,7 @@ from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
+from deltacharger_tactile.generator import generate_paper
 
 SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
 
@@ -29,10 +30,11 @@ def silent(_: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def data() -> Dataset:
+def data() -> Dataset:  # 3 s of CPU
     return record_paper(SMALL, silent)
 
 
+@pytest.mark.rest
 def test_a_recording_has_both_sets_with_the_protocols_labels(data: Dataset) -> None:
     assert len(data) == 6 * 6 + 25
     assert [len(examples(data, target)) for target in TARGETS] == [36, 25, 25]
@@ -49,6 +51,7 @@ def commanded(data: Dataset) -> Any:
     return np.column_stack([data.horizontal, data.vertical, data.angle])
 
 
+@pytest.mark.rest
 def test_vision_leaves_its_error_and_not_a_share_of_the_start(data: Dataset) -> None:
     starts = np.concatenate([part.starts() for part in SMALL.parts() if part.set == "angle"])
     assert np.abs(starts).max() == pytest.approx(0.020)
@@ -58,6 +61,7 @@ def test_vision_leaves_its_error_and_not_a_share_of_the_start(data: Dataset) -> 
     assert (left.std(axis=0) < 0.0025).all(), "the camera's errors; the mount's are the same in every docking"
 
 
+@pytest.mark.rest
 def test_the_felt_offset_is_the_commanded_one_apart_from_jitter(data: Dataset) -> None:
     off = data.contact_pose - commanded(data)
     assert np.abs(off[:, :2]).max() < 4.5 * DOCKING_JITTER + 0.001, "jitter, and what friction holds back"
@@ -66,6 +70,7 @@ def test_the_felt_offset_is_the_commanded_one_apart_from_jitter(data: Dataset) -
     assert (data.force > 15.0).all()
 
 
+@pytest.mark.rest
 def test_one_seed_gives_one_recording_to_the_bit(data: Dataset, tmp_path: Path) -> None:
     part = SMALL.parts()[3]
     loads = [touch.frames for touch in record_part(SMALL, part)]
@@ -77,6 +82,7 @@ def test_one_seed_gives_one_recording_to_the_bit(data: Dataset, tmp_path: Path) 
     assert Dataset.load(tmp_path / "data.npz").meta == data.meta
 
 
+@pytest.mark.rest
 def test_rows_of_a_docking_are_successive_frames() -> None:
     part = SMALL.parts()[0]
     one, several = (record_part(dataclasses.replace(SMALL, rows=rows), part)[0] for rows in (1, 5))
@@ -93,37 +99,33 @@ def test_a_docking_that_fails_three_times_is_named(monkeypatch: pytest.MonkeyPat
         record_part(SMALL, SMALL.parts()[2])
 
 
-@pytest.mark.parametrize(
-    "words", [["--set", "angle"], ["--compose"], ["--repeat", "2"], ["--namespace", "a"], ["--x-mm", "3"]]
-)
+@pytest.mark.parametrize("words", ["--set angle", "--compose", "--repeat 2", "--namespace a", "--x-mm 3"])
 def test_options_for_a_running_charger_are_refused_with_a_protocol(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "data.npz"
-    assert main(["tactile", "record", "--protocol", "paper", *words, "--out", str(out)]) == WRONG_INPUT
-    assert words[0] in capsys.readouterr().err
+    assert main(["tactile", "record", "--protocol", "paper", *words.split(), "--out", str(out)]) == WRONG_INPUT
+    assert words.split()[0] in capsys.readouterr().err
     assert not out.exists()
 
 
 def test_the_command_writes_the_data_set_or_names_the_failure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, data: Dataset
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Protocol] = []
+    written = generate_paper(rigs=(860,), seed=3, threshold=0.0)
 
     def record(what: Protocol, _: object) -> Dataset:
         asked.append(what)
-        return data
+        if len(asked) == 1:
+            return written
+        raise DockingError("angle 2°: a docking failed 3 times")
 
     monkeypatch.setattr(recording, "record_paper", record)
     words = ["tactile", "record", "--protocol", "paper", "--rig", "880", "--seed", "4", "--rows", "2", "--json"]
     assert main([*words, "--out", str(tmp_path / "data.npz")]) == DONE
     assert asked == [Protocol(rig=880, seed=4, rows=2, threshold=0.25)]
-    assert json.loads(capsys.readouterr().out)["n"] == len(data) == len(Dataset.load(tmp_path / "data.npz"))
-
-    def fail(*_: object) -> Dataset:
-        raise DockingError("angle 2°: a docking failed 3 times")
-
-    monkeypatch.setattr(recording, "record_paper", fail)
+    assert json.loads(capsys.readouterr().out)["n"] == len(written) == len(Dataset.load(tmp_path / "data.npz"))
     assert main([*words, "--out", str(tmp_path / "none.npz")]) == FAILED
-    assert "a docking failed 3 times" in capsys.readouterr().err
+    assert "failed 3 times" in capsys.readouterr().err
     assert not (tmp_path / "none.npz").exists()

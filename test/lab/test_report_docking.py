@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import json
 import math
 from pathlib import Path
@@ -14,9 +12,6 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_core.parameters import declared
-from deltacharger_docking import along, magnet_pull, place, target_place
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.docking import grounds, lean, lean_picture
@@ -28,7 +23,6 @@ from deltacharger_lab.reports.docking.summary import Columns
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
 
-SEVEN = math.radians(7.0)
 ALIGNED = "what is called aligned, lean5"
 
 
@@ -43,17 +37,12 @@ def rows(count: int, **changes: Any) -> Columns:
     return docking_summary.columns(found | {"number": list(range(count))})
 
 
-@pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 300), (0, 20_000), (1, 20_000), (3, 40), (12, 2000)])
+@pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 300), (0, 20_000), (1, 2000), (3, 40)])
 def test_a_rate_at_its_bound_has_at_most_this_count_in_one_of_twenty_campaigns(hits: int, count: int) -> None:
     bound = upper_bound(hits, count)
     few = sum(math.comb(count, k) * bound**k * (1.0 - bound) ** (count - k) for k in range(hits + 1))
     assert few == pytest.approx(0.05, rel=1e-6)
-    if hits == 0:
-        assert bound <= 3.0 / count
-
-
-def test_the_bound_is_right_at_its_ends() -> None:
-    assert upper_bound(0, 20_000) == pytest.approx(1.5e-4, rel=0.01)
+    assert hits or bound <= 3.0 / count
     assert upper_bound(5, 5) == 1.0
     assert math.isnan(upper_bound(0, 0))
 
@@ -67,35 +56,19 @@ def test_bins_have_every_docking_of_either_sign_once() -> None:
     assert sum(each["n"] for each in bins) == 400
     assert [each["share"] for each in bins if each["high"] <= 9.0] == [1.0] * 5
     assert sum(sum(each["refused"].values()) for each in bins) == np.sum(~every["charged"])
-    assert docking_summary.columns({"place_roll": [-SEVEN, SEVEN]})["degrees"] == pytest.approx([7.0, 7.0])
-
-
-def verdicts(upright: Columns, **campaigns: Columns) -> dict[str, bool | None]:
-    others = ("default", "soft_servos", "random", "edge", "strike")
-    found = {name: docking_summary.summarise(campaigns.get(name, upright)) for name in others}
-    targets = docking_summary.targets(found, docking_summary.summarise(upright))
-    return {each["name"]: each["met"] for each in targets}
-
-
-@pytest.mark.parametrize(
-    ("changes", "missed"),
-    [
-        ({}, set()),
-        ({"energised_unsafe": 0.01}, {"energised without clearance, random scenes"}),
-        ({"shorts": 1}, {"shorts, guarded"}),
-        ({"rest_current": 0.51}, {"contact current at rest in 0.4–0.5 A"}),
-        ({"servo_push": 25.1}, {"largest push of the servos in contact"}),
-        ({"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),
-        ({"code_name": "CRASHED"}, {"dockings that crashed"}),
-    ],
-)
-def test_only_its_own_figure_misses_a_target(changes: dict[str, Any], missed: set[str]) -> None:
-    assert _missed(random=rows(10, **changes)) == missed
+    assert docking_summary.columns({"place_roll": [-0.1, 0.1]})["degrees"] == pytest.approx([math.degrees(0.1)] * 2)
 
 
 @pytest.mark.parametrize(
     ("scene", "changes", "missed"),
     [
+        ("random", {}, set()),
+        ("random", {"energised_unsafe": 0.01}, {"energised without clearance, random scenes"}),
+        ("random", {"shorts": 1}, {"shorts, guarded"}),
+        ("random", {"rest_current": 0.51}, {"contact current at rest in 0.4–0.5 A"}),
+        ("random", {"servo_push": 25.1}, {"largest push of the servos in contact"}),
+        ("random", {"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),
+        ("random", {"code_name": "CRASHED"}, {"dockings that crashed"}),
         ("default", {"moves": 2}, {"moves, default, median"}),
         ("default", {"moves": 4}, {"moves, default, median", "moves, default, 99 %"}),
         ("default", {"time": 9.0}, {"seconds to charging, default, median"}),
@@ -103,26 +76,16 @@ def test_only_its_own_figure_misses_a_target(changes: dict[str, Any], missed: se
         ("edge", {"time": 12.6}, {"seconds to charging, edge, median"}),
         ("soft_servos", {"time": 15.1}, {"seconds to charging, soft_servos, median"}),
         ("edge", {"charged": False}, {"charged, scenes at 8–11°", "seconds to charging, edge, median"}),
-        (
-            "default",
-            {"final_vertical": -0.0026},
-            {"at rest within 2.5 mm across the bars, default", "at rest within 2.5 mm in both axes, default"},
-        ),
         ("default", {"final_horizontal": 0.0026}, {"at rest within 2.5 mm in both axes, default"}),
         ("strike", {"peak_push": 30.0}, {"strike, exact, default, 99 %"}),
     ],
 )
-def test_targets_of_one_scene_use_only_that_scene(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
-    assert _missed(**{scene: rows(10, **changes)}) == missed
-
-
-def _missed(**campaigns: Columns) -> set[str]:
-    return {name for name, met in verdicts(rows(10), **campaigns).items() if not met}
-
-
-def test_targets_of_missing_campaigns_are_not_measured() -> None:
-    found = docking_summary.targets({}, None)
-    assert {each["met"] for each in found} == {None}
+def test_only_its_own_figure_and_scene_miss_a_target(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
+    good = docking_summary.summarise(rows(10))
+    found = dict.fromkeys(("default", "soft_servos", "random", "edge", "strike"), good)
+    found[scene] = docking_summary.summarise(rows(10, **changes))
+    assert {each["name"] for each in docking_summary.targets(found, good) if not each["met"]} == missed
+    assert {each["met"] for each in docking_summary.targets({}, None)} == {None}, "nothing was measured"
 
 
 def test_a_largest_figure_uses_only_campaigns_that_charged() -> None:
@@ -132,6 +95,7 @@ def test_a_largest_figure_uses_only_campaigns_that_charged() -> None:
     assert hottest == 0.5
 
 
+@pytest.mark.rest
 def test_a_plan_has_existing_scenes_and_the_requested_counts() -> None:
     counts = {part.name: part.count for part in PARTS}
     assert (counts["random"], counts["edge"], counts["zero"]) == (20_000, 20_000, 2_000)
@@ -144,68 +108,43 @@ def test_a_plan_has_existing_scenes_and_the_requested_counts() -> None:
     assert {part.name: part.count for part in only.parts} == {**counts, "edge": 7, "zero": 7}
 
 
-def report(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any], str]:
-    capsys.readouterr()
-    code = main(["report", "docking", *words, "--json"])
-    captured = capsys.readouterr()
-    return code, json.loads(captured.out), captured.err
-
-
+@pytest.mark.rest
 def test_a_report_runs_missing_dockings_and_shows_present_ones(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib", reason="draws with deltacharger[report]")
-    out = ("--out", str(tmp_path))
-    code, answer, _ = report(capsys, "--only", "upright", "-n", "2", *out)
-    assert code == 0
-    assert "random" in answer["not_run"]
-    assert "upright" not in answer["not_run"]
-    code, answer, err = report(capsys, "--only", "upright", "--only", "random", "-n", "3", *out)
-    assert code == 0
-    assert "2 of 3 dockings exist already" in err
-    assert {Path(name).name for name in answer["files"]} == {
-        "docking.md",
-        "docking.json",
-        *(name for name in PICTURES if name not in ("docking-clearance.png", lean_picture.NAME)),
-    }
+
+    def report(*words: str) -> tuple[int, dict[str, Any], str]:
+        capsys.readouterr()
+        code = main(["report", "docking", *words, "--out", str(tmp_path), "--json"])
+        captured = capsys.readouterr()
+        return code, json.loads(captured.out), captured.err
+
+    code, answer, _ = report("--only", "upright", "-n", "2")
+    assert (code, "random" in answer["not_run"], "upright" in answer["not_run"]) == (0, True, False)
+    code, answer, err = report("--only", "upright", "--only", "random", "-n", "3")
+    assert (code, "2 of 3 dockings exist already" in err) == (0, True)
+    pictures = PICTURES.keys() - {"docking-clearance.png", lean_picture.NAME}
+    assert {Path(name).name for name in answer["files"]} == {"docking.md", "docking.json", *pictures}
     figures = json.loads((tmp_path / "docking.json").read_text("utf-8"))
     assert {name: each["n"] for name, each in figures["parts"].items()} == {"random": 3, "upright": 3}
     assert figures["parts"]["random"]["unsafe"]["bound"] == pytest.approx(upper_bound(0, 3))
     page = " ".join((tmp_path / "docking.md").read_text("utf-8").split())
-    assert "Everything here is simulated" in page
     assert all(f"| {each['name']} |" in page for each in answer["targets"])
     assert figures["versions"]["random"]["code"] in page
     monkeypatch.setattr(docking_report, "versions", lambda: {"code": "other"})
-    code, answer, _ = report(capsys, "--only", "random", "-n", "3", *out)
-    assert code == 2
-    assert "version of code" in answer["error"]
+    code, answer, _ = report("--only", "random", "-n", "3")
+    assert (code, "version of code" in answer["error"]) == (2, True)
 
 
-def test_an_unknown_campaign_is_refused_with_the_known_names(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    code, answer, _ = report(capsys, "--only", "egde", "--out", str(tmp_path))
-    assert code == 2
-    assert "edge" in answer["error"]
-
-
-def test_each_threshold_is_a_parameter_and_names_where_it_was_chosen() -> None:
-    rows = list(grounds.thresholds())
-    assert sum(values.count(",") + 1 for values, _ in rows) == len(
-        {n for choice in grounds.CHOICES for n in choice.names}
-    )
-    assert any("clearance_min 0.0003 m" in values and "no seed" in where for values, where in rows)
+def test_thresholds_name_where_they_were_chosen_and_headlines_every_contradicting_campaign() -> None:
+    thresholds = list(grounds.thresholds())
+    known = {name for choice in grounds.CHOICES for name in choice.names}
+    assert sum(values.count(",") + 1 for values, _ in thresholds) == len(known)
     assert SEED not in grounds.CHOSEN
-
-
-def test_headlines_are_listed_with_every_contradicting_campaign() -> None:
-    names = {part.name: part for part in PARTS}
-    beside = {world.name for world in grounds.WORLDS}
-    assert beside <= names.keys()
+    names, beside = {part.name for part in PARTS}, {world.name for world in grounds.WORLDS}
     contradicting = {name for name in names if name.startswith(("assumed_", "second", "random_second"))}
-    assert contradicting | {"high_row", "parked", "nudged"} <= beside
-    parts = {name: docking_summary.summarise(rows(4)) for name in ("default", "second")}
-    assert [world.name for world, _ in grounds.worlds(parts)] == ["default", "second"]
+    assert contradicting | {"high_row", "parked", "nudged"} <= beside <= names
 
 
 def test_nudges_count_opened_and_unsafe_dockings() -> None:
@@ -221,14 +160,9 @@ def test_nudges_count_opened_and_unsafe_dockings() -> None:
 
 def leaning(yaws: list[float], pitches: list[float], **changes: Any) -> Columns:
     """Return a charged docking for each yaw and pitch (degrees)."""
-    usual: dict[str, Any] = {
-        "aligned": True,
-        "contacts": 1,
-        "lifted_live": 0,
-        "bar_heat": 0.1,
-        "estimated_horizontal": 0.002,
-    }
-    found = rows(len(yaws), **(usual | {"estimated_horizontal_stddev": 0.0005} | changes))
+    usual: dict[str, Any] = {"aligned": True, "contacts": 1, "lifted_live": 0, "bar_heat": 0.1}
+    usual |= {"estimated_horizontal": 0.002, "estimated_horizontal_stddev": 0.0005}
+    found = rows(len(yaws), **(usual | changes))
     tilts = {"y": yaws, "x": pitches}
     return found | {f"world.target.tilt_{axis}": np.radians(each) for axis, each in tilts.items()}
 
@@ -237,17 +171,11 @@ def test_leans_are_binned_by_integer_degrees_of_either_sign() -> None:
     every = leaning([0.5, -4.5, 5.0, 2.2], [-1.5, 4.9, -5.0, 0.0])
     every["charged"][1], every["code_name"] = False, np.array(["NONE", "LEANING", "NONE", "NONE"])
     cells = lean.by_lean(every)
-    assert [(yaw, pitch) for yaw in range(5) for pitch in range(5) if cells[yaw][pitch]["n"]] == [
-        (0, 1),
-        (2, 0),
-        (4, 4),
-    ]
-    assert (cells[4][4]["n"], cells[4][4]["share"], cells[4][4]["refused"]) == (2, 0.5, {"LEANING": 1})
-
-
-def test_a_robot_that_stands_askew_has_yawed_faces() -> None:
-    yaw, pitch = lean.lean(rows(1) | {"parked.heading": np.radians([3.0])})
+    filled = [(yaw, pitch) for yaw in range(5) for pitch in range(5) if cells[yaw][pitch]["n"]]
+    assert filled == [(0, 1), (2, 0), (4, 4)]
+    yaw, pitch = lean.lean(rows(1) | {"parked.heading": np.radians([3.0])})  # of a robot that stands askew
     assert (yaw[0], pitch[0]) == (pytest.approx(3.0), 0.0)
+    assert (cells[4][4]["n"], cells[4][4]["share"], cells[4][4]["refused"]) == (2, 0.5, {"LEANING": 1})
 
 
 def test_late_or_unnamed_refusals_do_not_count_as_soon() -> None:
@@ -279,16 +207,3 @@ def test_the_reported_offset_is_compared_with_the_electrodes_rest() -> None:
 def test_only_its_own_figure_misses_a_target_of_leaning_faces(changes: dict[str, Any], missed: set[str]) -> None:
     found = lean.targets({"lean5": lean.figures(leaning([1.0, 4.0], [1.0, 0.0], **changes))})
     assert {each["name"] for each in found if each["met"] is False} == missed
-
-
-def test_each_parameter_of_the_filters_over_contacts_has_a_stated_choice() -> None:
-    known = {name for choice in grounds.CHOICES for name in choice.names}
-    declared_names = {each.name for each in declared(DockingParameters)}
-    read = set()
-    for module in (along, target_place, magnet_pull, place):
-        names = {
-            node.attr for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.Attribute)
-        }
-        read |= names & declared_names
-    assert len(read) > 20
-    assert read <= known

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -12,14 +10,13 @@ import pytest
 
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
-from deltacharger_lab.reports.tactile.report import _second_targets, tasks
+from deltacharger_lab.reports.tactile.report import _second_targets
 from deltacharger_tactile import PoseEstimator
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.estimator import to_seat
 from deltacharger_tactile.generator import generate_continuous, generate_paper
-from deltacharger_tactile.second.parameters import SecondParameters
 
 PLAN = tactile_plan.quick_plan(1)
 
@@ -28,6 +25,7 @@ def refuse(*_: Any, **__: Any) -> None:
     raise AssertionError("nothing is trained on the second physics")
 
 
+@pytest.mark.rest
 def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PoseEstimator, "fit", refuse)
     rows = second.judge_estimates(860, 3, PLAN)
@@ -37,13 +35,9 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
     }
     summed = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
     for (cut, frames, physics), row in summed.items():
-        assert row["n"] == 2 * 60
-        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"]
-        assert row["sure"] <= row["in_range"] <= row["contact"] <= 1.0
+        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"] == 2 * 60
         if physics == "first":
-            other = summed[cut, frames, "second"]
-            assert other["in_range"] < row["in_range"], "a dead band of 1 N hides most of a contact"
-            assert row["vertical"]["z"] < 2.0
+            assert summed[cut, frames, "second"]["in_range"] < row["in_range"], "a dead band hides most of a contact"
     bad = [row | {"unsafe": 3} for row in summed.values()]
     families = [{"variant": "unchanged", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
     assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
@@ -70,22 +64,18 @@ class Telling:
         return np.zeros(len(left), dtype=bool)
 
 
-def test_an_exact_estimate_never_acts_unsafely(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.rest
+@pytest.mark.parametrize(("exact", "most"), [(True, 0.0), (False, 0.9)])
+def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch, exact: bool, most: float) -> None:
     data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
-    monkeypatch.setattr(second, "default_model", lambda cut: Telling(data.contact_pose, 1e-6))
+    told = Telling(data.contact_pose, 1e-6) if exact else Telling(np.zeros(3), 1e-4)
+    monkeypatch.setattr(second, "default_model", lambda cut: told)
     row = second._counts(data, 0.25)
     assert row["acts"] > 50
-    assert row["unsafe"] == 0
+    assert 0.2 * most * row["n"] <= row["unsafe"] <= most * row["n"], "most of ±12 mm and ±20° leaves no clearance"
 
 
-def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(second, "default_model", lambda cut: Telling(np.zeros(3), 1e-4))
-    (row, *_) = second.summed(second.judge_estimates(860, 3, PLAN), *KEYS)
-    assert row["acts"] == row["n"]
-    assert 0.2 * row["n"] < row["unsafe"] < row["n"], "most of ±12 mm and ±20° leaves no clearance"
-    assert row["angle"]["rms"] == pytest.approx(20.0 / math.sqrt(3.0), rel=0.2)
-
-
+@pytest.mark.rest
 def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     from deltacharger_lab.reports.tactile.measure import _calibrate, fitted
@@ -115,15 +105,3 @@ def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
     assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
     assert unsafe["met"] is None, "nothing was measured"
     assert sigma["met"] is None
-
-
-def test_each_variant_lacks_a_law() -> None:
-    found = second.variants()
-    assert found["unchanged"] == SecondParameters()
-    assert len({family.digest() for family in found.values()}) == len(found)
-    quick = [task.name for task in tasks(tactile_plan.quick_plan(1), "")]
-    assert quick.count("second estimates") == len(PLAN.rigs)
-    assert quick.count("second variants") == len(PLAN.ceiling_rigs)
-    (row, *_) = second.judge_variants(860, 3, dataclasses.replace(PLAN, second_count=4))
-    assert row["variant"] == "unchanged"
-    assert row["n"] == 4

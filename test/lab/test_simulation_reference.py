@@ -16,6 +16,8 @@ from deltacharger_sim.mechanics import GEAR_BRISTLE
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 
+from ..marks import rest
+
 pytest.importorskip("scipy")
 
 
@@ -53,7 +55,7 @@ def test_the_gears_friction_takes_its_work_from_a_strike() -> None:
     assert held == pytest.approx(given - slips, rel=1e-5)
 
 
-@pytest.mark.parametrize("contact", [1e3, 1e5, 1e7])
+@pytest.mark.parametrize("contact", [1e3, 1e5, rest(1e7)])
 def test_it_converges_and_comes_to_rest_where_springs_and_magnets_balance(contact: float) -> None:
     parameters = axis_world(contact, 15.0)
     orders = [(0.0, angle(0.086)[0], 4.1)]
@@ -70,6 +72,7 @@ def test_a_motion_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch)
         on_axis(axis_world(1e5, 15.0), 0.07, [(0.0, angle(0.086)[0], 4.1)], 1.0)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("strike", STRIKES, ids=lambda strike: strike.name)
 def test_peaks_in_steps_of_docking_are_within_the_stated_limits(strike: object) -> None:
     parameters = axis_world(1e6, 15.0, strike.magnets)  # type: ignore[attr-defined]

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated pages and policies: they are complete. CI generates them and compares them with the committed ones."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from deltacharger_core.parameters import declared
+from deltacharger_lab.campaigns.keys import known_keys
+from deltacharger_lab.pages import model_parameters
+from deltacharger_lab.pages.interface_text import read
+
+ROOT = Path(__file__).parents[2]
+FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
+
+
+@pytest.mark.ros
+@pytest.mark.rest
+def test_the_table_of_nodes_lists_the_parameters_that_they_declare(context: Any, namespace: str) -> None:
+    for library, what in (("cv2", "electrode_detector_node needs deltacharger[vision]"), ("mcap", "record")):
+        pytest.importorskip(library, reason=what)
+    from deltacharger_lab.pages import parameters, policies, topics
+    from deltacharger_scenes.node_table import NODES
+    from deltacharger_scenes.parameter_check import tables
+
+    with parameters.every_node(context, namespace) as nodes:
+        written = parameters.document(nodes), topics.document(nodes), *policies.documents(nodes).values()
+        declares = {node.get_name(): set(node._parameters) for node in nodes}
+    assert all(written)
+    own = {"use_sim_time", "start_type_description_service"}
+    for name in NODES.keys() & declares.keys():
+        listed = {each.name for table in tables(name) for each in declared(table)}
+        found = {each for each in declares[name] - own if not each.startswith("qos_overrides.")}
+        assert listed == found, f"the table of nodes lists other parameters of {name} than it declares"
+
+
+def test_every_key_of_a_campaign_has_a_row_with_a_meaning() -> None:
+    rows = [row.split(" | ") for row in model_parameters.sections().splitlines() if row.startswith("| ")]
+    names = {row[0].removeprefix("| ") for row in rows if row[-1].removesuffix(" |").strip()}
+    parts = ("world.", "tactile.", "second.")
+    keys = {name.partition(".")[2] if name.startswith(parts) else name for name in known_keys()}
+    assert {key for key in keys if not key.startswith("docking.")} <= names
+
+
+@pytest.mark.parametrize(
+    ("grant", "name", "who"),
+    [
+        ("topics[@publish]/topic", "joint_trajectory", "docking_node workshop recording_player_node"),
+        ("topics[@publish]/topic", "charger_power", "tactile_node recording_player_node"),
+        ("services[@request]/service", "set_contactor", "docking_node servo_node workshop"),
+        ("services[@request]/service", "docking_node/get_parameters", "docking_recorder_node fleet workshop"),
+        ("services[@request]/service", "misalignment_node/set_parameters", "workshop"),
+        ("services[@request]/service", "docking_node/set_parameters_atomically", "workshop"),
+        ("topics[@publish]/topic", "battery", "tactile_node"),
+        ("topics[@subscribe]/topic", "target_battery", "fleet workshop"),
+        ("services[@request]/service", "set_torque", "docking_node workshop"),
+        ("services[@reply]/service", "predict_misalignment", "misalignment_node"),
+        ("actions[@execute]/action", "dock", "docking_node"),
+        ("actions[@call]/action", "dock", "mission_node fleet workshop"),
+    ],
+)
+def test_a_policy_allows_exactly_what_is_needed(grant: str, name: str, who: str) -> None:
+    profiles = {path.stem: ElementTree.parse(path) for path in (ROOT / "config" / "security").glob("*.xml")}
+    granted = {each for each, tree in profiles.items() if name in {item.text for item in tree.findall(grant)}}
+    assert granted == set(who.split())
+
+
+@pytest.mark.ros
+def test_interface_files_are_read_as_the_generator_of_code_reads_them() -> None:
+    """rosidl's own Python classes have the same fields and constants, part by part."""
+    for path in FILES:
+        kind = getattr(importlib.import_module(f"deltacharger.{path.suffix[1:]}"), path.stem)
+        for part in read(path).parts:
+            generated = getattr(kind, part.name) if part.name else kind
+            assert [each.name for each in part.fields] == list(generated.get_fields_and_field_types()), path.name
+            for constant in part.constants:
+                name, value = constant.split()
+                assert getattr(generated, name) == int(value), path.name
+
+
+def test_a_comment_may_continue_on_the_next_line_and_invalid_files_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "Odd.msg"
+    file.write_text(
+        "# What it is.\n# And more.\n\nfloat64 x 1.5   # m along x,\n                # of end_effector\nuint8 A=3\n"
+    )
+    interface = read(file)
+    assert interface.text == "What it is. And more."
+    (field,) = interface.parts[0].fields
+    assert (field.name, field.type, field.default, field.text) == ("x", "float64", "1.5", "m along x, of end_effector")
+    assert interface.parts[0].constants == ["A 3"]
+    for text in ("float64\n", "float64 x\n---\nfloat64 y\n"):  # no name; a part too many
+        file.write_text(text)
+        with pytest.raises(ValueError, match=r"Odd\.msg"):
+            read(file)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Complete quick reports, run as commands: their files, and the laws of their figures. Only at night."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.night, pytest.mark.timeout(600)]
+COMMAND = [sys.executable, "-m", "deltacharger_bringup.cli", "report"]
+
+
+def kinematics(figures: dict[str, Any]) -> None:
+    assert not [each for each in figures["extremes"] if not each["ok"]]
+    # The usual form differs, so the sets tell the forms apart.
+    assert figures["edge"]["curves"]["single atan2"][0] > 1e-9
+    for robot in figures["robots"]:
+        assert robot["wrong_decisions"] == 0 < robot["count"], robot
+        assert max(robot["precise"] / 4e-16, robot["array"] / 1e-15, robot["point"] / 1e-15) <= 1.0, robot
+
+
+def simulation(figures: dict[str, Any]) -> None:
+    from deltacharger_lab.reports.simulation import stability
+    from deltacharger_lab.reports.simulation.scenes import LIGHT
+    from deltacharger_sim import stability_map
+    from deltacharger_sim.proven import proven
+
+    for row in figures["strikes"]:
+        assert row["grazes"] or abs(row["percent"]) <= 15.0, row
+    for row in figures["tiny_steps"]:
+        assert 0.8 < row["order"] < 1.2, row
+    for row in figures["energy"]:
+        assert row["gain"] < 0.01 * row["released"], row["scene"]
+        assert min(row["lost"].values()) > -1e-3 * row["released"], row["scene"]
+    for point in figures["map"]:
+        if point["model"] == LIGHT:
+            servo = stability_map.SERVO_STIFFNESSES.index(point["servo"])
+            contact = stability_map.CONTACT_STIFFNESSES.index(point["contact"])
+            known = proven(servo, contact, stability_map.STEPS.index(point["step"]))
+            assert known == (point["cell"] == stability.PROVEN), point
+
+
+def tactile(figures: dict[str, Any]) -> None:
+    for name in figures["models"]:
+        assert min(figures["accuracy"][name][target]["mean"] for target in ("angle", "vertical", "horizontal")) > 0.6
+    more = {row["name"].split(",")[0]: row["horizontal"] for row in figures["ceiling"]}
+    assert more["1 docking"] < more["3 dockings"] >= 0.98
+    assert {row["physics"] for row in figures["second"]["estimates"]} == {"first", "second"}
+
+
+def vision(figures: dict[str, Any]) -> None:
+    from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, OBSTRUCTED, key, members
+    from deltacharger_lab.reports.vision.measure import LEVELS
+
+    rows, mount = figures["rows"], figures["mount"]
+    plain = [rows[key(each)] for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
+    assert sum(each["found"] for each in plain) >= 0.95 * sum(each["images"] for each in plain)
+    assert sum(each["wrong"] for each in plain) == 0
+    assert all(each["xy_mm_p95"] < 2.0 for each in plain)
+    assert sum(rows[key(each)]["sure"] for each in members(OBSTRUCTED) if key(each) in rows) == 0
+    exact, half, whole = (mount[name] for name in LEVELS)
+    assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
+    near = [rows[key(each)] for each in members(BY_RANGE) if 0.18 < each.away < 0.35]
+    assert max(each[f"{axis}_rms"] for each in near for axis in ("yaw", "pitch")) < 0.5
+
+
+def written(tmp_path: Path, *words: str) -> tuple[dict[str, Any], str]:
+    """Run a quick report and return its answer and its page, whose pictures exist."""
+    ended = subprocess.run(
+        [*COMMAND, *words, "--quick", "--json", "--out", str(tmp_path)], capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    answer = json.loads(ended.stdout)
+    assert answer["success"] is True
+    assert {Path(name) for name in answer["files"]} == {path for path in tmp_path.iterdir() if path.suffix != ".yaml"}
+    page = (tmp_path / f"{words[0]}.md").read_text("utf-8")
+    for name in re.findall(r"!\[[^]]+\]\(([^)]+)\)", page):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert not re.search(r"\| (nan|None) \|", page)
+    return answer, page
+
+
+@pytest.mark.parametrize(
+    ("words", "needs", "laws"),
+    [
+        ("kinematics", "matplotlib mpmath", kinematics),
+        ("simulation", "matplotlib", simulation),
+        ("tactile", "sklearn torch matplotlib", tactile),
+        ("vision --images 2", "cv2 matplotlib scipy", vision),
+    ],
+)
+def test_a_complete_report(tmp_path: Path, words: str, needs: str, laws: Callable[[dict[str, Any]], None]) -> None:
+    for module in needs.split():
+        pytest.importorskip(module, reason="`make optional` installs what all reports need")
+    answer, page = written(tmp_path, *words.split())
+    subject = words.split()[0]
+    figures = json.loads((tmp_path / f"{subject}.json").read_text("utf-8"))
+    assert f"`{figures['command']}`" in " ".join(page.split())
+    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.pictures").PICTURES)
+    assert answer["targets"] == figures["targets"]
+    machine = re.compile("in motion|run time|10 ms")
+    if subject in ("kinematics", "simulation"):  # few images and rigs miss the others'
+        assert [each for each in figures["targets"] if each["met"] is False and not machine.search(each["name"])] == []
+    laws(figures)
+
+
+@pytest.mark.ros
+def test_footprint_measures_both_ways_of_a_scene_and_reports_one_that_does_not_run(tmp_path: Path) -> None:
+    pytest.importorskip("psutil", reason="measures with deltacharger[report]")
+    from deltacharger_lab.reports.footprint.report import NEVER
+    from deltacharger_lab.reports.footprint.start import ONE, SEPARATE, WAYS
+
+    small, broken = tmp_path / "small.yaml", tmp_path / "broken.yaml"
+    small.write_text("simulation: {servos: board}\nnodes: [tactile_node, servo_node]\n", "utf-8")
+    broken.write_text("nodes: [kinematics_node]\nparameters: {kinematics_node: {no_such: 1}}\n", "utf-8")
+    answer, page = written(tmp_path, "footprint", "--scene", str(small), "--scene", str(broken))
+    assert set(answer["left_out"]) == {f"broken, {way}" for way in WAYS}
+    assert all("no_such" in why for why in answer["left_out"].values())
+    rows = {row["way"]: row for row in answer["rows"]}
+    assert [rows[way]["processes"][0] for way in (ONE, SEPARATE)] == [1, 3]
+    for row in rows.values():
+        for key in ("ready_s", "pss_mb", "rss_mb", "rest_percent", "threads", "rest_tactile_frame_hz"):
+            assert 0.0 < row[key][1] <= row[key][0] <= row[key][2]
+        assert row["docking_percent"] == [None] * 3
+        assert not set(row["libraries"]) & set(NEVER)
+    assert "| not measured |" in page
+
+
+@pytest.mark.parametrize(("subject", "module"), [("tactile", "sklearn"), ("vision", "cv2")])
+def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, subject: str, module: str) -> None:
+    pytest.importorskip(module, reason="`make optional` installs what all reports need")
+    words = [*COMMAND, subject, "--quick", "--json", "--out", str(tmp_path)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    running = subprocess.Popen(words, start_new_session=True, **pipes)
+    assert running.stderr is not None
+    assert "%" in next(line for line in running.stderr if "absent" not in line)  # the first task is done
+    running.send_signal(signal.SIGINT)
+    out, errors = running.communicate(timeout=60)
+    assert (running.returncode, "Traceback" in errors) == (130, False)
+    assert json.loads(out)["success"] is False
+    assert list(tmp_path.iterdir()) == []
