@@ -160,10 +160,11 @@ def judge(
     centred = clearance(estimate.angle, 0.0, gap, length)
     actual = clearance(estimate.angle, shifted, gap, length)
     worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
-    if worst_angle >= limit or centred - parameters.clearance_sigmas * sigma < parameters.clearance_min:
+    # Written so that NaN never passes.
+    if not (worst_angle < limit and centred - parameters.clearance_sigmas * sigma >= parameters.clearance_min):
         return Verdict.CRITICAL
-    if actual - parameters.clearance_sigmas * sigma < parameters.clearance_min:
+    if not actual - parameters.clearance_sigmas * sigma >= parameters.clearance_min:
         return Verdict.TOO_CLOSE
-    if actual - parameters.clearance_sigmas_sure * sigma < parameters.clearance_min:
+    if not actual - parameters.clearance_sigmas_sure * sigma >= parameters.clearance_min:
         return Verdict.PROBABLY_SAFE
     return Verdict.SAFE

@@ -97,6 +97,10 @@ class Context:
     def observe(self, observation: Observation) -> None:
         """Take the observation of this tick."""
         before, jump = self.time, max(self.observation.time - observation.time, 0.0)
+        ages = observation.servo_age, observation.tactile_age, observation.power_age
+        if math.isnan(sum(ages)):  # an unknown age is not fresh
+            servo, tactile, power = (math.inf if math.isnan(age) else age for age in ages)
+            observation = replace(observation, servo_age=servo, tactile_age=tactile, power_age=power)
         self._set_back += jump
         self.time = observation.time + self._set_back
         self.pause = max(jump, self.time - max(before, self.waits.until))

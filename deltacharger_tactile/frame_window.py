@@ -111,7 +111,7 @@ class FrameWindow:
             Refused: the frames are stale or not tared.
         """
         age = self._now() - frames[-1].sampled
-        if age > max_age:
+        if not age <= max_age:
             raise Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {max_age:g} s")
         if age < -max_age:
             raise Refused(

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Breaks lines on which safety depends, one at a time, and shows which of them the quick tests notice (`make mutants`).
 
-Each mutant of mutants.yaml replaces a text, which stands once in its file (if that is gone: once in the product). A copy
-of the tree runs the table of safety numbers, then the quick tests of the folder that mirrors the broken package.
+Each mutant of mutants.yaml replaces a text, which stands once in its file (if that is gone: once in the product). In a
+copy of the tree runs first the table of safety numbers, then the quick tests that mirror the broken module: those files
+of its package's folder in test/ that import it, or the whole folder if none does.
 
     python test/mutants.py run [NAME…]           all mutants, or those whose names contain a word
     python test/mutants.py draw --seed 48 --count 50    print drawn mutants of safety code as YAML
@@ -29,7 +30,7 @@ from typing import NamedTuple
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLE = ("test/core/test_safety_numbers.py", "test/driver/test_safety_numbers.py")
+TABLE = "test/core/test_safety_numbers.py"
 AT_LEAST = 0.9
 SIDE_BY_SIDE = 2
 # Code that decides about contact, current, motion or what is believed; paths as of the draw.
@@ -74,9 +75,13 @@ class Mutant(NamedTuple):
         return found[0]
 
     def suites(self, tree: Path) -> list[list[str]]:
-        """Return what to run, in turn: the table of safety numbers, then the mirrored folder."""
-        mirrored = self.place(tree).relative_to(tree).parts[0].replace("deltacharger_", "test/")
-        return [[path for path in TABLE if (tree / path).exists()], self.tests.split() or [mirrored]]
+        """Return what to run, in turn: the table of safety numbers, then the tests that mirror its file."""
+        package, *names = self.place(tree).relative_to(tree).with_suffix("").parts
+        folder = tree / package.replace("deltacharger_", "test/")
+        parent, module = ".".join((package, *names[:-1])), names[-1]
+        imported = re.compile(rf"(import|from) {parent}\.{module}\b|from {parent} import .*\b{module}\b")
+        near = [str(path) for path in sorted(folder.rglob("test_*.py")) if imported.search(path.read_text())]
+        return [[TABLE], self.tests.split() or near or [str(folder)]]
 
 
 def mutants(words: list[str]) -> list[Mutant]:
@@ -97,21 +102,23 @@ def copy(folder: Path) -> Path:
     return folder
 
 
+def failure(tests: list[str], tree: Path, domain: int, marks: str) -> str:
+    """Return the first test that fails in a copy, '' if none does."""
+    # The copy comes before the editable install in every process that a test starts, and compiled files are its own.
+    env = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": str(domain)}
+    call = [sys.executable, "-m", "pytest", "-xq", "-p", "no:cacheprovider", "-m", marks, *tests]
+    done = subprocess.run(call, cwd=tree, env=env, capture_output=True, text=True)
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    return "" if done.returncode in (0, 5) else found[1] if found else f"pytest ended with {done.returncode}"
+
+
 def killer(mutant: Mutant, tree: Path, domain: int, marks: str) -> str:
     """Return the first test that fails with this mutant, '' if none does."""
-    path = mutant.place(tree)
+    path, suites = mutant.place(tree), mutant.suites(tree)
     whole = path.read_text()
-    # The tree comes before the editable install in every process that a test starts, and compiled files are its own.
-    env = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": str(domain)}
-    call = [sys.executable, "-m", "pytest", "-xq", "-p", "no:cacheprovider", "-m", marks]
     path.write_text(whole.replace(mutant.text, mutant.becomes))
     try:
-        for suite in mutant.suites(tree):
-            done = subprocess.run([*call, *suite], cwd=tree, env=env, capture_output=True, text=True)
-            if done.returncode not in (0, 5):
-                found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-                return found[1] if found else f"pytest ended with {done.returncode}"
-        return ""
+        return next((failed for suite in suites if (failed := failure(suite, tree, domain, marks))), "")
     finally:
         path.write_text(whole)
 
@@ -124,6 +131,8 @@ def run(words: list[str], marks: str) -> int:
         trees: queue.Queue[tuple[Path, int]] = queue.Queue()
         for index in range(SIDE_BY_SIDE):
             trees.put((copy(Path(folder) / str(index)), 90 + index))
+            if failed := failure([TABLE], *trees.queue[-1], marks):
+                raise SystemExit(f"{failed} fails without a mutant")
 
         def strike(mutant: Mutant) -> str:
             tree, domain = trees.get()

@@ -189,7 +189,7 @@ class ContactorGuard:
         power = self._power
         if self._shut:
             raise LeaseRefused("the node is shutting down")
-        if power is None or now - power.time > STALE_POWER:
+        if power is None or not now - power.time <= STALE_POWER:
             raise LeaseRefused("the power stage sends no data; check the board")
         if power.power.fault:
             fault = fault_name(power.power.fault)
