@@ -95,6 +95,10 @@ class ServoController:
         """Whether torque is about to be switched off by request."""
         return self._requests.has_held
 
+    def now(self) -> float:
+        """Return the time of the controller's clock, s."""
+        return self._clock.now()
+
     def open(self) -> None:
         """Open the port and configure the servos, torque off.
 

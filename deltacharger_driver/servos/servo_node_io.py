@@ -7,6 +7,7 @@ import contextlib
 import math
 import time
 from array import array
+from collections.abc import Callable
 from typing import Any
 
 from deltacharger.msg import ChargerPower, ServoState
@@ -50,13 +51,15 @@ class ContactorClient:
 
     Args:
         node: the client; its executor takes the answers without a waiting thread.
+        clock: s.
 
     Attributes:
         guard: decides who may move the arm.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
         self.guard = MotionGuard()
+        self._clock = clock
         self._node = node
         self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
@@ -87,7 +90,7 @@ class ContactorClient:
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
             self._read_power()
         announced = not self.guard.was_received and self._is_announced()
-        return self.guard.state(time.monotonic(), announced)
+        return self.guard.state(self._clock(), announced)
 
     def _is_announced(self) -> bool:
         with contextlib.suppress(RuntimeError):
@@ -98,7 +101,7 @@ class ContactorClient:
         received = self._power.take()
         if not received:
             return
-        now, clock = time.monotonic(), self._node.get_clock().now().nanoseconds
+        now, clock = self._clock(), self._node.get_clock().now().nanoseconds
         opened = flows = False
         # The newest of each publisher; all messages if rclpy does not provide the publisher.
         for each in {one.publisher or one.data: one for one in received}.values():

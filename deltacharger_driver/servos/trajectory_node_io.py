@@ -8,7 +8,6 @@ refused message is counted, and the one before it is tried.
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 from rclpy.node import Node
@@ -109,7 +108,7 @@ class TrajectoryInbox:
         line = (sender, stamp.sec, stamp.nanosec)
         # A later piece of a running line is as old as its end: the line itself may last longer than a stamp is valid.
         check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
-        start = time.monotonic() - old if stamp.sec or stamp.nanosec else math.inf
+        start = controller.now() - old if stamp.sec or stamp.nanosec else math.inf
         controller.submit(trajectory, start)
         self._followed = line if not trajectory.is_hold else self._followed
 

@@ -46,7 +46,6 @@ def emulator(arm: BenchArm) -> ServoBusEmulator:
 @pytest.fixture
 def line(emulator: ServoBusEmulator, clock: Any) -> Iterator[Any]:
     with Line(emulator, clock) as line:
-        emulator.line_speed = line.speed
         yield line
 
 

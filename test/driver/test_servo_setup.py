@@ -36,7 +36,8 @@ def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
     assert not [address for address in written if address < 64]
 
 
-def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, line: Any) -> None:
+    emulator.line_speed = line.speed
     emulator.set_speed(1, 1)
     emulator.faults.missing = {2}
     emulator.use_protocol_1(3)
@@ -54,7 +55,10 @@ def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmula
     assert not closed.is_open
 
 
-def test_old_firmware_at_the_factory_speed_is_found_too(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+def test_old_firmware_at_the_factory_speed_is_found_too(
+    closed: ServoBus, emulator: ServoBusEmulator, line: Any
+) -> None:
+    emulator.line_speed = line.speed
     for servo in (1, 2, 3):
         emulator.set_speed(servo, 1)
         emulator.use_protocol_1(servo)

@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,15 +15,15 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.setup import set_up
 
+from ...firmware.build import host_programs
+from ...marks import rest
 from .host import BoardHost
 from .sites import BoardSite, ServoSite, emulated_board, emulated_servos, firmware_board
-
-FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "board_kind" in metafunc.fixturenames:
-        kinds = ["port"] if metafunc.config.getoption("--port") else ["emulator", "firmware"]
+        kinds = ["port"] if metafunc.config.getoption("--port") else ["emulator", rest("firmware")]
         metafunc.parametrize("board_kind", kinds)
 
 
@@ -90,19 +87,6 @@ def real_board(ports: dict[str, str]) -> Real:
     return Real("board", ports.get("board"), _open_board)
 
 
-@pytest.fixture(scope="session")
-def firmware_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The firmware's host program, built once."""
-    compiler = os.environ.get("CC", "cc")
-    if shutil.which(compiler) is None:
-        pytest.skip(f"no C compiler: '{compiler}' is not on the PATH")
-    program = tmp_path_factory.mktemp("firmware") / "board_host"
-    command = ["make", "-C", str(FIRMWARE), f"CC={compiler}", f"BUILD={program.parent}", str(program)]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stdout + built.stderr
-    return program
-
-
 @pytest.fixture
 def servo_site(request: pytest.FixtureRequest, ports: dict[str, str]) -> Iterator[ServoSite]:
     """The servos of this run."""
@@ -122,7 +106,7 @@ def board_site(request: pytest.FixtureRequest, board_kind: str, tmp_path: Path) 
         with emulated_board() as site:
             yield site
     else:
-        with firmware_board(request.getfixturevalue("firmware_program"), tmp_path / "board") as site:
+        with firmware_board(host_programs() / "board_host", tmp_path / "board") as site:
             yield site
 
 

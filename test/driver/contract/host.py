@@ -10,7 +10,7 @@ from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import DEFAULT_RATE
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 
-from .sites import until
+from ...waiting import wait_until
 
 
 class BoardHost:
@@ -52,14 +52,14 @@ class BoardHost:
         self.frames.clear()
         self.arrivals.clear()
         self.link.start()
-        until(lambda: len(self.frames) >= count, f"{count} tactile frames")
+        wait_until(lambda: len(self.frames) >= count, f"{count} tactile frames")
         self.link.stop()
         return list(self.frames)
 
     def next_powers(self, count: int) -> list[PowerSample]:
         """Wait for the next `count` readings of the power stage."""
         first = len(self.powers)
-        until(lambda: len(self.powers) >= first + count, f"{count} POWER packets")
+        wait_until(lambda: len(self.powers) >= first + count, f"{count} POWER packets")
         return self.powers[first : first + count]
 
     def await_contactor(self, closed: bool) -> PowerSample:
@@ -69,6 +69,6 @@ class BoardHost:
         def seen() -> PowerSample | None:
             return next((s for s in self.powers[first:] if s.power.contactor_closed == closed), None)
 
-        sample = until(seen, f"the contactor to be {'closed' if closed else 'open'}")
+        sample = wait_until(seen, f"the contactor to be {'closed' if closed else 'open'}")
         assert sample is not None
         return sample

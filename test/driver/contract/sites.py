@@ -9,11 +9,9 @@ from __future__ import annotations
 import contextlib
 import math
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
@@ -27,9 +25,6 @@ LARGEST_CURRENT = 3.0  # A, servo_node's default
 DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has
 LOAD = 2.0  # ohm between an emulated board's electrodes once a load is connected
 _EMULATOR_MARGIN = 0.5  # s until a reply counts as lost
-_CHANCES = 3
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -66,27 +61,6 @@ class BoardSite:
     real: bool
     dead: frozenset[tuple[int, int, int]] | None = None
     connect_load: Callable[[], object] = lambda: None
-
-
-def until(condition: Callable[[], T], what: str, seconds: float = 20.0) -> T:
-    """Wait until `condition` returns a true value, and return it."""
-    deadline = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < deadline, f"waited {seconds:g} s for {what}"
-        time.sleep(0.002)
-    return result
-
-
-def holds(site: ServoSite | BoardSite, law: Callable[[], None]) -> None:
-    """Check a timing law: at once on a real device; on an emulator one of three attempts must pass, because this
-    computer's pauses are not its fault."""
-    for left in reversed(range(1 if site.real else _CHANCES)):
-        try:
-            law()
-            return
-        except AssertionError:
-            if not left:
-                raise
 
 
 @contextlib.contextmanager

@@ -14,26 +14,23 @@ from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.protocol import POWER_RATE, BoardFault
 
 from .host import BoardHost
-from .sites import BoardSite, holds
+from .sites import BoardSite
 
 LARGEST_VOLTAGE = 60.0  # V
 LEAKAGE = 0.5  # A, largest reading with an open contactor
 
 
-def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        samples = host.next_powers(30)
-        steps = [later.time - earlier.time for earlier, later in pairwise(samples)]
-        assert statistics.median(steps) * POWER_RATE == pytest.approx(1.0, rel=0.05)
-        assert host.link.counters.lost_power == 0
-        for power in (sample.power for sample in samples):
-            assert power.contactor_closed is False
-            assert power.fault == BoardFault.NONE
-            assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
-            assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
-            assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
-
-    holds(board_site, law)
+def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost) -> None:
+    samples = host.next_powers(12)
+    steps = [later.time - earlier.time for earlier, later in pairwise(samples)]
+    assert statistics.median(steps) * POWER_RATE == pytest.approx(1.0, rel=0.05)
+    assert host.link.counters.lost_power == 0
+    for power in (sample.power for sample in samples):
+        assert power.contactor_closed is False
+        assert power.fault == BoardFault.NONE
+        assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
+        assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
+        assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
 
 
 def test_an_opening_is_never_refused(host: BoardHost) -> None:
@@ -43,18 +40,14 @@ def test_an_opening_is_never_refused(host: BoardHost) -> None:
 
 
 def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        retries = host.link.counters.retries
-        for _ in range(3):
-            began = time.monotonic()
-            result = host.link.probe()
-            assert began < result.time <= time.monotonic()
-            assert result.resistance >= 0.0, "the board measured nothing"
-            assert math.isnan(result.target_voltage) or abs(result.target_voltage) < LARGEST_VOLTAGE
-        assert host.link.counters.retries == retries
-        assert all(sample.power.fault == BoardFault.NONE for sample in host.next_powers(2))
-
-    holds(board_site, law)
+    for _ in range(3):
+        began = time.monotonic()
+        result = host.link.probe()
+        assert began < result.time <= time.monotonic()
+        assert result.resistance >= 0.0, "the board measured nothing"
+        assert math.isnan(result.target_voltage) or abs(result.target_voltage) < LARGEST_VOLTAGE
+    assert not board_site.real or host.link.counters.retries == 0  # this computer may pause
+    assert all(sample.power.fault == BoardFault.NONE for sample in host.next_powers(2))
 
 
 def test_a_probe_in_free_air_finds_an_open_circuit(

@@ -17,10 +17,11 @@ from deltacharger_driver.board.protocol import FULL_SCALE, VERSION, AckError
 from deltacharger_driver.board.samples import TactileSample
 from deltacharger_driver.port_identity import identify
 
+from ...waiting import wait_until
 from .host import BoardHost
-from .sites import BoardSite, holds, until
+from .sites import BoardSite
 
-STRETCH = 120  # frames
+STRETCH = 60  # frames
 SETTLED = 40  # frames whose stamps must follow the board's clock
 STAMP_STEP = 0.002  # s
 RESTING = 0.05  # N, median of a tared pad
@@ -33,11 +34,8 @@ def seconds(frames: list[TactileSample]) -> float:
 
 
 def test_the_port_is_identified_as_the_board(board_site: BoardSite) -> None:
-    def law() -> None:
-        found = identify(board_site.path, speeds=())
-        assert found.kind == "board", found.details
-
-    holds(board_site, law)
+    found = identify(board_site.path, speeds=())
+    assert found.kind == "board", found.details
 
 
 def test_hello_is_the_same_each_time(host: BoardHost) -> None:
@@ -48,27 +46,23 @@ def test_hello_is_the_same_each_time(host: BoardHost) -> None:
 
 
 def test_pings_are_returned(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        retries = host.link.counters.retries
-        trips = [host.link.ping(bytes(range(length))) for length in range(64 + 1)]
-        assert min(trips) > 0.0
-        assert host.link.counters.retries == retries
-
-    holds(board_site, law)
+    trips = [host.link.ping(bytes(range(length))) for length in range(64 + 1)]
+    assert min(trips) > 0.0
+    assert not board_site.real or host.link.counters.retries == 0  # this computer may pause
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
 def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rate: float) -> None:
     host.link.set_rate(rate)
     assert host.link.hello().rate == rate
-    frames = host.stream(40)
+    frames = host.stream(12)
     assert (frames[-1].sequence - frames[0].sequence) / seconds(frames) == pytest.approx(rate, rel=0.02)
 
 
 @pytest.mark.parametrize("rate", [0.0, -60.0, 1e6])
 def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost, rate: float) -> None:
     host.link.set_rate(60.0)
-    with pytest.raises(CommandRefused, match="does not sample at") as refusal:
+    with pytest.raises(CommandRefused) as refusal:
         host.link.set_rate(rate)
     assert refusal.value.error == AckError.BAD_PAYLOAD
     assert host.link.hello().rate == 60.0
@@ -81,29 +75,23 @@ def lost_in_silence(frames: list[TactileSample]) -> list[int]:
 
 
 def test_no_frame_is_lost_damaged_or_repeated(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        counters, decoder = host.link.counters, host.link.decoder_counters
-        frames = host.stream(STRETCH)
-        assert lost_in_silence(frames) == []
-        assert not board_site.real or not any(frame.overrun for frame in frames), "the board does not keep up"
-        assert all(earlier.device_time_us < later.device_time_us for earlier, later in pairwise(frames))
-        assert host.link.counters.duplicates == counters.duplicates
-        assert host.link.counters.bad_payloads == 0
-        assert host.link.decoder_counters.damaged == decoder.damaged
-        assert host.link.decoder_counters.header_errors == 0
-
-    holds(board_site, law)
+    counters, decoder = host.link.counters, host.link.decoder_counters
+    frames = host.stream(STRETCH)
+    assert lost_in_silence(frames) == []
+    assert not board_site.real or not any(frame.overrun for frame in frames), "the board does not keep up"
+    assert all(earlier.device_time_us < later.device_time_us for earlier, later in pairwise(frames))
+    assert host.link.counters.duplicates == counters.duplicates
+    assert host.link.counters.bad_payloads == 0
+    assert host.link.decoder_counters.damaged == decoder.damaged
+    assert host.link.decoder_counters.header_errors == 0
 
 
-def test_the_boards_clock_counts_microseconds(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        frames = host.stream(2 * STRETCH)
-        of_board = np.array([frame.device_time_us for frame in frames]) * 1e-6
-        of_host = np.array(host.arrivals)
-        ratios = (of_board[STRETCH:] - of_board[:-STRETCH]) / (of_host[STRETCH:] - of_host[:-STRETCH])
-        assert np.median(ratios) == pytest.approx(1.0, rel=0.02)  # the median: this computer pauses now and then
-
-    holds(board_site, law)
+def test_the_boards_clock_counts_microseconds(host: BoardHost) -> None:
+    frames = host.stream(2 * STRETCH)
+    of_board = np.array([frame.device_time_us for frame in frames]) * 1e-6
+    of_host = np.array(host.arrivals)
+    ratios = (of_board[STRETCH:] - of_board[:-STRETCH]) / (of_host[STRETCH:] - of_host[:-STRETCH])
+    assert np.median(ratios) == pytest.approx(1.0, rel=0.02)  # the median: this computer pauses now and then
 
 
 def test_stamps_on_the_hosts_clock_follow_the_boards_clock(host: BoardHost) -> None:
@@ -115,39 +103,33 @@ def test_stamps_on_the_hosts_clock_follow_the_boards_clock(host: BoardHost) -> N
         of_board = np.diff([frame.device_time_us * 1e-6 for frame in frames])
         return len(frames) == SETTLED and bool((steps > 0.0).all() and (np.abs(steps - of_board) < STAMP_STEP).all())
 
-    until(settled, f"{SETTLED} frames whose stamps follow the board's clock within {STAMP_STEP * 1e3:g} ms")
+    wait_until(settled, f"{SETTLED} frames whose stamps follow the board's clock within {STAMP_STEP * 1e3:g} ms")
     host.link.stop()
     assert all(frame.time <= arrival for frame, arrival in zip(host.frames, host.arrivals, strict=True))
 
 
-def test_it_streams_between_start_and_stop_only(host: BoardHost, board_site: BoardSite) -> None:
+def test_it_streams_between_start_and_stop_only(host: BoardHost) -> None:
     host.next_powers(2)
     assert host.frames == []
 
-    def law() -> None:
-        first = host.stream(20)
-        host.next_powers(4)
-        assert len(host.frames) == len(first)
-        host.link.start()
-        host.link.start()  # harmless while it streams
-        again = host.stream(20)
-        assert again[0].sequence > first[-1].sequence
-        host.link.stop()
-        host.link.stop()
-
-    holds(board_site, law)
+    first = host.stream(20)
+    host.next_powers(4)
+    assert len(host.frames) == len(first)
+    host.link.start()
+    host.link.start()  # harmless while it streams
+    again = host.stream(20)
+    assert again[0].sequence > first[-1].sequence
+    host.link.stop()
+    host.link.stop()
 
 
-def test_sequence_numbers_continue_over_stop_and_start(host: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        first, second = host.stream(20), host.stream(20)
-        assert lost_in_silence([*first, *second]) == []
-
-    holds(board_site, law)
+def test_sequence_numbers_continue_over_stop_and_start(host: BoardHost) -> None:
+    first, second = host.stream(20), host.stream(20)
+    assert lost_in_silence([*first, *second]) == []
 
 
 def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite) -> None:
-    forces = np.array([frame.pads for frame in host.stream(STRETCH // 2)])
+    forces = np.array([frame.pads for frame in host.stream(STRETCH)])
     dead = np.isnan(forces)
     assert (dead.all(axis=0) == dead.any(axis=0)).all()
     alive = ~dead[0]
@@ -160,7 +142,7 @@ def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite)
 
 def test_a_tare_brings_untouched_pads_to_zero_and_flags_every_frame(host: BoardHost) -> None:
     host.link.tare()
-    frames = host.stream(STRETCH // 2)
+    frames = host.stream(STRETCH)
     assert all(frame.tared for frame in frames)
     for pad, side in enumerate(("left", "right")):
         forces = np.array([frame.pads[pad] for frame in frames])
@@ -185,5 +167,5 @@ def test_another_program_cannot_open_the_port(host: BoardHost, board_site: Board
     began = time.monotonic()
     second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
     assert second.returncode != 0
-    assert "the port is in use by another program" in second.stderr
+    assert "PortBusy" in second.stderr
     assert host.link.ping() < time.monotonic() - began

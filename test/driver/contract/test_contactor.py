@@ -11,8 +11,10 @@ from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import probe_problem
 from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, BoardFault
 
+from ...waiting import host as within
+from ...waiting import wait_until
 from .host import BoardHost
-from .sites import BoardSite, holds, until
+from .sites import BoardSite
 
 pytestmark = pytest.mark.usefixtures("may_close")
 
@@ -42,7 +44,7 @@ def close(host: BoardHost) -> None:
 
 def refused(host: BoardHost) -> int:
     """Request a close that must be refused, and return the board's reason."""
-    with pytest.raises(CommandRefused, match="the board refused CONTACTOR") as refusal:
+    with pytest.raises(CommandRefused) as refusal:
         host.link.contactor(True)
     return refusal.value.error
 
@@ -65,22 +67,23 @@ def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> N
     assert stays_open(loaded)
 
 
+@pytest.mark.rest
 def test_no_close_after_the_probe_is_too_old(loaded: BoardHost) -> None:
     result = loaded.link.probe()
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
-    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to become too old")
+    wait_until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to become too old")
     assert refused(loaded) == AckError.INTERLOCK
     assert stays_open(loaded)
 
 
 def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded: BoardHost) -> None:
     close(loaded)
-    for power in (sample.power for sample in loaded.next_powers(10)):
+    for power in (sample.power for sample in loaded.next_powers(4)):
         assert power.contactor_closed
         assert power.fault == BoardFault.NONE
         assert abs(power.charge_current) < 20.0  # and it was measured
     assert refused(loaded) == AckError.NOT_NOW
-    with pytest.raises(CommandRefused, match="the contactor is closed") as refusal:
+    with pytest.raises(CommandRefused) as refusal:
         loaded.link.probe()
     assert refusal.value.error == AckError.NOT_NOW
     loaded.link.contactor(False)
@@ -90,20 +93,17 @@ def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded
     assert stays_open(loaded)
 
 
-def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost, board_site: BoardSite) -> None:
-    def law() -> None:
-        close(loaded)
-        assert all(sample.power.contactor_closed for sample in loaded.next_powers(10))
-        loaded.link.stop_heartbeat()
-        stopped = time.monotonic()
-        opened = loaded.await_contactor(closed=False)
-        assert opened.time - stopped < SEEN_WITHIN
-        assert opened.power.fault == BoardFault.HEARTBEAT_LOST
-        assert refused(loaded) == AckError.INTERLOCK
-        loaded.link.contactor(False)
-        assert loaded.next_powers(2)[-1].power.fault == BoardFault.NONE, "an opening clears the latched fault"
-
-    holds(board_site, law)
+def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost) -> None:
+    close(loaded)
+    assert all(sample.power.contactor_closed for sample in loaded.next_powers(4))
+    loaded.link.stop_heartbeat()
+    stopped = time.monotonic()
+    opened = loaded.await_contactor(closed=False)
+    assert opened.time - stopped < within(SEEN_WITHIN)
+    assert opened.power.fault == BoardFault.HEARTBEAT_LOST
+    assert refused(loaded) == AckError.INTERLOCK
+    loaded.link.contactor(False)
+    assert loaded.next_powers(2)[-1].power.fault == BoardFault.NONE, "an opening clears the latched fault"
 
 
 def test_a_host_that_disconnects_leaves_the_contactor_open(loaded: BoardHost) -> None:

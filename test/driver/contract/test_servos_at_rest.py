@@ -38,10 +38,11 @@ from deltacharger_driver.servos.snapshot import (
     has_restarted,
 )
 
-from .sites import ServoSite, holds, until
+from ...waiting import wait_until
+from .sites import ServoSite
 
 OLDEST_FIRMWARE = 39
-CYCLES = 200
+CYCLES = 60
 RATE = 100.0  # Hz, of servo_node
 SET_UP = {
     "torque_enable": 0,
@@ -74,12 +75,9 @@ OPEN_AGAIN = (
 def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> None:
     settings = servo_site.settings
 
-    def law() -> None:
-        found = identify(servo_site.path, speeds=(settings.baud_rate,), ids=settings.ids)
-        assert found.kind == "servos", found.details
-        assert {servo.servo for servo in found.servos} == set(settings.ids), found.details
-
-    holds(servo_site, law)
+    found = identify(servo_site.path, speeds=(settings.baud_rate,), ids=settings.ids)
+    assert found.kind == "servos", found.details
+    assert {servo.servo for servo in found.servos} == set(settings.ids), found.details
 
 
 def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
@@ -117,28 +115,25 @@ def test_goals_written_to_the_block_of_the_cycle_reach_their_registers(link: Ser
 
 
 def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_site: ServoSite) -> None:
-    where = until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
+    where = wait_until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
 
-    def law() -> None:
-        before = replace(bus.counters)
-        snapshots, took = [], []
-        for _ in range(CYCLES):
-            begin = time.monotonic()
-            snapshots.append(bus.exchange(where, (0.0, 0.0, 0.0)))
-            took.append(time.monotonic() - begin)
-            assert begin < snapshots[-1].time <= time.monotonic()
-        assert all(snapshot.complete for snapshot in snapshots), f"{bus.counters}"
-        assert bus.counters == before
-        times = [snapshot.time for snapshot in snapshots]
-        assert times == sorted(set(times))
-        for snapshot in snapshots:
-            check_values(snapshot, servo_site.settings)
-        median = statistics.median(took)
-        assert not servo_site.real or median < 1.0 / RATE, (
-            f"a cycle takes {median * 1e3:.1f} ms, more than {RATE:g} Hz allow; look at the adapter's latency timer"
-        )
-
-    holds(servo_site, law)
+    before = replace(bus.counters)
+    snapshots, took = [], []
+    for _ in range(CYCLES):
+        begin = time.monotonic()
+        snapshots.append(bus.exchange(where, (0.0, 0.0, 0.0)))
+        took.append(time.monotonic() - begin)
+        assert begin < snapshots[-1].time <= time.monotonic()
+    assert all(snapshot.complete for snapshot in snapshots), f"{bus.counters}"
+    assert bus.counters == before
+    times = [snapshot.time for snapshot in snapshots]
+    assert times == sorted(set(times))
+    for snapshot in snapshots:
+        check_values(snapshot, servo_site.settings)
+    median = statistics.median(took)
+    assert not servo_site.real or median < 1.0 / RATE, (
+        f"a cycle takes {median * 1e3:.1f} ms, more than {RATE:g} Hz allow; look at the adapter's latency timer"
+    )
 
 
 def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
@@ -157,7 +152,7 @@ def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
 
 def test_a_missing_register_is_refused_by_name(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        with pytest.raises(ServoFault, match=f"servo {servo}: read 2 bytes at 700: register does not exist"):
+        with pytest.raises(ServoFault, match=f"servo {servo}.*700"):
             link.read_bytes(servo, 700, 2)  # the last one is 661
 
 
@@ -195,7 +190,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
         except DriverError:
             return False
 
-    until(back, f"servo {servo} to come back from its restart")
+    wait_until(back, f"servo {servo} to come back from its restart")
     assert has_restarted(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
     assert link.read(servo, "operating_mode") == MODE_CURRENT_POSITION
@@ -207,12 +202,12 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
 def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_site: ServoSite) -> None:
     bus.read()
     bus.reboot(1)
-    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be detected")
+    noticed = wait_until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be detected")
     assert not noticed.valid[1]
     assert math.isnan(noticed.angle[1])
     assert noticed.rebooted == (False, True, False)
     bus.configure(1)
-    after = until(lambda: (s := bus.read()).complete and s, "all servos to answer again")
+    after = wait_until(lambda: (s := bus.read()).complete and s, "all servos to answer again")
     assert after.rebooted == after.torque_enabled == (False, False, False)
 
 
@@ -220,7 +215,7 @@ def test_another_program_can_open_the_port_only_after_it_is_closed(bus: ServoBus
     command = [sys.executable, "-c", OPEN_AGAIN, servo_site.path]
     second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
     assert second.returncode != 0
-    assert "the port is in use by another program" in second.stderr
+    assert "PortBusy" in second.stderr
     bus.close()
     afterwards = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
     assert afterwards.returncode == 0, afterwards.stderr

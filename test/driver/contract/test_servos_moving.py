@@ -18,7 +18,8 @@ from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import WATCHDOG_UNIT
 from deltacharger_driver.servos.snapshot import WATCHDOG, BusSnapshot
 
-from .sites import ServoSite, until
+from ...waiting import wait_until
+from .sites import ServoSite
 
 pytestmark = pytest.mark.usefixtures("may_move")
 
@@ -34,7 +35,7 @@ Angles = tuple[float, ...]
 @pytest.fixture
 def start(bus: ServoBus) -> Angles:
     """Present angles of the arm, torque off."""
-    return until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
+    return wait_until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
 
 
 @pytest.fixture
@@ -82,7 +83,7 @@ def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool]
         seen.append(next(snapshots))
         return condition(seen[-1])
 
-    until(come, what)
+    wait_until(come, what)
     return seen
 
 
@@ -108,7 +109,7 @@ def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angle
 
 def test_silence_locks_the_goals_until_the_watchdogs_are_restarted(held: ServoBus, start: Angles, step: float) -> None:
     time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # no packets
-    assert until(lambda: (s := held.read()).complete and s, "a snapshot").watchdog_tripped == (True, True, True)
+    assert wait_until(lambda: (s := held.read()).complete and s, "a snapshot").watchdog_tripped == (True, True, True)
     goal = toward(start, step)
     for snapshot, _ in zip(cycles(held, goal, restart=False), range(50), strict=False):
         assert max(moved(snapshot, start, step)) < 0.5, "a servo accepted a goal although its watchdog had tripped"
@@ -157,7 +158,7 @@ def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) ->
             controller.cycle()
             return request.wait(0.0)
 
-        until(answered, "torque to go on")
+        wait_until(answered, "torque to go on")
         assert request.success, request.message
     finally:
         controller.close()

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose trajectories and reports servo_node believes: its ROS inputs without ROS, in virtual time."""
+
+from __future__ import annotations
+
+import math
+import struct
+from array import array
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from deltacharger.msg import ChargerPower
+from rclpy.serialization import serialize_message
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from deltacharger_core.machine import JOINTS, TORQUE_CONSTANT
+from deltacharger_driver.servos import servo_node_io, trajectory_node_io
+from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.servo_node_io import ContactorClient
+from deltacharger_driver.servos.trajectory import JointLimits
+from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
+from deltacharger_ros.bounded_topic import Received
+
+from .servo_rig import START, Rig
+
+LEADER, STRANGER = ("a" * 32, b"1"), ("", b"2")
+GOAL = [angle + 0.3 for angle in START]
+
+
+class Topic:
+    """A topic whose messages the test puts in."""
+
+    name = "/topic"
+
+    def __init__(self) -> None:
+        self.waiting: list[Received] = []
+
+    def take(self) -> list[Received]:
+        taken, self.waiting = self.waiting, []
+        return taken
+
+
+@pytest.fixture
+def node(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A node with a virtual clock; its service is ready, and requests to it are kept."""
+    for module in (servo_node_io, trajectory_node_io):
+        monkeypatch.setattr(module, "BoundedTopic", lambda *arguments: Topic())
+    requests: list[Any] = []
+    client = SimpleNamespace(service_is_ready=lambda: True, call_async=requests.append)
+    return SimpleNamespace(
+        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(clock() * 1e9))),
+        create_client=lambda *arguments, **options: client,
+        count_publishers=lambda name: 2,
+        requests=requests,
+    )
+
+
+def trajectory(secret: str, *points: tuple[float, Any], efforts: Any = ()) -> JointTrajectory:
+    message = JointTrajectory(joint_names=list(JOINTS))
+    message.header.frame_id = secret
+    for seconds, angles in points:
+        point = JointTrajectoryPoint(positions=array("d", angles), effort=array("d", efforts))
+        point.time_from_start.sec, point.time_from_start.nanosec = int(seconds), int(seconds % 1 * 1e9)
+        message.points.append(point)
+    return message
+
+
+class Arm:
+    """An arm with torque, and its inbox."""
+
+    def __init__(self, rig: Rig, node: Any) -> None:
+        self.rig, self.guard = rig, MotionGuard()
+        self.inbox = TrajectoryInbox(node, JointLimits(JOINTS, -1.2, 1.3, 4.4))
+        self.state = ContactorState.OPEN
+        rig.torque_on()
+
+    def receive(self, *messages: tuple[Any, bytes]) -> list[float]:
+        """Take messages, each with its publisher's id, and return the goals of the second cycle from now."""
+        topic: Any = self.inbox._topic
+        for message, publisher in messages:
+            data = message if isinstance(message, bytes) else serialize_message(message)
+            topic.waiting.append(Received(data, publisher, JointTrajectory))
+        self.inbox.serve(self.rig.controller, self.guard, self.state)
+        self.rig.cycle()
+        self.rig.cycle()
+        return self.rig.references()
+
+    def follows(self, sender: tuple[str, bytes], goal: Any) -> bool:
+        secret, publisher = sender
+        found = self.receive((trajectory(secret, (0.0, goal)), publisher))
+        return found == pytest.approx(list(goal), abs=TICK)
+
+
+@pytest.fixture
+def servos(rig: Rig, node: Any) -> Arm:
+    return Arm(rig, node)
+
+
+def test_in_every_state_of_the_contactor_only_allowed_senders_move_the_arm(servos: Arm) -> None:
+    assert servos.follows(LEADER, GOAL)
+    for state, by_leader in (
+        (ContactorState.ARMED, True),
+        (ContactorState.UNKNOWN, True),
+        (ContactorState.CLOSED, False),
+    ):
+        servos.state = state
+        assert servos.follows(LEADER, START) == by_leader
+        for sender in (STRANGER, (LEADER[0], b"3")):  # who copies the secret is another publisher
+            before = servos.rig.references()
+            assert not servos.follows(sender, [angle - 0.2 for angle in START])
+            assert servos.rig.references() == before
+            assert sender[1] in servos.inbox.strangers
+            assert state.value in servos.inbox.last_refusal
+        servos.follows(LEADER, GOAL)
+    assert servos.inbox.forbidden == servos.inbox.refused == 8
+    servos.state = ContactorState.OPEN
+    assert servos.follows(STRANGER, START)
+
+
+def test_a_flood_of_refused_messages_does_not_hide_the_leaders(servos: Arm) -> None:
+    assert servos.follows(LEADER, GOAL)
+    servos.state = ContactorState.ARMED
+    other = (trajectory("", (0.0, [0.9] * 3)), STRANGER[1])
+    goals = servos.receive((trajectory(LEADER[0], (0.0, START)), LEADER[1]), *[other] * 60)
+    assert goals == pytest.approx(list(START), abs=TICK)
+
+
+@pytest.mark.parametrize("state", list(ContactorState))
+def test_a_hold_is_always_accepted(servos: Arm, state: ContactorState) -> None:
+    servos.receive((trajectory(LEADER[0], (60.0, GOAL)), LEADER[1]))
+    assert servos.rig.controller._goals.are_moving
+    servos.state = state
+    servos.receive((trajectory(""), STRANGER[1]))
+    assert not servos.rig.controller._goals.are_moving
+    assert servos.inbox.refused == 0
+
+
+def test_effort_bounds_the_current_in_the_order_of_the_names(servos: Arm) -> None:
+    message = trajectory("", (0.0, (0.3, -0.6, -0.4)), efforts=(3.0, 1.0, 2.0))
+    message.joint_names = [JOINTS[2], JOINTS[0], JOINTS[1]]
+    assert servos.receive((message, b"2")) == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
+    bounds = [effort / TORQUE_CONSTANT for effort in (1.0, 2.0, 3.0)]
+    assert servos.rig.bounds() == pytest.approx(bounds, abs=CURRENT_UNIT)
+
+
+def hostile() -> dict[str, Callable[[JointTrajectory], Any]]:
+    """Return faults of a message by name; each changes a good message, or returns its bytes."""
+
+    def stamped(sec: int, nanosec: int) -> Callable[[JointTrajectory], None]:
+        def change(message: JointTrajectory) -> None:
+            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+
+        return change
+
+    def pointed(**fields: Any) -> Callable[[JointTrajectory], None]:
+        def change(message: JointTrajectory) -> None:
+            for name, value in fields.items():
+                setattr(message.points[0], name, array("d", value))
+
+        return change
+
+    def named(*names: str) -> Callable[[JointTrajectory], None]:
+        return lambda message: setattr(message, "joint_names", list(names))
+
+    return {
+        "before 1970": stamped(-1, 0),
+        "long before": stamped(-(2**31), 0),
+        "long ago": stamped(1, 0),
+        "far ahead": stamped(2**31 - 1, 2**32 - 1),
+        "1001 points": lambda message: setattr(message, "points", message.points * 1001),
+        "an endless name": named("x" * 100_000, *JOINTS[1:]),
+        "5 MB of names": named(*["x" * 1000] * 5000),
+        "a foreign name": named(*JOINTS[:2], "\x1b[2J"),
+        "one joint": named(JOINTS[0]),
+        "one joint often": named(*JOINTS, *[JOINTS[0]] * 1000),
+        "an endless frame_id": lambda message: setattr(message.header, "frame_id", "x" * 5_000_000),
+        "NaN": pointed(positions=[math.nan] * 3),
+        "infinite": pointed(positions=[math.inf] * 3),
+        "no angles": pointed(positions=[]),
+        "a million angles": pointed(positions=[0.0] * 1_000_000),
+        "NaN effort": pointed(effort=[math.nan] * 3),
+        "negative effort": pointed(effort=[-1.0] * 3),
+        "too much effort": pointed(effort=[9.0, 1.0, 1.0]),
+        "a negative time": lambda message: setattr(message.points[0].time_from_start, "sec", -(2**31)),
+        "no message": lambda message: b"\0\1\0\0" + b"\xff" * 40,
+        "half a message": lambda message: serialize_message(message)[:60],
+        "no bytes": lambda message: b"\0\1\0\0",
+        "no text": lambda message: serialize_message(message).replace(JOINTS[0].encode(), b"\xff" * len(JOINTS[0])),
+        "a length beyond the end": lambda message: serialize_message(message)[:12] + struct.pack("<I", 2**32 - 1),
+    }
+
+
+@pytest.mark.parametrize("spoil", hostile().values(), ids=hostile())
+def test_a_bad_message_is_refused_and_moves_nothing(servos: Arm, spoil: Callable[[JointTrajectory], Any]) -> None:
+    message = trajectory("", (0.0, [0.9] * 3))
+    spoilt = spoil(message)
+    before = servos.rig.references()
+    assert servos.receive((message if spoilt is None else spoilt, b"2")) == before
+    assert servos.inbox.refused == 1
+    assert len(servos.inbox.last_refusal) < 250
+    assert servos.follows(STRANGER, GOAL)
+
+
+def test_a_line_may_last_longer_than_its_stamp_is_valid_despite_refused_messages(servos: Arm) -> None:
+    begin = servos.rig.clock()
+
+    def piece(at: float, stamp: float) -> JointTrajectory:
+        points = [(at + 0.02 * step, [angle + min(at, 1.0) * 0.2 for angle in START]) for step in (1, 2)]
+        message = trajectory(LEADER[0], *points)
+        message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1 * 1e9)
+        return message
+
+    while (at := servos.rig.clock() - begin) < 1.2:
+        servos.receive((piece(at, begin), LEADER[1]), (trajectory("", (-1.0, START)), b"2"))
+    end = [angle + 0.2 for angle in START]
+    assert servos.receive() == pytest.approx(end, abs=TICK)
+    assert "time_from_start" in servos.inbox.last_refusal
+    assert servos.receive((piece(0.0, servos.rig.clock() - 0.7), LEADER[1])) == pytest.approx(end, abs=TICK)
+    assert "old" in servos.inbox.last_refusal  # another stamp must be fresh
+
+
+class Reports:
+    """A client of the contactor, and what it receives of charger_power."""
+
+    def __init__(self, node: Any, clock: Any) -> None:
+        self.clock, self.client = clock, ContactorClient(node, clock)
+
+    def receive(self, publisher: bytes, closed: bool, sec: int | None = None, **fields: Any) -> ContactorState:
+        power = ChargerPower(contactor_closed=closed, **{"probe_age": math.inf, "probe_resistance": 470.0, **fields})
+        self.clock.sleep(0.01)
+        power.header.stamp.sec, power.header.stamp.nanosec = int(self.clock()), int(self.clock() % 1 * 1e9)
+        power.header.stamp.sec = power.header.stamp.sec if sec is None else sec
+        self.put(serialize_message(power), publisher)
+        return self.client.state()
+
+    def put(self, data: bytes, publisher: bytes) -> None:
+        topic: Any = self.client._power
+        topic.waiting.append(Received(data, publisher, ChargerPower))
+
+
+@pytest.fixture
+def reports(node: Any, clock: Any) -> Reports:
+    return Reports(node, clock)
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["with its id", "as on Jazzy"])
+def test_a_report_of_closed_overrides_reports_of_open(reports: Reports, named: bool) -> None:
+    board, liar = (b"1", b"2") if named else (b"", b"")
+    assert reports.receive(board, closed=True) is ContactorState.CLOSED
+    reports.client.request_open()
+    for number in range(50):
+        if number % 5 == 0:
+            reports.receive(board, closed=True)
+        state = reports.receive(liar, closed=False, sec=2**31 - 1 if number % 2 else None)
+        assert state is ContactorState.CLOSED
+        assert not reports.client.is_open()
+    reports.clock.sleep(0.2)
+    assert reports.receive(board, closed=False) is ContactorState.OPEN
+    assert reports.client.is_open()
+
+
+def test_the_contactor_is_open_only_once_measured_so_without_current_after_the_request(
+    reports: Reports, node: Any
+) -> None:
+    reports.receive(b"1", closed=False)
+    reports.client.request_open()
+    assert [request.close for request in node.requests] == [False]
+    assert not reports.client.is_open()
+    reports.receive(b"1", closed=False, charge_current=3.0)
+    assert not reports.client.is_open()
+    reports.receive(b"1", closed=False, charge_current=math.nan)  # not measured: the contactor alone decides
+    assert reports.client.is_open()
+
+
+def test_the_state_follows_the_reports_and_impossible_ones_are_ignored(reports: Reports) -> None:
+    assert reports.client.state() is ContactorState.UNKNOWN  # the service is there
+    assert reports.receive(b"1", closed=False) is ContactorState.OPEN
+    assert reports.receive(b"1", closed=False, probe_age=0.5) is ContactorState.ARMED
+    assert reports.receive(b"1", closed=False, probe_age=0.5, probe_resistance=math.inf) is ContactorState.OPEN
+    for sec in (-1, 2**31 - 1, -(2**31)):
+        reports.receive(b"2", closed=False, sec=sec, charge_current=math.nan, probe_age=math.nan)
+    for data in (b"\0\1\0\0\xff\xff\xff\xff\xff", b"", bytes(5_000_000)):
+        reports.put(data, b"2")
+    assert reports.receive(b"2", closed=True, sec=0) is ContactorState.OPEN  # stamped 1970
+    assert reports.receive(b"1", closed=True) is ContactorState.CLOSED
+    reports.clock.sleep(0.3)
+    assert reports.client.state() is ContactorState.UNKNOWN
