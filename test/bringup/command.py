@@ -3,15 +3,48 @@
 
 from __future__ import annotations
 
+import json
+import shlex
+from typing import Any
+
 import pytest
 
 from deltacharger_bringup.cli.main import main
 
+Capture = pytest.CaptureFixture[str]
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+
+def run(capsys: Capture, *words: object) -> tuple[int, str, str]:
     """Return exit code, standard output and standard error."""
     try:
         code = main(list(map(str, words)))
     except SystemExit as end:  # argparse ends the process itself
         code = int(end.code or 0)
     return code, *capsys.readouterr()
+
+
+def answer(capsys: Capture, *words: object) -> tuple[int, dict[str, Any]]:
+    """Return exit code and JSON object."""
+    code, out, _ = run(capsys, *words, "--json")
+    found = json.loads(out)
+    assert isinstance(found, dict)
+    return code, found
+
+
+def refuses(capsys: Capture, line: str, noun: str, code: int = 2, **files: object) -> dict[str, Any]:
+    """Check that a command line ends with this code and noun, writes one object.
+
+    Args:
+        capsys: of the test.
+        line: the command, with words in {braces} for `files`.
+        noun: part of the message.
+        code: expected exit code.
+        files: words of the line.
+    """
+    words = [word.format(**files) for word in shlex.split(line)]
+    ended, out, err = run(capsys, *words, "--json")
+    found = json.loads(out)
+    assert (ended, found["success"]) == (code, False), (line, out)
+    assert noun in found["error"], (line, found["error"])
+    assert noun in err, (line, err)
+    return dict(found)

@@ -1,53 +1,132 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate servos` with a running charger: once over the real bytes, and its interruptions."""
+"""`deltacharger calibrate servos`: with an arm that fails in a given step, and over the real bytes."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import pytest
-from std_srvs.srv import SetBool
 
+import deltacharger_bringup.cli.calibrate_servos as command
+import deltacharger_records.datasets.measuring_arm as measuring
+from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_core.servos_file import load_servos
-from deltacharger_ros import qos
+from deltacharger_kinematics.calibration.servo_checks import Gains
+from deltacharger_records.datasets.arm_guest import ArmError
 
 from ..chargers import Process, wait_until
-from ..marks import rest
-from ..nodes import call
-from .running import Charger, running
+from ..marks import night
 
 pytestmark = pytest.mark.ros
 
-WORLD = "{target: {present: false}, servo: {stiffness: 10.0, friction: 0.08, backlash: 0.004, torque_constant: 1.3}}"
+GAINS = {"torque_constant": 1.3, "position_p_gain": 500, "position_i_gain": 0, "position_d_gain": 3}
+MEASURED = SimpleNamespace(fit=SimpleNamespace(common=lambda what: (12.0, 0.2)))
+
+
+class Arm:
+    """Replaces `MeasuringArm`."""
+
+    trouble: Mapping[str, str] = MappingProxyType({})
+    servo: Mapping[str, Any] = GAINS
+    released = True
+
+    def __init__(self, *given: Any) -> None:
+        self.is_released = False
+        self.started = False
+
+    def __enter__(self) -> Arm:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.is_released = self.started and self.released
+
+    def wait_until_ready(self, timeout: float) -> None:
+        self._do("wait")
+
+    def parameters_of(self, name: str) -> Mapping[str, Any]:
+        return self.servo if name == "servo_node" else {}
+
+    def start(self) -> None:
+        self.started = True
+        self._do("start")
+
+    def measure(self) -> Any:
+        self._do("measure")
+        return MEASURED
+
+    def retire(self, stiffness: float) -> None:
+        self._do("retire")
+
+    def _do(self, what: str) -> None:
+        if what in self.trouble:
+            raise ArmError(self.trouble[what])
+
+
+@pytest.fixture
+def arm(monkeypatch: pytest.MonkeyPatch) -> type[Arm]:
+    class OneArm(Arm):
+        pass
+
+    monkeypatch.setattr(measuring, "MeasuringArm", OneArm)
+    monkeypatch.setattr(command, "measure_servos", lambda body, task, progress: body.measure())
+    return OneArm
+
+
+def measured() -> Any:
+    parser = argparse.ArgumentParser()
+    command.add_servos(parser)
+    return command._measured(parser.parse_args([]))
+
+
+@pytest.mark.parametrize(
+    ("where", "released", "is_off"),
+    [("wait", True, False), ("start", True, True), ("measure", True, True), ("measure", False, False)],
+)
+def test_torque_is_reported_off_only_if_it_was_switched_off(
+    arm: type[Arm], where: str, released: bool, is_off: bool
+) -> None:
+    arm.trouble, arm.released = {where: "docking_node is at work"}, released
+    with pytest.raises(CommandError, match="docking_node") as caught:
+        measured()
+    assert (caught.value.exit_code, "the torque is off" in str(caught.value)) == (FAILED, is_off)
+
+
+def test_a_failed_way_home_keeps_the_measurement(arm: type[Arm], capsys: pytest.CaptureFixture[str]) -> None:
+    arm.trouble = {"retire": "cannot go that way"}
+    task, gains, found = measured()
+    assert (task.torque_constant, gains, found) == (1.3, Gains(500, 0, 3), MEASURED)
+    assert "cannot go that way" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("servo", "noun"), [({}, "gains"), ({**GAINS, "position_i_gain": 7}, "position_i_gain")])
+def test_unknown_gains_and_i_gains_are_refused_before_anything_moves(
+    arm: type[Arm], servo: dict[str, Any], noun: str
+) -> None:
+    arm.servo, arm.trouble = servo, {"start": "the arm was moved"}
+    with pytest.raises(CommandError, match=noun):
+        measured()
+
+
+WORLD = {"target": {"present": False}, "servo": {"stiffness": 10.0, "friction": 0.08, "backlash": 0.004}}
 OLD = "stiffness: 7.0\n"
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scene") / "free.yaml"
-    path.write_text(f"simulation: {{seed: 1, world: {WORLD}}}\n")
-    return path
+def charger(context: Any) -> Iterator[Any]:
+    from deltacharger_scenes.scene import parse_scene
 
+    from ..running_charger import RunningCharger
 
-@pytest.fixture(scope="module")
-def charger(scene: Path) -> Iterator[Charger]:
-    with running(scene) as charger:
+    WORLD["servo"]["torque_constant"] = 1.3
+    with RunningCharger(parse_scene({"simulation": {"seed": 1, "world": WORLD}}, "free"), context) as charger:
         yield charger
-
-
-@pytest.fixture
-def measure(charger: Charger, start: Callable[..., Process], deltacharger: tuple[str, ...]) -> Callable[..., Process]:
-    """Start the command on the running charger."""
-
-    def begin(*words: str) -> Process:
-        return start(*deltacharger, "calibrate", "servos", "--namespace", charger.namespace, "--json", *words)
-
-    return begin
 
 
 @pytest.fixture
@@ -58,97 +137,89 @@ def old(tmp_path: Path) -> Path:
     return path
 
 
-def moves(charger: Charger, process: Process) -> None:
+@pytest.fixture
+def measure(charger: Any, start: Callable[..., Process]) -> Iterator[Callable[..., Process]]:
+    """Start the command on the running charger, whose torque is off afterwards."""
+
+    def begin(*words: object) -> Process:
+        cli = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "servos", "--json", "--namespace")
+        return start(*cli, charger.namespace, *map(str, words))
+
+    yield begin
+    wait_until(lambda: not any(charger.world.torque), "torque off")
+
+
+def moves(charger: Any, process: Process) -> None:
     """Wait until the arm moves."""
-    process.wait_for_line("Ctrl-C ends it", process.err)
-    start = list(charger.state.position)
-    wait_until(lambda: max(abs(a - b) for a, b in zip(charger.state.position, start, strict=True)) > 0.05, "motion")
+    process.wait_for_line("Ctrl-C", process.err)
+    start = list(charger.servos.position)
+    wait_until(lambda: max(abs(a - b) for a, b in zip(charger.servos.position, start, strict=True)) > 0.05, "motion")
+    assert any(charger.world.torque)
 
 
-@pytest.mark.rest
+@pytest.mark.night
 @pytest.mark.timeout(400)  # it takes 90 s
-def test_servos_are_measured_over_the_real_bytes(
-    measure: Callable[..., Process], charger: Charger, tmp_path: Path
-) -> None:
+def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process], tmp_path: Path) -> None:
     path = tmp_path / "servos.yaml"
-    process = measure("--out", str(path), "--seconds", "80")
+    process = measure("--out", path, "--seconds", "80")
     process.process.wait(300.0)
     assert process.end() == 0, (process.out, process.err)
     result = json.loads(process.out[0])
-    assert result["success"]
-    assert result["written"] == str(path)
-    assert not result["doubts"]
+    assert (result["success"], result["written"], result["doubts"]) == (True, str(path), [])
     found = load_servos(path)
-    assert found.stiffness == pytest.approx(10.0, rel=0.05)
-    assert found.torque_constant == pytest.approx(1.3, rel=0.05)
+    assert (found.stiffness, found.torque_constant) == pytest.approx((10.0, 1.3), rel=0.05)
     assert found.friction == pytest.approx(0.08, rel=0.2)
     assert found.backlash == pytest.approx(0.004, abs=0.002)
     assert found.position_p_gain == 434
-    wait_until(lambda: not charger.torque(), "torque off")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, rest(signal.SIGTERM), rest(signal.SIGHUP)])
+@pytest.mark.rest
+@pytest.mark.parametrize("how", [signal.SIGINT, night(signal.SIGTERM), night(signal.SIGHUP)])
 def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
-    measure: Callable[..., Process], charger: Charger, old: Path, how: signal.Signals
+    measure: Callable[..., Process], charger: Any, old: Path, how: signal.Signals
 ) -> None:
-    process = measure("--out", str(old), "--force")
+    process = measure("--out", old, "--force")
     moves(charger, process)
-    assert charger.torque()
     assert process.end(how) == 130, process.err
-    assert json.loads(process.out[0])["success"] is False
-    assert "interrupted; nothing was written, and the torque is off" in json.loads(process.out[0])["error"]
-    wait_until(lambda: not charger.torque(), "torque off")
+    assert "torque is off" in json.loads(process.out[0])["error"]
     assert old.read_text() == OLD
 
 
-def test_a_lost_servo_ends_it(
-    measure: Callable[..., Process], charger: Charger, old: Path, start: Callable[..., Process], deltacharger: Any
-) -> None:
-    process = measure("--out", str(old), "--force")
+@pytest.mark.night
+def test_a_lost_servo_ends_it(measure: Callable[..., Process], charger: Any, old: Path) -> None:
+    from deltacharger_sim.charger.faults import Fault
+
+    process = measure("--out", old, "--force")
     moves(charger, process)
-    fault = start(
-        *deltacharger, "fault", "servo_missing", "--servo", "2", "--for-s", "2", "--namespace", charger.namespace
-    )
-    assert fault.end() == 0, fault.err
+    charger.emulators.faults.begin(Fault(kind="servo_missing", servo=2, last=2.0))
     assert process.end() == 1, process.err
     assert "nothing was written" in json.loads(process.out[0])["error"]
-    wait_until(lambda: not charger.torque(), "torque off")
     assert old.read_text() == OLD
-    wait_until(lambda: all(charger.state.valid), "the return of the servo")
+    wait_until(lambda: all(charger.servos.valid), "the return of the servo")
 
 
+@pytest.mark.rest
 def test_torque_switched_on_by_another_program_stays_on(
-    measure: Callable[..., Process], charger: Charger, tmp_path: Path
+    measure: Callable[..., Process], charger: Any, old: Path
 ) -> None:
-    client = charger.node.create_client(SetBool, f"/{charger.namespace}/set_torque", qos_profile=qos.SERVICE)
+    from std_srvs.srv import SetBool
+
+    from deltacharger_ros import qos
+
+    from ..nodes import call
+
+    client = charger.client.node.create_client(SetBool, f"/{charger.namespace}/set_torque", qos_profile=qos.SERVICE)
     wait_until(client.service_is_ready, "set_torque")
+    refused = measure("--out", old)
+    assert refused.end() == 2
+    assert "--force" in json.loads(refused.out[0])["error"]
     assert call(client, SetBool.Request(data=True)).success
     try:
-        process = measure("--out", str(tmp_path / "servos.yaml"))
+        process = measure("--out", old, "--force")
         assert process.end() == 1
         error = json.loads(process.out[0])["error"]
-        assert "another program moves the arm" in error
-        assert "the torque is off" not in error
-        assert charger.torque()
+        assert ("another program" in error, "the torque is off" in error) == (True, False)
+        assert any(charger.world.torque)
     finally:
         call(client, SetBool.Request(data=False))
-    wait_until(lambda: not charger.torque(), "torque off")
-    assert not (tmp_path / "servos.yaml").exists()
-
-
-def test_an_old_file_is_refused_before_anything_moves(
-    measure: Callable[..., Process], charger: Charger, old: Path
-) -> None:
-    process = measure("--out", str(old))
-    assert process.end() == 2
-    assert "--force" in json.loads(process.out[0])["error"]
-    assert not charger.torque()
     assert old.read_text() == OLD
-
-
-def test_without_a_charger_it_ends_with_1(start: Callable[..., Process], tmp_path: Path) -> None:
-    command = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "servos", "--json")
-    process = start(*command, "--namespace", "nobody_here", "--out", str(tmp_path / "servos.yaml"))
-    assert process.end() == 1
-    assert "deltacharger up" in json.loads(process.out[0])["error"]
-    assert not (tmp_path / "servos.yaml").exists()

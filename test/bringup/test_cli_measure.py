@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,27 +21,19 @@ from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan
 
 from ..chargers import DEADLINE, Process, wait_until
-from ..marks import rest
-from .running import Charger, running
+from ..marks import night, rest
 
 pytestmark = pytest.mark.ros
 
 NOMINAL = DeltaGeometry()
-MEASURE = ("calibrate", "kinematics")
+WITNESS = pytest.param(signal.SIGINT, marks=pytest.mark.witness)
 
 
 @pytest.mark.parametrize(
     ("text", "position"),
     [
-        ("1 2 3", (1, 2, 3)),
-        ("1,5 -2,5 3", (1.5, -2.5, 3)),
-        ("1.5,-2.5,3", (1.5, -2.5, 3)),
-        ("1; 2; 3", (1, 2, 3)),
-        ("1 2", None),
-        ("1,2,3,4", None),
-        ("1 2 x", None),
-        ("1 2 nan", None),
-        ("", None),
+        *(("1 2 3", (1, 2, 3)), ("1,5 -2,5 3", (1.5, -2.5, 3)), ("1.5,-2.5,3", (1.5, -2.5, 3)), ("1; 2; 3", (1, 2, 3))),
+        *(("1 2", None), ("1,2,3,4", None), ("1 2 x", None), ("1 2 nan", None), ("", None)),
     ],
 )
 def test_common_forms_of_positions_are_accepted(text: str, position: tuple[float, ...] | None) -> None:
@@ -79,30 +72,36 @@ class Operator(Process):
 
 
 @pytest.fixture(scope="module")
-def charger(quick_file: Path) -> Iterator[Charger]:
-    with running(quick_file) as charger:
+def charger(quick_scene: Any, context: Any) -> Iterator[Any]:
+    from ..running_charger import RunningCharger
+
+    with RunningCharger(quick_scene, context) as charger:
         yield charger
 
 
-def position(charger: Charger) -> np.ndarray:
-    return np.asarray(Delta(NOMINAL).forward(np.array(charger.state.position)).position)
+def position(charger: Any) -> np.ndarray:
+    return np.asarray(Delta(NOMINAL).forward(np.array(charger.servos.position)).position)
+
+
+def torque(charger: Any) -> bool:
+    return any(charger.servos.torque_enabled)
 
 
 @pytest.fixture
-def short_plan(tmp_path: Path) -> Path:
-    """Four poses, clear of the mock's target."""
+def measured(tmp_path: Path) -> Path:
+    """The file of measurements, beside a plan of four poses that are clear of the mock's target."""
     poses = [PlannedPose(n, n == 4, (0.01 * n, -0.005 * n, 0.010 + 0.005 * n)) for n in range(1, 5)]
     write_plan(tmp_path / "plan.csv", poses, NOMINAL, Encoder())
-    return tmp_path / "plan.csv"
+    return tmp_path / "measured.csv"
 
 
 @pytest.fixture
-def operator(charger: Charger, short_plan: Path) -> Iterator[Callable[..., Operator]]:
+def operator(charger: Any, measured: Path) -> Iterator[Callable[..., Operator]]:
     running: list[Operator] = []
 
     def begin(*words: str) -> Operator:
-        paths = ("--plan", str(short_plan), "--measure", str(short_plan.with_name("measured.csv")))
-        command = (sys.executable, "-m", "deltacharger_bringup.cli", *MEASURE, *paths)
+        paths = ("--plan", str(measured.with_name("plan.csv")), "--measure", str(measured))
+        command = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "kinematics", *paths)
         running.append(Operator(*command, "--namespace", charger.namespace, *words))
         return running[-1]
 
@@ -111,42 +110,37 @@ def operator(charger: Charger, short_plan: Path) -> Iterator[Callable[..., Opera
         if each.process.poll() is None:
             each.process.kill()
             each.process.wait(DEADLINE)
-    wait_until(lambda: not charger.torque(), "torque off")
+    wait_until(lambda: not torque(charger), "torque off")
 
 
-def place(charger: Charger) -> Callable[[], str]:
+def place(charger: Any) -> Callable[[], str]:
     """Return a function that reads the position of the arm, as an operator types it."""
     return lambda: " ".join(f"{1000 * value:.3f}" for value in position(charger))
 
 
+@pytest.mark.rest
 def test_measured_poses_are_recorded_one_by_one_and_resumed(
-    operator: Callable[..., Operator], charger: Charger, short_plan: Path
+    operator: Callable[..., Operator], charger: Any, measured: Path
 ) -> None:
-    path = short_plan.with_name("measured.csv")
     user = operator("--json")
     user.answer("what?")
     user.answer("1 2")
     user.wait_for_question()
     first = position(charger)
-    assert charger.torque()
+    assert torque(charger)
     user.answer("900 0 0")  # a typing error; the question is repeated
     user.answer(place(charger))
     user.answer("s")
     user.answer(place(charger))
     user.answer("q")
     assert user.end() == 0, user.err
-    assert json.loads(user.out[0]) == {
-        "success": True,
-        "written": str(path),
-        "measured": 2,
-        "skipped": 1,
-        "remaining": 2,
-    }
-    rows = read_measurements(path)
+    found = json.loads(user.out[0])
+    assert (found["measured"], found["skipped"], found["remaining"], found["written"]) == (2, 1, 2, str(measured))
+    rows = read_measurements(measured)
     assert np.allclose(rows.positions[0], first, atol=1e-4)
     assert np.allclose(rows.positions, Delta(NOMINAL).forward(rows.angles).position, atol=1e-4)
     assert np.allclose(rows.positions[0], (0.01, -0.005, 0.015), atol=3e-3)
-    wait_until(lambda: not charger.torque(), "torque off")
+    wait_until(lambda: not torque(charger), "torque off")
     assert math.dist(position(charger), (0.0, 0.0, 0.0)) < 0.01
 
     again = operator()
@@ -154,20 +148,18 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     again.wait_for_line("pose 4", again.err)
     again.answer(place(charger))
     assert again.end() == 0, again.err
-    assert any("2 of 4 poses already" in line for line in again.err)
-    rows = read_measurements(path)
-    assert len(rows) == 4
+    rows = read_measurements(measured)
     assert rows.held_out is not None
-    assert rows.held_out.sum() == 1
+    assert (len(rows), rows.held_out.sum()) == (4, 1)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, rest(signal.SIGTERM), rest(signal.SIGHUP), "end of input"])
+@pytest.mark.parametrize("how", [WITNESS, night(signal.SIGTERM), night(signal.SIGHUP), rest("end of input")])
 def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
-    operator: Callable[..., Operator], charger: Charger, short_plan: Path, how: signal.Signals | str
+    operator: Callable[..., Operator], charger: Any, measured: Path, how: signal.Signals | str
 ) -> None:
     user = operator("--json")
     user.wait_for_question()
-    assert charger.torque()
+    assert torque(charger)
     user.answer(place(charger))
     user.wait_for_question()
     if isinstance(how, signal.Signals):
@@ -176,29 +168,17 @@ def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
         user.hang_up()
         assert user.end() == 1, user.err
     assert json.loads(user.out[0])["success"] is False
-    wait_until(lambda: not charger.torque(), "torque off")
-    assert len(read_measurements(short_plan.with_name("measured.csv"))) == 1
+    wait_until(lambda: not torque(charger), "torque off")
+    assert len(read_measurements(measured)) == 1
 
 
-def test_a_docking_takes_the_arm_over(
-    operator: Callable[..., Operator], charger: Charger, deltacharger: tuple[str, ...], quick_file: Path
-) -> None:
+@pytest.mark.rest
+def test_a_docking_takes_the_arm_over(operator: Callable[..., Operator], charger: Any) -> None:
     user = operator()
     user.wait_for_question()
-    goal = ("--scene", str(quick_file), "--namespace", charger.namespace, "--no-picture", "--no-charge", "--json")
-    dock = Process(*deltacharger, "dock", *goal)
+    charger.charge()  # its torque was not switched off
     assert user.end() == 1
     assert any("docking_node is at work" in line for line in user.err)
-    assert dock.end() == 0, dock.err  # its torque was not switched off
-    second = operator()
-    assert second.end() == 1  # docked
-    assert charger.torque()
-    undock = Process(*deltacharger, "undock", "--scene", str(quick_file), "--namespace", charger.namespace)
-    assert undock.end() == 0, undock.err
-
-
-def test_without_a_charger_it_ends_with_1(operator: Callable[..., Operator], charger: Charger) -> None:
-    user = operator("--namespace", "nobody_here")
-    assert user.end() == 1
-    assert any("deltacharger up" in line for line in user.err)
-    assert not charger.torque()
+    assert operator().end() == 1, "docked"
+    assert torque(charger)
+    charger.go_home()

@@ -16,10 +16,10 @@ from deltacharger_core import environment, runtime
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import Process, wait_until
-from ..scenes.test_processes import arguments
+from ..marks import night, rest
+from .command import Capture, answer
 
 pytestmark = pytest.mark.ros
-
 
 Run = Callable[..., Process]
 
@@ -41,24 +41,26 @@ def up(run: Run) -> Run:
     return ready
 
 
-def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: Run, run: Run, tmp_path: Path) -> None:
+def result(process: Process, code: int) -> dict[str, object]:
+    """Return the one object of a command that ends with this code."""
+    assert process.end() == code, process.err
+    assert not any("Traceback" in line for line in process.err), process.err
+    return dict(json.loads("\n".join(process.out)))
+
+
+@pytest.mark.witness
+def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: Run, run: Run) -> None:
     charger = up()
-    picture = tmp_path / "run.png"
-    dock = run("dock", "--json", "--picture", str(picture), "--request-id", "r1")
-    assert dock.end() == 0, dock.err
-    result = json.loads("\n".join(dock.out))
-    assert (result["success"], result["charger"], result["error_name"]) == (True, "running", "NONE")
-    assert next(phase["phase"] for phase in result["phases"]) == "approach"
-    assert result["picture"] is None or picture.is_file()
+    dock = run("dock", "--json", "--no-picture", "--request-id", "r1")
+    docked = result(dock, 0)
+    assert (docked["success"], docked["charger"], docked["error_name"]) == (True, "running", "NONE")
     assert any("contact" in line for line in dock.err)
-    assert any("using the running charger; only the goal of scene 'quick'" in line for line in dock.err)
-    undock = run("undock", "--json")
-    assert undock.end() == 0, undock.err
-    assert json.loads("\n".join(undock.out))["success"] is True
+    assert result(run("undock", "--json"), 0)["success"] is True
     assert charger.end(signal.SIGTERM) == 0
     assert charger.out == []
 
 
+@pytest.mark.rest
 def test_up_ends_with_130_on_sigint_and_with_2_on_refused_parameters(
     up: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
 ) -> None:
@@ -67,39 +69,42 @@ def test_up_ends_with_130_on_sigint_and_with_2_on_refused_parameters(
     bad.write_text(quick_file.read_text(encoding="utf-8").replace("standoff", "standof"), encoding="utf-8")
     refused = start(*deltacharger, "up", "--scene", str(bad), "--namespace", namespace)
     assert refused.end() == 2
-    assert any("did you mean 'standoff'" in line for line in refused.err)
+    assert any("'standoff'" in line for line in refused.err)
 
 
+@pytest.mark.rest
 def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_is_refused_at_once(up: Run, run: Run) -> None:
     charger = up()
     second = run("up")
     assert second.end() == 2
-    assert [line for line in second.err if "already answers" in line and f"process {charger.process.pid}" in line]
+    assert any(f"process {charger.process.pid}" in line for line in second.err)
     assert charger.end(signal.SIGHUP) == 0
 
 
+@pytest.mark.rest
 def test_a_charger_of_separate_processes_uses_the_same_lock(
     start: Run, run: Run, quick_scene: Scene, namespace: str
 ) -> None:
-    words, lock = arguments(quick_scene, "docking_node", namespace), runtime.charger(environment.domain(), namespace)
+    from ..running_charger import node_command
 
-    def holder() -> str:
-        path = lock.with_suffix(".lock")
-        return path.read_text(encoding="utf-8").strip() if path.exists() else ""
+    words = node_command(quick_scene, "docking_node", namespace)
+    lock = runtime.charger(environment.domain(), namespace).with_suffix(".lock")
+
+    def holds(process: Process) -> bool:
+        return lock.exists() and lock.read_text(encoding="utf-8").strip() == str(process.process.pid)
 
     first = start(*words)
-    wait_until(lambda: holder() == str(first.process.pid), "the lock of the first process")
-    for second, text in ((start(*words), "already runs in ROS domain"), (run("up"), "already answers in ROS domain")):
+    wait_until(lambda: holds(first), "the lock of the first process")
+    for second in (start(*words), run("up")):
         assert second.end() == 2, second.err
-        refusals = [line for line in second.err if text in line]
-        assert len(refusals) == 1, second.err
-        assert f"process {first.process.pid}" in refusals[0]
+        assert sum(f"process {first.process.pid}" in line for line in second.err) == 1, second.err
     assert first.end(signal.SIGKILL) == -signal.SIGKILL
     third = start(*words)
-    wait_until(lambda: holder() == str(third.process.pid), "the lock of the next process")
+    wait_until(lambda: holds(third), "the lock of the next process")
     assert third.end(signal.SIGTERM) == 0, third.err
 
 
+@pytest.mark.rest
 def test_of_two_chargers_started_together_exactly_one_runs(run: Run) -> None:
     both = [run("up"), run("up")]
     wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one process")
@@ -109,87 +114,97 @@ def test_of_two_chargers_started_together_exactly_one_runs(run: Run) -> None:
     assert runs.end(signal.SIGTERM) == 0
 
 
+@pytest.mark.night
 def test_a_charger_without_the_lock_is_found_over_ros_and_not_disturbed(
     up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = up()
-    assert run("dock", "--json", "--no-picture").end() == 0
+    result(run("dock", "--json", "--no-picture"), 0)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as for another user or another computer
     second = run("up")
     assert second.end() == 1
-    assert any("already answers in ROS domain" in line for line in second.err)
-    # Repeat if the computer was too busy: charging has then ended already, and the arm is retracting.
-    undocks = [run("undock", "--json")]
-    while undocks[-1].end() != 0 and len(undocks) < 4:
-        undocks.append(run("undock", "--json"))
-    assert undocks[-1].end() == 0, [each.out for each in undocks]
+    assert any("already answers" in line for line in second.err)
+    result(run("undock", "--json"), 0)
     assert first.end(signal.SIGTERM) == 0
 
 
-@pytest.mark.parametrize("presses", [1, 2])
+@pytest.mark.parametrize("presses", [rest(1), night(2)])
 def test_ctrl_c_ends_dock_and_the_charger_it_started_with_130_and_one_object(run: Run, presses: int) -> None:
     dock = run("dock", "--json", "--no-picture")
     dock.wait_for_line(" s  contact ", dock.err)  # the phase: a log line may mention contact before
-    if presses == 2:
+    for _ in range(presses):
         dock.process.send_signal(signal.SIGINT)
-    assert dock.end(signal.SIGINT) == 130
-    result = json.loads("\n".join(dock.out))
-    assert not any("Traceback" in line for line in dock.err), dock.err
-    assert result["success"] is False
+    ended = result(dock, 130)
+    assert ended["success"] is False
     if presses == 1:  # a second one abandons the result, unless both arrive as one
-        assert (result["charger"], result["error_name"]) == ("started", "CANCELED")
-
-
-def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
-    dock = run("dock", "--x-mm", "200", "--json", "--no-picture")
-    assert dock.end() == 1
-    result = json.loads("\n".join(dock.out))
-    assert (result["error_name"], result["success"]) == ("UNREACHABLE", False)
-    assert result["suggested_base_pose"]
-
-
-def test_undock_without_scene_domain_and_charger_ends_with_1_and_names_both_domains(
-    start: Run, deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    undock = start(*deltacharger, "undock", "--namespace", namespace)
-    assert undock.end() == 1
-    assert any("domain 0 or 87" in line for line in undock.err)
-    assert any("deltacharger up" in line for line in undock.err)
-
-
-def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
-    up: Run, start: Run, deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    charger = up()
-    monkeypatch.delenv("ROS_DOMAIN_ID")
-    undock = start(*deltacharger, "undock", "--namespace", namespace, "--json")
-    assert undock.end() == 0, undock.err
-    assert any("ROS domain 0" in line for line in undock.err)
-    assert charger.end(signal.SIGTERM) == 0
-
-
-@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix")
-def test_the_command_sets_its_environment(up: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.delenv(name, raising=False)
-    charger = up()
-    assert any("ROS domain 87" in line for line in charger.err)
-    assert charger.end(signal.SIGTERM) == 0
+        assert (ended["charger"], ended["error_name"]) == ("started", "CANCELED")
 
 
 @pytest.mark.rest
+def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
+    ended = result(run("dock", "--x-mm", "200", "--json", "--no-picture"), 1)
+    assert (ended["error_name"], ended["success"], bool(ended["suggested_base_pose"])) == ("UNREACHABLE", False, True)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize(
+    "line",
+    [
+        "undock",
+        "tactile record --out new.npz --set reference",
+        "calibrate servos --out new.yaml",
+        "calibrate kinematics --plan plan.csv --measure new.csv",
+        "calibrate camera --views new --take 5 --board-x-mm 0 --board-y-mm 0 --board-z-mm 0",
+    ],
+)
+def test_without_a_charger_every_command_ends_with_1(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, line: str
+) -> None:
+    if "views" in line:
+        pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    monkeypatch.chdir(tmp_path)
+    assert answer(capsys, "calibrate", "kinematics", "--plan", "plan.csv")[0] == 0
+    code, found = answer(capsys, *line.split(), "--namespace", "nobody_here")
+    assert (code, "deltacharger up" in found["error"]) == (1, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.csv"]
+
+
+@pytest.mark.night
+@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix")
+@pytest.mark.parametrize("domain", [None, "0"])
+def test_the_command_sets_its_environment_and_finds_a_charger_of_either_domain(
+    up: Run,
+    start: Run,
+    deltacharger: tuple[str, ...],
+    namespace: str,
+    monkeypatch: pytest.MonkeyPatch,
+    domain: str | None,
+) -> None:
+    for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name, raising=False)
+    if domain is not None:
+        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    charger = up()
+    assert any(f"ROS domain {domain or 87}" in line for line in charger.err)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    undock = start(*deltacharger, "undock", "--namespace", namespace, "--json")
+    assert undock.end() == 0, undock.err
+    assert charger.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.night
 @pytest.mark.parametrize("shell", ["exec {} >/dev/full 2>&-", "exec {} >&- 2>/dev/full"])
 def test_a_docking_finishes_without_usable_output_streams(
-    up: Run, run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str
+    run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str
 ) -> None:
+    from deltacharger_ros.client import ChargerClient
+
     where = ("--scene", str(quick_file), "--namespace", namespace)
     charger = start("bash", "-c", shell.format(shlex.join((*deltacharger, "up", *where))))
-    wait_until(lambda: run("undock").end() == 0, "a running charger")
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(60.0)
     dock = start("bash", "-c", shell.format(shlex.join((*deltacharger, "dock", *where, "--json"))))
     assert dock.end() == 1, "its output is lost"
     assert (dock.out, dock.err) == ([], [])
-    undock = run("undock", "--json")
-    assert undock.end() == 0, undock.err
+    result(run("undock", "--json"), 0)
     assert charger.end(signal.SIGTERM) == 0, "it had no output"

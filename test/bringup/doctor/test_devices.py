@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings of the doctor for ports, a board and servos, healthy and with each fault that it can name."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+
+import pytest
+import serial
+
+from deltacharger_bringup.doctor.board import examine_board
+from deltacharger_bringup.doctor.findings import Finding
+from deltacharger_bringup.doctor.ports import examine_port, holders
+from deltacharger_bringup.doctor.servos import examine_servos
+from deltacharger_bringup.doctor.set_baud import set_baud
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.protocol import BoardFault
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.port_identity import SERVO_SPEEDS
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
+
+from ...emulated_ports import IDS, written
+from ...marks import rest
+
+LIKELY = (1_000_000, 57600)
+"""Speeds to search if the others do not matter: each takes 0.2 s or more."""
+
+
+def servo_findings(port: str, speeds: Sequence[int] = LIKELY) -> list[Finding]:
+    return list(examine_servos(port, 1_000_000, IDS, 3.0, speeds))
+
+
+def board_findings(port: str, watched: float = 0.15, wired: bool = False) -> list[Finding]:
+    return list(examine_board(port, 1_000_000, watched, wired=wired))
+
+
+def named(findings: Iterable[Finding], *expected: tuple[str, str, str]) -> None:
+    """Check that the findings have these levels and parts once, with a noun in message or remedy; all help."""
+    findings = list(findings)
+    for level, part, noun in expected:
+        (found,) = [each for each in findings if (each.level, each.part) == (level, part)]
+        assert noun in f"{found.message} {found.remedy}", found
+    assert all(each.remedy for each in findings if each.level == "wrong"), findings
+
+
+def parts(findings: Iterable[Finding], level: str) -> set[str]:
+    return {finding.part for finding in findings if finding.level == level}
+
+
+def test_a_healthy_board_is_ok_and_unchanged(board: BoardEmulator, board_port: str) -> None:
+    found = board_findings(board_port)
+    assert not parts(found, "wrong")
+    assert {f.part for f in found} == {"board", "tactile link", "left pad", "right pad", "tare", "power", "probe"}
+    named(found, ("ok", "tactile link", "0 of"), ("ok", "tare", "not done"))
+    assert not board.contactor_commanded
+
+
+def bad_pads(board: BoardEmulator) -> None:
+    board.set_dead(0, 3, 7)
+    for column in range(4):
+        board.set_dead(1, 0, column)
+
+
+BOARDS: dict[str, tuple[Callable[[BoardEmulator], object], tuple[str, str, str]]] = {
+    "dead taxel": (bad_pads, ("hint", "left pad", "row 3 column 7")),
+    "many dead taxels": (bad_pads, ("wrong", "right pad", "4 of 100")),
+    "slow": (lambda board: setattr(board.faults, "delay", 0.04), ("hint", "board", "heartbeats")),
+}
+
+
+@pytest.mark.parametrize("fault", BOARDS)
+def test_a_fault_of_the_board_is_named(board: BoardEmulator, board_port: str, fault: str) -> None:
+    make, expected = BOARDS[fault]
+    make(board)
+    named(board_findings(board_port), expected)
+
+
+def test_lost_frames_are_counted(board: BoardEmulator, board_port: str) -> None:
+    with BoardLink(board_port):  # greeted before it begins to lose
+        board.faults.probability["drop"] = 0.1
+    named(board_findings(board_port, 0.4), ("wrong", "tactile link", "cables"))
+
+
+def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None:
+    with BoardLink(board_port):  # wait for the boot, which clears the fault
+        board.trip(BoardFault.OVER_CURRENT)
+    named(board_findings(board_port), ("wrong", "power", "over current"))
+
+
+@pytest.mark.parametrize(
+    ("plant", "wired", "level", "part", "noun"),
+    [
+        ({"resistance": 0.2}, False, "wrong", "probe", "short circuit"),
+        ({"resistance": 25.0}, False, "hint", "probe", "target"),
+        ({"battery": 22.6}, False, "wrong", "power", "22.6 V"),
+        ({"battery": 22.7}, False, "ok", "power", "22.7 V"),
+        ({"battery": 29.8}, False, "ok", "power", "29.8 V"),
+        ({"battery": 29.9}, False, "wrong", "power", "29.9 V"),
+        ({"battery": math.nan}, False, "hint", "power", "not measured"),
+        ({"battery": math.nan}, True, "hint", "power", "live"),
+        ({"battery": 26.0}, True, "wrong", "power", "power stage"),
+    ],
+)
+def test_target_and_battery_are_judged_as_docking_judges_them(
+    plant: dict[str, float], wired: bool, level: str, part: str, noun: str
+) -> None:
+    bench = BenchPlant()
+    vars(bench).update(plant)
+    with PseudoTerminal(BoardEmulator(bench)) as terminal:
+        found = board_findings(terminal.path, wired=wired)
+    named(found, (level, part, noun))
+    assert ("probe" in {finding.part for finding in found}) is not wired
+
+
+@pytest.mark.parametrize(
+    ("examine", "fixture", "noun"),
+    [
+        (board_findings, "servo_port", "servos are here"),
+        (board_findings, "silent_port", "HELLO"),
+        (servo_findings, "board_port", "board is here"),
+        (servo_findings, "silent_port", "no servo"),
+        (lambda port: set_baud(port, 57600, None), "board_port", "board is here"),
+    ],
+)
+def test_a_port_of_something_else_is_wrong(
+    request: pytest.FixtureRequest, examine: Callable[[str], Iterable[Finding]], fixture: str, noun: str
+) -> None:
+    (found,) = examine(request.getfixturevalue(fixture))
+    assert (found.level, noun in found.message) == ("wrong", True)
+
+
+def test_healthy_servos_are_ok_and_nothing_is_written(servos: ServoBusEmulator, servo_port: str) -> None:
+    before = written(servos)
+    found = servo_findings(servo_port)
+    assert {finding.level for finding in found} == {"ok"}
+    assert parts(found, "ok") == {"servo 1", "servo 2", "servo 3", "servo line"}
+    assert written(servos) == before
+
+
+def test_a_servo_with_factory_speed_is_named_with_the_command_to_fix_it(
+    servos: ServoBusEmulator, servo_port: str
+) -> None:
+    servos.set_speed(2, 1)
+    found = servo_findings(servo_port)
+    named(found, ("wrong", "servo 2", "57600"))
+    named(found, ("wrong", "servo 2", f"doctor --servo-port {servo_port} --set-baud 1000000 --ids 2"))
+
+
+@pytest.mark.rest
+def test_missing_old_and_unknown_servos_are_distinguished(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.use_protocol_1(1)
+    servos.servo(3).table.set("id", 9)
+    found = servo_findings(servo_port, SERVO_SPEEDS)
+    named(found, ("wrong", "servo 1", "firmware"), ("wrong", "servo 3", "does not answer"), ("hint", "servos", "id 9"))
+    assert "servo 2" not in parts(found, "wrong")
+
+
+def test_faults_of_servos_are_reported(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.raise_hardware_error(1, 1 << 5)
+    servos.servo(2).table.set("torque_enable", 1)
+    servos.servo(1).table.set("bus_watchdog", WATCHDOG_TRIPPED)
+    servos.servo(3).table.set("current_limit", 298)
+    found = servo_findings(servo_port)
+    named(found, ("wrong", "servo 1", "overload"), ("hint", "servo 1", "watchdog"), ("hint", "servo 2", "torque is on"))
+    named(found, ("wrong", "servo 3", "298"), ("wrong", "servo 3", "1941"))
+
+
+@pytest.mark.rest
+def test_a_bad_line_is_wrong(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.faults.rate["drop"] = 0.15
+    named(servo_findings(servo_port), ("wrong", "servo line", "plugs"))
+
+
+def test_two_servos_with_one_id_are_named_and_never_written() -> None:
+    twins = ServoBusEmulator(BenchArm(), ids=(1, 2, 2))
+    with PseudoTerminal(twins) as terminal:
+        named(servo_findings(terminal.path), ("wrong", "servo 2", "two servos"))
+        named(set_baud(terminal.path, 57600, [2], LIKELY), ("wrong", "servo 2", "two servos"))
+
+
+def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: ServoBusEmulator, servo_port: str) -> None:
+    for servo in (1, 3):
+        servos.set_speed(servo, 1)
+    servos.servo(1).table.set("torque_enable", 1)
+    before = written(servos)
+    found = list(set_baud(servo_port, 1_000_000, None, LIKELY))
+    named(found, ("ok", "servo 1", "57600"), ("ok", "servo 2", "already"), ("ok", "servo 3", "57600"))
+    changed = {key for key, value in written(servos).items() if before[key] != value}
+    assert changed == {(1, "baud"), (3, "baud"), (1, "torque_enable")}
+
+
+def test_set_baud_writes_only_the_given_ids(servos: ServoBusEmulator, servo_port: str) -> None:
+    for servo in IDS:
+        servos.set_speed(servo, 2)
+    found = list(set_baud(servo_port, 57600, [2, 2, 7], (57600, 115200)))
+    assert [(finding.part, finding.level) for finding in found] == [("servo 2", "ok"), ("servo 7", "wrong")]
+    assert [servos.servo(servo).table.get("baud") for servo in IDS] == [2, 1, 2]
+
+
+def test_set_baud_does_not_write_to_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.use_protocol_1(3)
+    before = written(servos)
+    named(set_baud(servo_port, 57600, [3], LIKELY), ("wrong", "servo 3", "nothing was written"))
+    assert written(servos) == before
+
+
+@pytest.mark.parametrize("locks", [rest(True), False])
+def test_a_busy_port_names_its_user(board_port: str, locks: bool) -> None:
+    if not locks:
+        with open(board_port, "rb"):
+            assert any(f"process {os.getpid()}" in name for name in holders(board_port))
+        return
+    script = "import sys, serial; port = serial.Serial(sys.argv[1], exclusive=True); print('open', flush=True); input()"
+    command = [sys.executable, "-c", script, board_port]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "open\n"
+        named(examine_port("board port", board_port), ("wrong", "board port", f"process {holder.pid}"))
+        assert len(holders(board_port)) == 1, "the emulator's end of the terminal does not count"
+        holder.communicate("\n")
+
+
+@pytest.mark.parametrize(
+    ("path", "noun"), [("/dev/does-not-exist", "no such port"), ("/dev", "directory"), ("/dev/null", "serial port")]
+)
+def test_a_path_that_is_no_port_is_wrong_with_a_remedy(path: str, noun: str) -> None:
+    named(examine_port("servo port", path), ("wrong", "servo port", noun))
+
+
+def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(
+    monkeypatch: pytest.MonkeyPatch, silent_port: str
+) -> None:
+    def refuse(*arguments: object, **options: object) -> None:
+        raise serial.SerialException(errno.EACCES, "Permission denied")
+
+    assert [finding.level for finding in examine_port("servo port", silent_port)] == ["ok"]
+    serial.Serial(silent_port, exclusive=True).close()
+    monkeypatch.setattr(serial, "Serial", refuse)
+    group = grp.getgrgid(os.stat(silent_port).st_gid).gr_name
+    named(examine_port("servo port", silent_port), ("wrong", "servo port", f"usermod -aG {group}"))
+
+
+def test_an_adapter_that_delays_bytes_gives_a_hint(monkeypatch: pytest.MonkeyPatch, silent_port: str) -> None:
+    monkeypatch.setattr("deltacharger_driver.servos.port.latency_timer", lambda port: 16e-3)
+    found = list(examine_port("servo port", silent_port))
+    named(found, ("hint", "servo port", "16 ms"), ("hint", "servo port", "99-deltacharger.rules"))

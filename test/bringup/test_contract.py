@@ -1,0 +1,413 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contract of the command: exit codes, one JSON object on stdout, everything else on stderr, nothing half done."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import errno
+import io
+import itertools
+import json
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from deltacharger_bringup.cli import scene
+from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
+from deltacharger_bringup.launch_arguments import refuse_unknown_arguments
+from deltacharger_core import streams
+
+from ..marks import rest
+from .command import Capture, answer, refuses, run
+
+FILES = {
+    "bad.yaml": "simulation: {sed: 1}",
+    "goal.yaml": "goal: {x: 9}",
+    "k.yaml": "camera_matrix: 1",
+    "text": "no recording",
+    "text.csv": "no,table",
+    "text.npz": "no archive",
+    "text.mcap": "PNG and so on" * 100,
+    "empty.mcap": "",
+    "empty.png": "",
+    "plan.csv": "mine",
+}
+FIT, RECORD = "calibrate kinematics", "tactile record --out F.npz"
+BOARD, PRINT = "calibrate camera --views .", "calibrate camera --print"
+COLOR = "vision detect --color text.png"
+# Command line, and a noun of what is said about it.
+REFUSED = {
+    "no-such-command": "no-such-command",
+    "scene": "explain",
+    "dock --x-mm left": "--x-mm",
+    "dock --x-mm nan": "--x-mm",
+    "dock --x-mm 20000": "--x-mm",
+    "dock --critical-angle-deg -1": "--critical-angle-deg",
+    "dock --x-mm 1 --camera": "--camera",
+    "dock --scene bench --x-mm 3": "--y-mm, --z-mm",
+    "dock --roll-deg 91": "--roll-deg",
+    "dock --stop-after-s 1e12": "--stop-after-s",
+    "dock --namespace 'bad name'": "--namespace",
+    "dock --picture ''": "--picture",
+    "dock --picture run.docx": "--picture",
+    "dock --picture none/run.png": "--picture",
+    "dock --picture /proc/run.png": "/proc/run.png",
+    "dock --scene bad.yaml": "seed",
+    "up --scene bad.yaml": "seed",
+    "undock --scene bad.yaml": "seed",
+    "simulate --directory . --scene bad.yaml": "seed",
+    "simulate --directory never --record none/record.json": "--record",
+    "simulate --directory never --record /proc/record.json": "/proc/record.json",
+    "simulate --directory never --scene bench": "bench",
+    "simulate": "--directory",
+    "report kinematics --quick --out /proc/report": "/proc/report",
+    "report kinematics --quick --out /etc/passwd/report": "/etc/passwd/report",
+    f"{FIT} --plan /proc/plan.csv": "/proc/plan.csv",
+    f"{FIT} --plan /etc/passwd/plan.csv": "/etc/passwd/plan.csv",
+    f"{FIT} --plan none/plan.csv": "none",
+    f"{FIT} --plan plan.csv": "--force",
+    f"{FIT}": "DATA",
+    f"{FIT} none.csv": "none.csv",
+    f"{FIT} text.csv": "text.csv",
+    f"{FIT} text.csv --nominal none.yaml": "none.yaml",
+    f"{FIT} text.csv --measurement-mm 0": "--measurement-mm",
+    f"{FIT} text.csv --tolerance-mm nan": "--tolerance-mm",
+    f"{FIT} text.csv --tolerance-deg -1": "--tolerance-deg",
+    f"{FIT} text.csv --held-out 0": "--held-out",
+    f"{FIT} text.csv --held-out 1": "--held-out",
+    f"{FIT} text.csv --seed 1.5": "--seed",
+    f"{FIT} text.csv --zero-ticks 1 2": "--zero-ticks",
+    f"{FIT} text.csv --direction 1 0 1": "direction",
+    f"{FIT} text.csv --plan new.csv": "--plan",
+    f"{FIT} --measure new.csv": "--plan",
+    f"{FIT} text.csv --measure new.csv --plan plan.csv": "--measure",
+    f"{FIT} --plan none.csv --measure new.csv": "none.csv",
+    f"{FIT} --plan new.csv --direction 1 2 1": "--direction",
+    "calibrate camera": "--views",
+    f"{PRINT} board.pdf": ".svg",
+    f"{BOARD} --board-x-mm 20": "--board-y-mm, --board-z-mm",
+    f"{BOARD} --board chess": "chess",
+    f"{BOARD} --board apriltag:36h11:9999": "9999",
+    f"{BOARD} --size-mm nan": "--size-mm",
+    f"{BOARD} --size-mm 0": "--size-mm",
+    f"{BOARD} --marker-mm 30": "marker",
+    f"{BOARD} --board-stddev-mm -1": "--board-stddev-mm",
+    f"{BOARD} --board-x-mm 1e9": "--board-x-mm",
+    f"{BOARD} --held-out-every 1": "--held-out-every",
+    f"{BOARD} --take 3": "--take",
+    f"{BOARD} --z-max-mm 500": "--z-max-mm",
+    "calibrate tactile --out new.yaml": "--data",
+    "calibrate tactile --data text.npz": "--out",
+    "calibrate tactile --data none.npz --out new.yaml": "none.npz",
+    "calibrate tactile --data text.npz --out none/new.yaml": "none",
+    "calibrate tactile --data text.npz --out .": "written",
+    "calibrate tactile --data text.npz --out new.yaml": "data set",
+    "calibrate tactile --data text.npz --out new.yaml --rig -1": "--rig",
+    "calibrate tactile --data text.npz --out new.yaml --model none.npz": "none.npz",
+    "tactile generate --out data.csv": ".npz",
+    "tactile generate --out none/data.npz": "none",
+    "tactile generate --out /proc/data.npz": "/proc/data.npz",
+    "tactile generate --dockings 5 --out data.npz": "continuous",
+    "tactile evaluate --data none.npz --model none.npz": "none.npz",
+    "tactile train --data text.npz --model lda --target angle --out m.npz": "text.npz",
+    "tactile train --data text.npz --model lda --target pose --out m.npz": "--model pose",
+    RECORD: "--set",
+    f"{RECORD} --set angle": "--angle-deg",
+    f"{RECORD} --set sweep": "--angle-deg",
+    f"{RECORD} --set angle --angle-deg 6": "-5 to 5",
+    f"{RECORD} --set position --angle-deg 1": "level",
+    f"{RECORD} --set reference --offsets-mm 1": "--offsets-mm",
+    f"{RECORD} --set reference --out F.csv": ".npz",
+    f"{RECORD} --set reference --out none/F.npz": "none",
+    f"{RECORD} --set reference --out text.npz": "--out",
+    f"{RECORD} --compose": "dockings",
+    "vision detect": "--color",
+    COLOR: "--camera-info",
+    f"{COLOR} --camera-info none.yaml": "none.yaml",
+    f"{COLOR} --camera-info k.yaml --terminal none.yaml": "none.yaml",
+    f"{COLOR} --camera-info k.yaml --picture none/out.png": "none",
+    f"{COLOR} --camera-info k.yaml --picture out.gif": "out.gif",
+    f"{COLOR} --camera-info k.yaml --picture folder.png": "folder.png",
+    f"{COLOR} --camera-info k.yaml --pictures out": "--pictures",
+    f"{COLOR} .": "both",
+    "vision detect . --picture out.png": "--picture",
+    "vision detect none": "none",
+    "vision detect none.mcap": "none.mcap",
+    "vision detect k.yaml": "folder",
+    "vision detect folder.png": "images",
+    "vision detect bag": "bag/x_0.mcap",
+    "vision detect text.mcap": "MCAP",
+    "vision detect bare": "camera_info.yaml",
+    "vision detect bare --camera-info k.yaml --color-topic /x": "--color-topic",
+    "vision detect bare --camera-info k.yaml --pictures text.png": "folder",
+    "replay none.mcap": "none.mcap",
+    "replay empty.mcap": "empty",
+    "replay text.mcap": "MCAP",
+    "view --save view.png": ".rrd",
+    "view --save none/a.gif": "none",
+    "view --save none/a.rrd": "none",
+    "view --save /proc/view.rrd": "/proc/view.rrd",
+    "view --connect localhost": "rerun+http",
+    "view --save a.rrd --connect rerun+http://h:1/proxy": "--connect",
+    "view --recording text --stop-after-s 3 --save a.rrd": "running charger",
+    "view --recording text --save a.rrd": "MCAP",
+    "view --recording none.mcap --save a.rrd": "none.mcap",
+    **{
+        f"view --web {address}": address
+        for address in ("here", "1.2.3", "127.0.0.1:0", "127.0.0.1:65535", "127.0.0.1:x", ":9090")
+    },
+    "doctor --set-baud 1000000": "--servo-port",
+    "doctor --set-baud 57600 --servo-port board": "--board-port",
+    "doctor --set-baud 12345 --servo-port /dev/null": "--set-baud",
+    "doctor --set-baud 57600 --servo-port /dev/null --ids 300": "--ids",
+    "doctor --set-baud 57600 --servo-port /dev/null --scene bench": "--scene",
+    "doctor --ids 1": "--ids",
+    "doctor --scene nowhere": "nowhere",
+    "doctor --scene simulated --servo-port /dev/null": "simulated",
+    "doctor --port /dev/null": "--port",
+}
+LIBRARIES = {"view": ("rerun", "mcap"), "vision": ("cv2", "mcap"), "replay": ("mcap",), RECORD[:14]: ("mcap",)}
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("kit")
+    for name in ("folder.png", "bare", "bag"):
+        (folder / name).mkdir()
+    for name, text in {**FILES, "text.png": "", "bare/a.color.png": "", "bag/x_0.mcap": ""}.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_wrong_input_ends_with_2_and_a_noun(
+    capsys: Capture, kit: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    for library in (each for start, names in LIBRARIES.items() if line.startswith(start) for each in names):
+        pytest.importorskip(library)
+    monkeypatch.chdir(kit)
+    before = sorted(kit.rglob("*"))
+    refuses(capsys, line, REFUSED[line])
+    assert sorted(kit.rglob("*")) == before, "nothing is written"
+
+
+def test_a_refused_scene_names_file_and_key(capsys: Capture, kit: Path) -> None:
+    found = refuses(capsys, "dock --scene {bad}", "seed", bad=kit / "bad.yaml")
+    assert (found["key"], found["file"]) == ("simulation.sed", str(kit / "bad.yaml"))
+    code, checked = answer(capsys, "scene", "check", "simulated", kit / "goal.yaml")
+    assert (code, [each["ok"] for each in checked["scenes"]]) == (2, [True, False])
+    assert checked["scenes"][1]["key"] == "goal.x"
+
+
+def test_scene_list_check_and_explain_print_one_object_each(capsys: Capture, tmp_path: Path) -> None:
+    assert {"simulated", "mocks", "bench"} <= {each["name"] for each in answer(capsys, "scene", "list")[1]["scenes"]}
+    assert answer(capsys, "scene", "check", "simulated")[1]["ok"] is True
+    coarse = tmp_path / "coarse.yaml"
+    coarse.write_text("simulation: {world: {step: 0.1}}")
+    code, found = answer(capsys, "scene", "check", coarse)
+    assert (code, "step" in found["scenes"][0]["warnings"][0]) == (0, True), "an unvalidated world"
+    stiffness = "simulation.world.servo.stiffness"
+    assert any(each["key"] == stiffness for each in answer(capsys, "scene", "explain", "simulated")[1]["keys"])
+    short, everything = (run(capsys, "scene", "explain", "simulated", *more)[1] for more in ((), ("--all",)))
+    assert "simulation.world.target.x = 0.004 m" in short
+    assert stiffness not in short
+    assert f"{stiffness} = 15 N·m/rad" in everything
+
+
+def test_help_lists_every_command_and_version_is_one_line(capsys: Capture) -> None:
+    code, out, _ = run(capsys, "--help")
+    assert (code, {each.split()[0] for each in COMMANDS} <= set(out.split())) == (0, True)
+    code, out, _ = run(capsys, "--version")
+    assert (code, out.split()[0], out.count("\n")) == (0, "deltacharger", 1)
+    code, out, err = run(capsys)
+    assert (code, out, "COMMAND" in err) == (2, "", True)
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999999999"])
+def test_an_invalid_ros_domain_ends_with_2(capsys: Capture, monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    refuses(capsys, "undock", "232")
+
+
+@pytest.mark.parametrize(
+    ("kind", "exit_code"),
+    [
+        *(("ENOSPC", 1), ("EDQUOT", 1), ("EIO", 1), ("EPIPE", 1)),
+        *(("ENOTDIR", 2), ("ENOENT", 2), ("EACCES", 2), ("EISDIR", 2)),
+    ],
+)
+def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch, kind: str, exit_code: int
+) -> None:
+    def fail(options: object) -> int:
+        number = getattr(errno, kind)
+        raise OSError(number, os.strerror(number), "mount.yaml")
+
+    monkeypatch.setattr(scene, "list_scenes", fail)
+    refuses(capsys, "scene list", "mount.yaml", exit_code)
+
+
+@pytest.mark.parametrize(
+    ("line", "refuse"),
+    [
+        ("report kinematics --quick --out {0}/new", "mkdir"),
+        rest("campaign -n 1 --out {0}/new/a", "mkdir"),
+        ("calibrate kinematics --plan {0}/plan.csv", "TemporaryFile"),
+    ],
+)
+def test_a_path_is_tried_before_any_work(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, line: str, refuse: str
+) -> None:
+    for number, exit_code in ((errno.ENOSPC, 1), (errno.EACCES, 2)):
+
+        def fail(*arguments: object, number: int = number, **more: object) -> None:
+            raise OSError(number, os.strerror(number), str(tmp_path))
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Path if refuse == "mkdir" else tempfile, refuse, fail)
+            code, _, err = run(capsys, *line.format(tmp_path).split())
+        assert (code, err.count("\n")) == (exit_code, 1), err
+
+
+def test_common_forms_of_numbers_and_namespaces_are_accepted() -> None:
+    words = ["dock", "--z-mm", "-8e1", "--x-mm", "-.5", "--deadline-s", "0", "--namespace", "/robot/arm/"]
+    options = build_parser().parse_args(words)
+    assert (options.z_mm, options.x_mm, options.deadline_s) == (-80.0, -0.5, math.inf)
+    assert options.namespace == "robot/arm"
+
+
+def _commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+        parser.parse_args(["--help"])  # options are added when a command is parsed
+    groups = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    yield name, parser
+    for word, below in (each for group in groups for each in group.choices.items()):
+        yield from _commands(below, f"{name} {word}".strip())
+
+
+@pytest.mark.rest
+def test_no_option_accepts_an_infinite_number() -> None:
+    found = dict(_commands(build_parser()))
+    assert set(COMMANDS) <= set(found)
+    actions = [(name, each) for name, parser in found.items() for each in parser._actions if callable(each.type)]
+    assert len(actions) > 50
+    for (name, action), text in itertools.product(
+        actions, ("nan", "inf", "-inf", "1e999", "-1e999", "9" * 5000, "", "1,5", "0x10", "\udcff", "2 3")
+    ):
+        with contextlib.suppress(argparse.ArgumentTypeError, ValueError):
+            value = action.type(text)  # type: ignore[operator]
+            assert not isinstance(value, float) or math.isfinite(value), (name, action.dest, text)
+
+
+@pytest.mark.parametrize(
+    ("word", "shown"),
+    [
+        ("a\nb", "a\\u000ab"),
+        ("\x1b]0;mine\x07", "\\u001b]0;mine\\u0007"),
+        ("\x9b31m", "\\u009b31m"),
+        ("a\u202eb", "a\\u202eb"),
+        ("nul\0", "nul\\u0000"),
+        ("x" * 100_000, "characters"),
+    ],
+    ids=["newline", "escape", "C1", "right to left", "nul", "long"],
+)
+def test_a_word_with_control_characters_is_refused(capsys: Capture, word: str, shown: str) -> None:
+    for words in (("replay", word), ("dock", "--json", f"--{word}")):
+        code, out, err = run(capsys, *words)
+        assert (code, shown in err, len(err) < 5000) == (2, True, True)
+        assert streams.plain(err.strip()) == err.strip(), "one line without control characters"
+        assert not out or json.loads(out)["success"] is False
+
+
+@pytest.mark.parametrize("word", ["\udcff.yaml", "caf\udce9", "-"])
+@pytest.mark.parametrize("command", ["replay", "vision detect", "scene check", "scene explain", "tactile evaluate"])
+def test_a_name_that_is_not_utf8_is_reported(
+    capsys: Capture, command: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *command.split(), word)
+    assert (code in (1, 2), bool(err)) == (True, True)
+
+
+def test_file_names_cannot_control_the_terminal(capsys: Capture, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="records with deltacharger[record]")
+    name = "\x1b]0;mine\x07\n\x9b.mcap"
+    (tmp_path / name).write_bytes(b"no")
+    code, out, _ = run(capsys, "replay", tmp_path)
+    assert (code, streams.plain(out.strip())) == (0, out.strip())
+    assert answer(capsys, "replay", tmp_path)[1]["records"][0]["file"] == name
+
+
+class Stream(io.TextIOWrapper):
+    """A standard output with another encoding, without a file descriptor."""
+
+    def __init__(self, encoding: str) -> None:
+        super().__init__(io.BytesIO(), encoding=encoding, errors="backslashreplace", write_through=True)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8", "utf-16"])
+def test_json_is_valid_in_every_encoding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, encoding: str) -> None:
+    out = Stream(encoding)
+    monkeypatch.setattr(sys, "stdout", out)
+    folder = tmp_path / "ü–\udcff\U0001f50c"
+    folder.mkdir()
+    assert main(["replay", str(folder), "--json"]) == 0
+    assert json.loads(out.buffer.getvalue().decode(encoding))["folder"] == str(folder)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("words", [("scene", "list"), ("--help",), ("scene", "check", "--json")])
+def test_a_lost_output_is_a_failed_job(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(words) == 1
+        monkeypatch.undo()
+    err = capsys.readouterr().err
+    assert ("standard output" in err, err.count("\n"), streams.settle()) == (True, 1, "")
+
+
+@pytest.mark.parametrize("name", ["de_DE.UTF-8", "fr_FR.UTF-8", "C"])
+def test_numbers_have_a_decimal_point_in_every_locale(capsys: Capture, name: str) -> None:
+    import locale
+
+    before = locale.setlocale(locale.LC_ALL)
+    try:
+        locale.setlocale(locale.LC_ALL, name)
+    except locale.Error:
+        pytest.skip(f"locale {name} is not installed")
+    try:
+        code, out, _ = run(capsys, "scene", "explain", "simulated", "--json", "--all")
+    finally:
+        locale.setlocale(locale.LC_ALL, before)
+    assert (code, bool(json.loads(out)), "0.5" in out) == (0, True, True)
+
+
+ARGUMENTS = ["scene:=bench", "servo_prot:=/dev/ttyUSB1"]
+
+
+@pytest.mark.parametrize(
+    ("started", "file", "refused"),
+    [
+        (("deltacharger", "charger.launch.py"), "/opt/share/launch/charger.launch.py", True),
+        (("charger.launch.py",), "{cwd}/charger.launch.py", True),
+        (("fleet", "robot.launch.py"), "/opt/share/launch/charger.launch.py", False),
+        (("my_robot", "charger.launch.py"), "/opt/share/launch/charger.launch.py", False),
+    ],
+    ids=["by package", "by path", "included", "of another package"],
+)
+def test_an_unknown_argument_of_our_launch_file_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, started: tuple[str, ...], file: str, refused: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", *started, *ARGUMENTS])
+    known, path = {"scene": "", "servo_port": ""}, file.format(cwd=tmp_path)
+    with pytest.raises(ValueError, match="servo_prot") if refused else contextlib.nullcontext():
+        refuse_unknown_arguments(path, ARGUMENTS, known)
+    refuse_unknown_arguments(path, ["scene:=bench", "launch-prefix:=gdb", "-d"], known)
