@@ -22,27 +22,16 @@ pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 STEP = 0.005
 PROBE_TIME = 0.152  # ends between two steps, whatever the rounding
+RATE, CONTACTOR, PING = PacketType.RATE, PacketType.CONTACTOR, PacketType.PING
 COMMANDS = [
-    *[(PacketType.CONTACTOR, b"\1")] * 6,
-    *[(PacketType.CONTACTOR, b"\0")] * 2,
-    *[(PacketType.PROBE, b"")] * 6,
+    *[(CONTACTOR, b"\1"), (PacketType.PROBE, b"")] * 6,
+    *[(CONTACTOR, b"\0")] * 2,
     *[(PacketType.TARE, b"")] * 3,
-    (PacketType.HELLO, b""),
-    (PacketType.START, b""),
-    (PacketType.STOP, b""),
-    (PacketType.RATE, struct.pack("<f", 60.0)),
-    (PacketType.RATE, struct.pack("<f", 0.05)),
-    (PacketType.CONTACTOR, b"\2"),
-    (PacketType.PROBE, b"x"),
-    (PacketType.RATE, b""),
-    (PacketType.PING, b"ping"),
-    (PacketType.PING, bytes(65)),
-    (PacketType.TACTILE, b""),
-    (PacketType.POWER, bytes(16)),
-    (PacketType.ACK, b""),
-    (200, bytes(230)),
-    (PacketType.SERVO, b"servo"),  # neither board has a bus
-    (PacketType.SERVO_SPEED, struct.pack("<I", 57600)),
+    *((PacketType[name], b"") for name in ("HELLO", "START", "STOP", "TACTILE", "ACK")),
+    *((RATE, payload) for payload in (struct.pack("<f", 60.0), struct.pack("<f", 0.05), b"")),
+    *((PING, payload) for payload in (b"ping", bytes(65))),
+    *((CONTACTOR, b"\2"), (PacketType.PROBE, b"x"), (PacketType.POWER, bytes(16)), (200, bytes(230))),
+    *((PacketType.SERVO, b"servo"), (PacketType.SERVO_SPEED, struct.pack("<I", 57600))),  # neither board has a bus
 ]
 
 
@@ -58,27 +47,21 @@ class Side:
     def take(self, data: bytes) -> None:
         self.received += self.decoder.feed(data)
 
-    def story(self) -> list[tuple[object, ...]]:
-        """Return the packets to the host since the last call, in order, except frames and power."""
-        events: list[tuple[object, ...]] = []
+    def story(self) -> list[object]:
+        """Return the state, and the packets to the host since the last call, without frames and figures of power."""
+        events: list[object] = [self.board.contactor_commanded, self.board.fault, self.board.unknown_types]
+        powers: list[object] = []  # which come at each board's own times
         for packet in self.received:
             if packet.type == PacketType.ACK:
-                ack = decode_ack(packet.payload)
-                events.append(("ack", ack.type, ack.error, ack.sequence, ack.data))
+                events.append(decode_ack(packet.payload))
             elif packet.type == PacketType.HELLO:
-                events.append(("hello", decode_hello(packet.payload).rate))
-            elif packet.type == PacketType.PING:
-                events.append(("ping", packet.payload))
-        return events
-
-    def state(self) -> tuple[object, ...]:
-        powers = [packet for packet in self.received if packet.type == PacketType.POWER]
-        return (
-            self.board.contactor_commanded,
-            self.board.fault,
-            self.board.unknown_types,
-            [(packet.sequence, decode_power(packet.payload).fault) for packet in powers],
-        )
+                events.append(decode_hello(packet.payload).rate)
+            elif packet.type == PING:
+                events.append(packet.payload)
+            elif packet.type == PacketType.POWER:
+                powers.append((packet.sequence, decode_power(packet.payload).fault))
+        self.received.clear()
+        return events + powers
 
     def frame(self) -> tuple[int, npt.NDArray[np.float32]]:
         """Flags and forces of the last frame."""
@@ -92,8 +75,7 @@ class Day:
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
         self.now = self.began = 100.0
-        plant = BenchPlant(noise=0.0, clock=lambda: self.now)
-        firmware_plant = FirmwarePlant(noise=0.0)
+        plant, firmware_plant = BenchPlant(noise=0.0, clock=lambda: self.now), FirmwarePlant(noise=0.0)
         self.sides = (
             Side(BoardEmulator(plant, probe_time=PROBE_TIME), plant),
             Side(FirmwareBoard(firmware_plant, probe_time=PROBE_TIME), firmware_plant),
@@ -130,19 +112,13 @@ class Day:
         detected = self.random.choice((0, 0, 0, 2, 5, 9))
         closed = self.sides[0].board.contactor_commanded
         if not closed:
-            self.send((PacketType.CONTACTOR, b"\0"))  # an older probe is not valid for the new circuit
+            self.send((CONTACTOR, b"\0"))  # an older probe is not valid for the new circuit
         for side in self.sides:
             side.plant.press(force)
             side.plant.detected = detected
             if not closed:
                 side.plant.resistance, side.plant.target = resistance, target
         self.run(0.1)
-
-    def change_taxel(self) -> None:
-        """Make a taxel dead, or live again."""
-        taxel, dead = self.random.choice(((0, 1, 2), (0, 5, 5), (1, 9, 0))), self.random.random() < 0.5
-        for side in self.sides:
-            side.board.set_dead(*taxel, dead)
 
     def do_something(self) -> None:
         deed = self.random.random()
@@ -151,13 +127,15 @@ class Day:
         elif deed < 0.15:
             self.beating = not self.beating
         elif deed < 0.25:
-            self.change_taxel()
+            taxel, dead = self.random.choice(((0, 1, 2), (0, 5, 5), (1, 9, 0))), self.random.random() < 0.5
+            for side in self.sides:
+                side.board.set_dead(*taxel, dead)
         else:
             type, payload = self.random.choice(COMMANDS)
             flags, sample_format = self.random.choice(((0, 0),) * 20 + ((1, 0), (0, 2)))
             more = self.random.choices(COMMANDS, k=self.random.choice((0, 0, 0, 3)))
             self.send((type, payload), *more, flags=flags, format=sample_format)
-            if any(each[0] == PacketType.CONTACTOR for each in ((type, payload), *more)):
+            if any(each[0] == CONTACTOR for each in ((type, payload), *more)):
                 self.run(0.1)  # the plants' contactors differ by some milliseconds
         self.run(self.random.choice((0.01, 0.05, 0.2, 0.2, 0.5)))
         # Each board checks its detectors at its own times, so nothing must happen just before a POWER packet.
@@ -166,16 +144,13 @@ class Day:
             self.run(1e-3 * ((20 - phase) % 50))
 
 
-@pytest.mark.parametrize(("seed", "deeds"), [(3, 20), rest(0, 120), *(night(seed, 120) for seed in range(1, 8))])
+@pytest.mark.parametrize(("seed", "deeds"), [(3, 12), rest(0, 120), *(night(seed, 120) for seed in range(1, 8))])
 def test_a_random_session_is_the_same_on_both_boards(seed: int, deeds: int) -> None:
     day = Day(seed)
     emulated, firmware = day.sides
     for _ in range(deeds):
         day.do_something()
         assert firmware.story() == emulated.story()
-        assert firmware.state() == emulated.state()
-        for side in day.sides:
-            side.received.clear()
     day.send((PacketType.START, b""))
     day.run(0.3)
     (emulated_flags, emulated_forces), (flags, forces) = emulated.frame(), firmware.frame()

@@ -48,14 +48,6 @@ def test_firmware_and_host_have_the_same_constants() -> None:
         assert 1e-6 * written[f"{name}_US"] == pytest.approx(host[name])
 
 
-@pytest.mark.rest
-def test_every_header_compiles_alone_in_c_and_in_cpp() -> None:
-    for compiler, language, standard in ((COMPILER, "c", "-std=c99"), ("c++", "c++", "-std=c++11")):
-        if shutil.which(compiler):
-            warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-            subprocess.run([compiler, standard, *warnings, "-x", language, *CORE.glob("*.h")], check=True)
-
-
 @pytest.mark.parametrize("packets", [20_000, night(200_000)])
 def test_fuzzing_finds_nothing(programs: Path, packets: int) -> None:
     accepted, closes = (int(number) for number in re.findall(r"(\d+) (?:accepted|closes)", fuzz(programs, packets)))

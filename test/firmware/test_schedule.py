@@ -55,19 +55,6 @@ def test_a_new_rate_continues_one_new_period_later(bench: Bench) -> None:
     assert instants(bench.packets)[-2:].tolist() == [changed + 100 * MS, changed + 200 * MS]
 
 
-def test_starting_twice_changes_nothing_and_sequences_continue_over_a_stop(bench: Bench) -> None:
-    for _ in range(2):
-        bench.send(START)
-        bench.run(50 * MS)
-    assert np.diff(instants(bench.packets)) == pytest.approx(1e6 / 120, abs=1.0)
-    assert bench.ask(PacketType.STOP).error == 0
-    assert tactile(bench.run(100 * MS)) == []
-    bench.send(START)
-    bench.run(20 * MS)
-    sequences = [packet.sequence for packet in tactile(bench.packets)]
-    assert sequences == list(range(len(sequences)))
-
-
 def test_power_is_sent_at_20_hz_under_any_load(bench: Bench) -> None:
     bench.send(START)
     bench.run(10 * S)
@@ -107,12 +94,8 @@ def test_device_time_survives_the_counters_wrap(new_bench: NewBench) -> None:
     assert np.diff(instants(bench.packets)) == pytest.approx(1e6 / 120, abs=1.0)
     assert bench.power().contactor_closed
     assert (bench.packets[0].device_time_us, decode_hello(bench.packets[0].payload).rate) == (0, 120.0)
-
-
-def test_device_time_continues_beyond_32_bits(new_bench: NewBench) -> None:
-    bench = new_bench(noise=0)
-    for instant in (1800 * S, 3600 * S, 2**32 + 5):
-        bench.jump(instant)
+    for time in (1800 * S, 3600 * S, 2**32 + 5):  # beyond 32 bits
+        bench.jump(2**32 - 300 * MS + time)
     assert bench.packets[-1].device_time_us == 2**32 + 5
 
 
@@ -182,12 +165,3 @@ def test_a_stream_too_fast_for_the_wire_is_thinned_and_flagged(
         while not acks(bench.run(1 * MS)):
             assert bench.now - asked <= 1536 * 10 * S / baud + 1 * MS, "longer than the ring of the wire takes"
         bench.run(37 * MS)
-
-
-def test_at_1_mbaud_120_hz_in_u16_loses_nothing(new_bench: NewBench) -> None:
-    bench = new_bench(format=3, baud=1_000_000, scan_time=2000)
-    bench.send(START)
-    frames = tactile(bench.run(10 * S))
-    assert [packet.sequence for packet in frames] == list(range(len(frames)))
-    assert len(frames) == pytest.approx(1200, abs=1)
-    bench.check(dropped_tactile=0, missed=0)
