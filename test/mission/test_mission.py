@@ -156,38 +156,11 @@ def test_the_views_are_bounded_and_never_nearer_than_the_first(
         assert place.turn(first) <= turns * parameters.search_turn + 1e-9 or turns * parameters.search_turn > math.pi
 
 
-def test_without_a_detection_it_searches_every_view_and_returns() -> None:
-    world = quick({Task.DETECT: ends(End.FAILED, "no electrodes in the image")})
-    outcome = world.run()
-    assert (outcome.success, outcome.code, outcome.returned) == (False, Code.ELECTRODES_NOT_FOUND, True)
-    assert "no electrodes in the image" in outcome.message
-    assert world.machine.status.views == (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
-    assert world.stages == [Stage.WAIT, Stage.DRIVE, Stage.SEARCH, Stage.RETURN]
-    assert world.base == HOME
-
-
 def test_electrodes_beside_the_first_view_are_found_from_another() -> None:
     world = quick(truth=Truth(TARGET.at(0.0, 0.25)))
     outcome = world.run()
     assert outcome.success, outcome
     assert world.machine.status.views > 2
-
-
-@pytest.mark.parametrize(
-    ("code", "retriable"),
-    [
-        (Code.CRITICAL_ANGLE, False),
-        (Code.SHORT_CIRCUIT, False),
-        (Code.MISALIGNED, True),
-        (Code.NO_CHARGE_CURRENT, True),
-    ],
-)
-def test_a_docking_failure_is_reported_with_its_code_after_undocking_and_return(code: Code, retriable: bool) -> None:
-    world = quick({Task.DOCK: fails(code, retriable)})
-    outcome = world.run()
-    assert (outcome.success, outcome.code, outcome.retriable, outcome.returned) == (False, code, retriable, True)
-    assert world.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
-    assert world.base == HOME
 
 
 FIVE = math.radians(5.0)
@@ -241,21 +214,85 @@ def leaning(base: BasePose | None) -> Answer:
     return ends(End.FAILED, "askew", 0.2, code=Code.LEANING, suggested=base)
 
 
+def not_home(world: World, request: TaskRequest) -> Any:
+    return (ends(End.FAILED) if request.place == HOME else drive)(world, request)
+
+
+BLOCKED = ends(End.FAILED, "blocked")
+FOR_EVER = fails(Code.INTERNAL, after=1e6, charging=True)
+WAY_HOME = [Stage.UNDOCK, Stage.RETURN]
+VIEWS = (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
+ENDS: list[tuple[dict[Task, Answer], Code, bool, bool, list[Stage], str]] = [
+    # answers, code, retriable, returned, last stages, a word of the message
+    (
+        {Task.DETECT: ends(End.FAILED, "no electrodes")},
+        Code.ELECTRODES_NOT_FOUND,
+        True,
+        True,
+        [Stage.RETURN],
+        "no elec",
+    ),
+    ({Task.DOCK: fails(Code.CRITICAL_ANGLE)}, Code.CRITICAL_ANGLE, False, True, WAY_HOME, "CRITICAL_ANGLE"),
+    ({Task.DOCK: fails(Code.MISALIGNED, True)}, Code.MISALIGNED, True, True, WAY_HOME, "MISALIGNED"),
+    ({Task.DOCK: leaning(None)}, Code.LEANING, False, True, [Stage.RETURN], "askew"),
+    ({Task.DRIVE: ends(End.REFUSED)}, Code.REJECTED, False, False, [Stage.DRIVE, Stage.RETURN], "then"),
+    ({Task.DRIVE: BLOCKED}, Code.UNREACHABLE, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
+    ({Task.DRIVE: ends(End.CANCELED)}, Code.UNREACHABLE, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
+    ({Task.DRIVE: ends(End.LOST)}, Code.TIMEOUT, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
+    ({Task.DRIVE: silent}, Code.TIMEOUT, True, False, [Stage.DRIVE, Stage.RETURN], "drive_timeout"),
+    ({Task.DRIVE: in_turn(drive, BLOCKED, drive)}, Code.UNREACHABLE, True, True, [Stage.RETURN], "blocked"),
+    ({Task.DRIVE: not_home}, Code.UNREACHABLE, False, False, WAY_HOME, "charged"),
+    ({Task.DETECT: silent}, Code.ELECTRODES_NOT_FOUND, True, True, [Stage.RETURN], "detect_electrodes"),
+    ({Task.DOCK: silent}, Code.TIMEOUT, True, True, WAY_HOME, "dock_timeout"),
+    ({Task.DOCK: FOR_EVER}, Code.TIMEOUT, True, True, WAY_HOME, "charge_timeout"),
+    ({Task.UNDOCK: fails(Code.STUCK, True)}, Code.STUCK, False, False, [Stage.UNDOCK], "stays"),
+    ({Task.UNDOCK: fails(Code.CONTACTOR_WELDED)}, Code.CONTACTOR_WELDED, False, False, [Stage.UNDOCK], "stays"),
+    ({Task.UNDOCK: silent}, Code.TIMEOUT, False, False, [Stage.UNDOCK], "undock_timeout"),
+    ({Task.UNDOCK: in_turn(fails(Code.STUCK, True), undock)}, Code.NONE, False, True, WAY_HOME, ""),
+    (  # the first error is kept, and the later one reported
+        {Task.DOCK: fails(Code.CRITICAL_ANGLE), Task.UNDOCK: fails(Code.STUCK)},
+        *(Code.CRITICAL_ANGLE, False, False, [Stage.UNDOCK], "STUCK"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("answers", "code", "retriable", "returned", "last", "word"), ENDS)
+def test_a_mission_ends_with_the_code_of_its_first_error_and_if_possible_at_home(
+    answers: dict[Task, Answer], code: Code, retriable: bool, returned: bool, last: list[Stage], word: str
+) -> None:
+    world = quick(answers)
+    outcome = world.run()
+    assert (outcome.success, outcome.code, outcome.returned) == (code is Code.NONE, code, returned), outcome
+    assert outcome.retriable is retriable, outcome
+    assert word in outcome.message
+    assert world.stages[-len(last) :] == last
+    assert (world.base == HOME) is returned
+    asked = [request.task for request in world.requests]
+    if word == "stays":
+        assert asked.count(Task.UNDOCK) == QUICK.undock_attempts
+    if code is Code.ELECTRODES_NOT_FOUND and Task.DOCK not in asked:
+        assert world.machine.status.views in (1, VIEWS)
+
+
+def test_a_mission_has_its_own_limit() -> None:
+    outcome = World(None, replace(QUICK, mission_timeout=50.0), answers={Task.DOCK: FOR_EVER}).run()
+    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
+    assert "mission_timeout" in outcome.message
+
+
 @pytest.mark.parametrize(
     ("base", "moves"),
     [
         (BasePose(0.0, 0.0, 0.0, 0.2), QUICK.stands_max),
         (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * QUICK.gain_turn_min), 1),
-        (None, 1),
     ],
-    ids=["always askew", "a turn that is not worth it", "a pitch"],
+    ids=["always askew", "a turn that is not worth it"],
 )
-def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePose | None, moves: int) -> None:
+def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePose, moves: int) -> None:
     world = quick({Task.DOCK: leaning(base)})
     outcome = world.run()
     assert (outcome.code, outcome.retriable, outcome.returned) == (Code.LEANING, False, True)
     assert (world.machine.status.moves, len(world.bases)) == (moves, moves)
-    assert "askew" in outcome.message
 
 
 def test_electrodes_that_are_only_too_high_cause_no_drive() -> None:
@@ -263,62 +300,6 @@ def test_electrodes_that_are_only_too_high_cause_no_drive() -> None:
     outcome = world.run()
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
     assert sum(request.task is Task.DOCK for request in world.requests) == 1
-
-
-@pytest.mark.parametrize(
-    ("answer", "code"),
-    [
-        (ends(End.REFUSED), Code.REJECTED),
-        (ends(End.FAILED, "blocked"), Code.UNREACHABLE),
-        (ends(End.CANCELED), Code.UNREACHABLE),
-        (ends(End.LOST), Code.TIMEOUT),
-        (silent, Code.TIMEOUT),
-    ],
-)
-def test_a_failing_navigator_is_reported_with_a_code_and_the_robot_tries_to_return(answer: Answer, code: Code) -> None:
-    world = quick({Task.DRIVE: answer})
-    outcome = world.run()
-    assert (outcome.code, outcome.returned) == (code, False)
-    assert "then" in outcome.message
-    assert world.stages == [Stage.WAIT, Stage.DRIVE, Stage.RETURN]
-    assert world.requests[-1].place == HOME
-
-
-def test_the_robot_returns_after_one_blocked_drive() -> None:
-    outcome = quick({Task.DRIVE: in_turn(drive, ends(End.FAILED, "blocked"), drive)}).run()
-    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
-    assert "blocked" in outcome.message
-
-
-def test_after_charging_a_blocked_way_home_is_not_retriable() -> None:
-    def not_home(world: World, request: TaskRequest) -> Any:
-        return (ends(End.FAILED) if request.place == HOME else drive)(world, request)
-
-    outcome = quick({Task.DRIVE: not_home}).run()
-    assert (outcome.success, outcome.code) == (False, Code.UNREACHABLE)
-    assert (outcome.retriable, outcome.returned) == (False, False)
-    assert "charged" in outcome.message
-
-
-@pytest.mark.parametrize("code", [Code.STUCK, Code.CONTACTOR_WELDED])
-def test_a_robot_that_may_hold_its_target_stays(code: Code) -> None:
-    world = quick({Task.UNDOCK: fails(code, code is Code.STUCK)})
-    outcome = world.run()
-    assert (outcome.success, outcome.code, outcome.returned) == (False, code, False)
-    assert "stays" in outcome.message
-    assert [request.task for request in world.requests].count(Task.UNDOCK) == QUICK.undock_attempts
-    assert world.stages[-1] is Stage.UNDOCK
-
-
-def test_the_robot_returns_if_the_second_undocking_succeeds() -> None:
-    outcome = quick({Task.UNDOCK: in_turn(fails(Code.STUCK, True), undock)}).run()
-    assert (outcome.success, outcome.returned) == (True, True)
-
-
-def test_the_first_error_is_kept_and_the_later_one_reported() -> None:
-    outcome = quick({Task.DOCK: fails(Code.CRITICAL_ANGLE), Task.UNDOCK: fails(Code.STUCK)}).run()
-    assert outcome.code is Code.CRITICAL_ANGLE
-    assert "STUCK" in outcome.message
 
 
 @pytest.mark.parametrize("stage", list(Stage))
@@ -334,29 +315,6 @@ def test_a_cancel_undocks_and_returns_but_during_the_return_it_stops(stage: Stag
     assert outcome.retriable is (stage not in (Stage.UNDOCK, Stage.RETURN)), "what is charged is not charged again"
     if stage in (Stage.DOCK, Stage.CHARGE):
         assert world.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
-
-
-@pytest.mark.parametrize(
-    ("task", "code", "named"),
-    [
-        (Task.DRIVE, Code.TIMEOUT, "drive_timeout"),
-        (Task.DETECT, Code.ELECTRODES_NOT_FOUND, "detect_electrodes"),
-        (Task.DOCK, Code.TIMEOUT, "dock_timeout"),
-        (Task.UNDOCK, Code.TIMEOUT, "undock_timeout"),
-    ],
-)
-def test_silence_ends_at_the_limit_of_its_stage(task: Task, code: Code, named: str) -> None:
-    outcome = quick({task: silent}).run()
-    assert outcome.code is code
-    assert named in outcome.message
-
-
-@pytest.mark.parametrize("limit", ["charge_timeout", "mission_timeout"])
-def test_charging_and_the_mission_have_their_own_limits(limit: str) -> None:
-    parameters = replace(QUICK, **{limit: 50.0})  # type: ignore[arg-type]
-    outcome = World(None, parameters, answers={Task.DOCK: fails(Code.INTERNAL, after=1e6, charging=True)}).run()
-    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
-    assert limit in outcome.message
 
 
 def rests(after: float = 100.0) -> Answer:

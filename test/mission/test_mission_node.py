@@ -46,7 +46,6 @@ WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make n
 TARGET = Place(1.0, 0.0, math.pi)
 HOME = Place(-1.0, 0.0, 0.0)
 REAL = Path(__file__).with_name("mission.yaml")
-STANDS = read_yaml(REAL)["parameters"]["mission_node"]["stands_max"]
 
 
 class ActiveGoal:
@@ -193,45 +192,6 @@ def test_it_drives_moves_nearer_docks_charges_and_comes_home(made: Callable[[Sce
     assert second.x - first.x == pytest.approx(0.5 - 0.08, abs=1e-6), "it came nearer by what was missing"
     assert robot.place == HOME
     assert not robot.node("mock_tactile_node").contactor_closed
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize(("fault", "code"), [("beyond_reach", "UNREACHABLE"), ("leaning", "LEANING")])
-def test_a_target_that_stays_out_of_reach_or_askew_fails_with_a_suggested_base_pose(
-    made: Callable[[Scene], Robot], fault: str, code: str
-) -> None:
-    """The mock's electrodes move with the base, so every move leaves them as they were."""
-    robot = made(load_scene(REAL))
-    robot.set("mock_detector_node", fault)
-    result, _ = robot.run()
-    arrived = robot.node("mock_navigator_node").arrived
-    assert named(result) == (False, code, True), result
-    assert result.suggested_base_pose.header.frame_id == "charger_base"
-    pose = result.suggested_base_pose.pose
-    if code == "UNREACHABLE":
-        assert pose.position.z == pytest.approx(0.5 - 0.08)
-        assert len(arrived) > 2
-        return
-    assert pose.orientation.y == pytest.approx(math.sin(math.radians(5.0)))
-    turns = [math.remainder(b.yaw - a.yaw, 2.0 * math.pi) for a, b in pairwise(arrived[:-1])]
-    assert turns == pytest.approx([math.radians(10.0)] * STANDS), "to the left each time"
-
-
-@pytest.mark.rest
-def test_home_is_moved_between_missions(robot: Robot) -> None:
-    def home(x: float) -> str:
-        both = [Parameter("home_x", value=x), Parameter("stands_max", value=STANDS)]
-        return str(robot.node("mission_node").set_parameters_atomically(both).reason)
-
-    active = robot.send(stop_after=1.0)
-    active.reach(Stage.DRIVE)
-    assert "a goal is running" in home(HOME.x + 0.5)
-    assert active.end().success
-    assert robot.place == HOME
-    assert home(HOME.x + 0.5) == ""
-    assert robot.run()[0].success
-    assert robot.place.x == pytest.approx(HOME.x + 0.5)
-    assert home(HOME.x) == ""
 
 
 @pytest.mark.rest

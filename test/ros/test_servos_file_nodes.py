@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,26 +21,11 @@ from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_ros.node_support import StartupError
 
-from ..chargers import new_namespace
 from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
 CONTENT = "{stiffness: 9.5, torque_constant: 1.31, position_p_gain: 300, position_d_gain: 4}"
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> str:
-    path = tmp_path / "servos.yaml"
-    path.write_text(CONTENT)
-    return str(path)
-
-
-@pytest.fixture
-def emulator(tmp_path: Path) -> Iterator[tuple[ServoBusEmulator, str]]:
-    emulator = ServoBusEmulator(BenchArm())
-    with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
-        yield emulator, terminal.path
 
 
 def parameters(node: Any, *names: str) -> list[Any]:
@@ -52,20 +36,25 @@ def parameters(node: Any, *names: str) -> list[Any]:
         node.destroy_node()
 
 
-def test_servo_node_uses_the_gains_of_the_file(context: Any, file: str, emulator: tuple[ServoBusEmulator, str]) -> None:
-    bus, port = emulator
-    node = ServoNode(**options(context, new_namespace(), port=port, servos_file=file))
-    values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
-    assert values == [1.31, 300, 0, 4]
-    assert [bus.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [300, 300, 300]
-
-
-def test_docking_node_and_kinematics_node_use_the_file(context: Any, file: str) -> None:
-    docking = DockingNode(**options(context, new_namespace(), servos_file=file))
-    assert docking._settings.servo_stiffness == 9.5
-    assert parameters(docking, "servo_stiffness", "torque_constant") == [9.5, 1.31]
-    kinematics = KinematicsNode(**options(context, new_namespace(), servos_file=file, torque_constant=1.31))
-    assert parameters(kinematics, "torque_constant") == [1.31]
+@pytest.mark.parametrize("given", [True, False])
+def test_every_node_uses_the_values_of_the_file_or_the_defaults(
+    context: Any, namespace: str, tmp_path: Path, given: bool
+) -> None:
+    path = tmp_path / "servos.yaml"
+    path.write_text(CONTENT)
+    file = {"servos_file": str(path)} if given else {}
+    constant, stiffness, gain = (1.31, 9.5, 300) if given else (TORQUE_CONSTANT, SERVO_STIFFNESS, POSITION_P_GAIN)
+    emulator = ServoBusEmulator(BenchArm())
+    with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
+        node = ServoNode(**options(context, namespace, port=terminal.path, **file))
+        values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
+    assert values == [constant, gain, 0, 4 if given else 0]
+    assert [emulator.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [gain] * 3
+    docking = DockingNode(**options(context, namespace, **file))
+    assert docking._settings.servo_stiffness == stiffness
+    assert parameters(docking, "servo_stiffness", "torque_constant") == [stiffness, constant]
+    kinematics = KinematicsNode(**options(context, namespace, torque_constant=constant, **file))
+    assert parameters(kinematics, "torque_constant") == [constant]
 
 
 def test_a_file_may_have_any_stiffness_that_docking_accepts() -> None:
@@ -73,38 +62,28 @@ def test_a_file_may_have_any_stiffness_that_docking_accepts() -> None:
     assert bounds == (STIFFNESS_MIN, STIFFNESS_MAX)
 
 
-def test_without_a_file_defaults_are_used(context: Any, emulator: tuple[ServoBusEmulator, str]) -> None:
-    docking = DockingNode(**options(context, new_namespace()))
-    assert parameters(docking, "servo_stiffness", "torque_constant") == [SERVO_STIFFNESS, TORQUE_CONSTANT]
-    servo = ServoNode(**options(context, new_namespace(), port=emulator[1]))
-    assert parameters(servo, "position_p_gain", "position_i_gain") == [POSITION_P_GAIN, 0]
-
-
 @pytest.mark.parametrize(
-    ("kind", "beside", "reason"),
+    ("kind", "content", "beside", "reason"),
     [
-        (ServoNode, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* has 300"),
-        (KinematicsNode, {"torque_constant": 1.4}, r"'torque_constant' is 1\.4, .*'servos_file'"),
-        (DockingNode, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15\.0, .*'servos_file'.* has 9\.5"),
+        (ServoNode, CONTENT, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* has 300"),
+        (KinematicsNode, CONTENT, {"torque_constant": 1.4}, r"'torque_constant' is 1.4, .*'servos_file'"),
+        (DockingNode, CONTENT, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15.0, .*'servos_file'.* has 9.5"),
+        (KinematicsNode, "stifness: 9.0", {}, "did you mean 'stiffness'"),
+        (DockingNode, "stiffness: 180.0", {}, "0.5 to 160"),
+        (ServoNode, None, {}, "cannot be read"),
     ],
 )
-def test_a_contradicting_parameter_stops_the_node_with_both_names(
-    context: Any, file: str, kind: type[Node], beside: dict[str, Any], reason: str
+def test_a_contradicting_parameter_or_a_wrong_file_stops_the_node(
+    context: Any,
+    namespace: str,
+    tmp_path: Path,
+    kind: type[Node],
+    content: str | None,
+    beside: dict[str, Any],
+    reason: str,
 ) -> None:
-    with pytest.raises(StartupError, match=reason):
-        kind(**options(context, new_namespace(), servos_file=file, **beside))
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [("stifness: 9.0", "did you mean 'stiffness'"), ("stiffness: 180.0", "0.5 to 160"), (None, "read")],
-)
-def test_a_refused_file_stops_the_node_with_the_reason(
-    context: Any, tmp_path: Path, content: str | None, reason: str
-) -> None:
-    path = tmp_path / "bad.yaml"
+    path = tmp_path / "mine.yaml"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(StartupError, match=reason) as caught:
-        KinematicsNode(**options(context, new_namespace(), servos_file=str(path)))
-    assert "bad.yaml" in str(caught.value)
+    with pytest.raises(StartupError, match=reason):
+        kind(**options(context, namespace, servos_file=str(path), **beside))

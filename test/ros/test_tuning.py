@@ -14,7 +14,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from deltacharger_core.parameters import Bounded, ParameterError, number, numbers, tunable, words
+from deltacharger_core.parameters import Bounded, ParameterError, number, tunable, words
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.regularly import Regularly
 from deltacharger_ros.tuning import Tuning
@@ -33,7 +33,6 @@ class Band(Bounded):
     files: tuple[str, ...] = words(("",), "to read", tunable=True)
     port: str = words("/dev/ttyUSB0", "of the servos")
     rate: float = number(100.0, 20.0, 200.0, "Hz", "of the bus")
-    corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of the box")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,7 +126,6 @@ def test_coupled_values_must_be_set_together(setter: Setter) -> None:
         ({"low": 0.45, "high": math.nan}, "high"),
         ({"low": 0.45, "tries": 2.5}, "Wrong parameter type"),
         ({"low": 0.45, "port": "/dev/ttyUSB1"}, "read-only parameter: port"),
-        ({"low": 0.45, "corner": [0.0, 0.5]}, "read-only parameter: corner"),
         ({"low": 0.45, "lower": 0.1}, "undeclared parameter"),
     ],
 )

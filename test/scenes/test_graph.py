@@ -26,11 +26,12 @@ from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import Scene, load_scene
 
 from ..chargers import DEADLINE, Spin, wait_until
+from ..marks import night, rest
 from ..nodes import answer, options
 from ..quick import quick_simulation
 from ..running_charger import PATIENT, RunningCharger
 
-pytestmark = [pytest.mark.ros, pytest.mark.rest]
+pytestmark = pytest.mark.ros
 
 NAME = re.compile(r"(\w+/)*\w+: \S.*")
 NOT_KNOWN = re.compile(r"\b(None|nan|NaN|inf)\b")
@@ -115,7 +116,7 @@ def mocks() -> Scene:
     return load_scene(Path(__file__).parent / "quick.yaml")
 
 
-@pytest.fixture(params=[camera, mission, mocks], ids=lambda each: each.__name__)
+@pytest.fixture(params=[night(camera), night(mission), rest(mocks)], ids=lambda each: each.__name__)
 def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Listener:
     """A charger of each kind, with all its messages from the first to the end of a goal."""
     scene = request.param()

@@ -114,23 +114,24 @@ def test_check_reports_contradictions_and_wrong_parameters(tmp_path: Path, capsy
     assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
 
 
+@pytest.mark.parametrize(
+    ("files", "warned"),
+    [
+        ({}, []),
+        (dict.fromkeys(("servo_node", "kinematics_node", "docking_node"), "a.yaml"), []),
+        ({"docking_node": "a.yaml"}, ["servo_node", "kinematics_node"]),
+        ({"servo_node": "a.yaml", "kinematics_node": "a.yaml", "docking_node": "b.yaml"}, ["docking_node"]),
+    ],
+)
 @pytest.mark.parametrize("base", ["ports: {servo: /dev/ttyUSB0}, ", "simulation: {}, "])
 def test_check_reports_nodes_with_a_different_servos_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str, files: dict[str, str], warned: list[str]
 ) -> None:
-    def warnings(**files: str) -> list[str]:
-        given = {node: {"servos_file": file} for node, file in files.items()}
-        nodes = "[servo_node, kinematics_node, docking_node]"
-        path = tmp_path / "mine.yaml"
-        path.write_text(f"{{{base}nodes: {nodes}, parameters: {json.dumps(given)}}}", encoding="utf-8")
-        assert main(["scene", "check", str(path), "--json"]) == 0
-        (report,) = json.loads(capsys.readouterr().out)["scenes"]
-        return [each for each in report["warnings"] if "servos_file" in each]
-
-    assert not warnings()
-    assert not warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="a.yaml")
-    servo, kinematics = warnings(docking_node="a.yaml")
-    assert servo.startswith("parameters.servo_node.servos_file: is ''")
-    assert kinematics.startswith("parameters.kinematics_node.servos_file: is ''")
-    (docking,) = warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="b.yaml")
-    assert "docking_node.servos_file: is 'b.yaml', but servo_node's is 'a.yaml'" in docking
+    given = json.dumps({node: {"servos_file": file} for node, file in files.items()})
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{{{base}nodes: [servo_node, kinematics_node, docking_node], parameters: {given}}}")
+    assert main(["scene", "check", str(path), "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    found = [each for each in report["warnings"] if "servos_file" in each]
+    assert len(found) == len(warned)
+    assert all(f"{name}.servos_file: is" in line for name, line in zip(warned, found, strict=True))
