@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger in virtual time whose nodes can be killed or stopped, each with its topics and services.
+"""A charger in virtual time whose nodes can be killed or stopped, and whose inputs can be wrong, late or frozen.
 
 The nodes' own rules are imitated: the board opens 0.1 s after tactile_node stops, a lease lapses 0.25 s after
 docking_node stops, servos hold their place, and a lapsed lease is refused until the contactor was opened.
@@ -8,11 +8,14 @@ docking_node stops, servos hold their place, and a lapsed lease is refused until
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Command, DockGoal, Observation, Service
+from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
@@ -28,33 +31,45 @@ SERVED_BY = {
     Service.ESTIMATE: "misalignment_node",
     Service.DETECT: "electrode_detector_node",
 }
-OPEN_WITHIN = {"servo_node": 0.35, "tactile_node": 0.11, "docking_node": 0.35}
 _HEARTBEAT, _LEASE = 0.1, 0.25  # s
 _JUST_BEHIND = 0.05  # s
+_SERVO = ("angles", "currents", "torque_enabled")
+_PADS = ("tactile_contact", "tared")
+_POWER = ("contactor_closed", "charge_current", "target_voltage", "power_fault")
+_TOPICS = {"servo_state": _SERVO, "tactile_frame": _PADS, "charger_power": _POWER}
 
 
 class Faulty(VirtualCharger):
     """A charger with quick steps whose target is 6 mm off in both axes, so that every phase occurs.
 
     Args:
+        off: distance (m) of the target in each axis.
         nearer: distance (m) of the target before the place in the goal.
         parameters: of docking, other than the quick ones.
 
     Attributes:
         silent: the node that neither sends nor receives; '' = none.
-        frozen: which of servo_state, tactile_frame and charger_power repeats itself under new stamps.
+        shown: values of the observation that a fault replaces.
+        frozen: the topic that repeats itself under new stamps; '' = none.
+        asked: all requests.
+        held: service whose answers are kept back, in `echoes`.
+        twice: whether each answer is repeated in every following tick.
     """
 
-    def __init__(self, nearer: float = 0.0, **parameters: object) -> None:
-        target = TargetParameters(x=0.006, y=0.006, z=0.080 - nearer, roll=0.03)
-        world = WorldParameters(target=target, servo=ServoParameters(damping=quick.DAMPING))
+    def __init__(self, off: float = 0.006, nearer: float = 0.0, **parameters: object) -> None:
+        target = TargetParameters(x=off, y=off, z=0.080 - nearer, roll=0.03)
+        world = WorldParameters(target=target, servo=ServoParameters(damping=quick.DAMPING), step=0.01)
         super().__init__(world, DockingParameters(**{**quick.STEPS, **parameters}), 1)
-        self.silent = ""
+        self.silent = self.frozen = ""
         self.since = 0.0
-        self.frozen: tuple[str, ...] = ()
+        self.shown: Mapping[str, Any] = MappingProxyType({})
+        self.asked: list[Request] = []
+        self.echoes: list[Reply] = []
+        self.held: Service | None = None
+        self.twice = False
         self._last = self.observe()
         self._lapsed = False
-        self.distort = self._told
+        self.distort = self.told
 
     def silence(self, node: str) -> None:
         self.silent, self.since = node, self.now
@@ -63,11 +78,11 @@ class Faulty(VirtualCharger):
         self._lapsed = node in ("tactile_node", "docking_node") and self.plant.read_power()[3]
 
     def resume(self) -> None:
-        """Continue the stopped node; pending requests are answered late."""
-        self.silent = ""
+        """Continue the stopped node, whose pending requests are answered late, and show true values again."""
+        self.silent, self.shown = "", {}
 
     def restart(self) -> None:
-        """Start the killed node; pending requests are lost."""
+        """End the fault; pending requests of a killed node are lost."""
         if self.silent == "docking_node":
             self.machine = DockingMachine(self.parameters)
             self.outcome = None
@@ -75,33 +90,44 @@ class Faulty(VirtualCharger):
         elif self.silent == "servo_node":
             self._torque = False
         self._pending = [each for each in self._pending if SERVED_BY[each.request.service] != self.silent]
-        self.silent = ""
+        self.resume()
 
-    def _told(self, observation: Observation) -> Observation:
-        age, last, values = self.now - self.since, self._last, {}
-        servo = {name: getattr(last, name) for name in ("angles", "currents", "torque_enabled")}
-        pads = {name: getattr(last, name) for name in ("tactile_contact", "tared")}
-        power = {
-            name: getattr(last, name)
-            for name in ("contactor_closed", "charge_current", "target_voltage", "power_fault")
-        }
+    def told(self, observation: Observation) -> Observation:
+        """Return an observation as the faults change it."""
+        kept, ages, age = _TOPICS.get(self.frozen, ()), {}, self.now - self.since
         if self.silent == "servo_node":
-            values = {**servo, "servo_age": age}
+            kept, ages = _SERVO, {"servo_age": age}
         elif self.silent == "tactile_node":
-            values = {**pads, **power, "tactile_age": age, "power_age": age}
-        for name, kept in (("servo_state", servo), ("tactile_frame", pads), ("charger_power", power)):
-            if name in self.frozen:
-                values.update(kept)
+            kept, ages = _PADS + _POWER, {"tactile_age": age, "power_age": age}
+        values = {name: getattr(self._last, name) for name in kept}
         refused = "a close needs a probe younger than 2 s" if self._lapsed and self._energised else ""
-        changed = replace(observation, contactor_refusal=refused, **values)
-        self._last = changed
-        return changed
+        self._last = replace(observation, **{"contactor_refusal": refused, **values, **ages, **self.shown})
+        return self._last
+
+    def _sample(self) -> None:
+        if self._pending:  # frames that nobody reads cost half of a docking's computing time
+            super()._sample()
+
+    def _feels(self) -> bool:
+        return self.world.mechanics.contact_force > 5.0
+
+    def _accept(self, request: Request) -> None:
+        self.asked.append(request)
+        super()._accept(request)
 
     def _serve(self) -> None:
         away = [each for each in self._pending if SERVED_BY[each.request.service] == self.silent]
         self._pending = [each for each in self._pending if each not in away]
         super()._serve()
         self._pending += away
+        if self.twice:
+            self._replies += self.echoes
+            self.echoes += [reply for reply in self._replies if reply not in self.echoes]
+        elif self.held is not None:
+            held = {request.number for request in self.asked if request.service is self.held}
+            late = [reply for reply in self._replies if reply.number in held]
+            self.echoes += late
+            self._replies = [reply for reply in self._replies if reply not in late]
 
     def _step(self) -> None:
         gone = self.now - self.since
@@ -147,11 +173,11 @@ class Faulty(VirtualCharger):
         if state is not State.LOCATE:  # its only request is answered at once
             self.run(_JUST_BEHIND)
 
-    def end(self, phase: State, expected: set[Code]) -> Code:
+    def end(self, phase: State, expected: Code) -> Code:
         """Step until the goal has ended, or supervision of charging if it may; return the code."""
         watched = phase is State.CHARGING
-        if watched and expected == {Code.NONE}:
-            self.run(5.0)
+        if watched and expected is Code.NONE:
+            self.run(3.0)
             assert self.machine.status.charging
         else:
             failed = lambda: self.machine.status.code is not Code.NONE  # noqa: E731

@@ -5,33 +5,29 @@ from __future__ import annotations
 
 import math
 import random
-import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.emulators.servo_faults import collide
 from deltacharger_driver.emulators.servo_firmware import ServoFirmware
-from deltacharger_driver.errors import DriverError, HandshakeError
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.errors import DriverError
 from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
-from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
 from deltacharger_driver.servos.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
-from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_host import Host, parse, words
 from .servo_rig import OVERLOAD
 
 
+def torque_on(host: Host, *servos: int) -> None:
+    for servo in servos:
+        host.write(servo, "operating_mode", 5)
+        host.write(servo, "torque_enable", 1)
+
+
 def test_a_latched_error_switches_torque_off_and_only_a_reboot_clears_it(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
-    host.write(1, "torque_enable", 1)
+    torque_on(host, 1)
     host.bus.raise_hardware_error(1, OVERLOAD)
     assert not host.arm.torque_enabled()[0]
     assert host.read(1, "hardware_error") == OVERLOAD
@@ -47,9 +43,7 @@ def test_a_latched_error_switches_torque_off_and_only_a_reboot_clears_it(host: H
 
 
 def test_heat_shuts_down_and_low_voltage_is_only_reported(host: Host) -> None:
-    for servo in (1, 2):
-        host.write(servo, "operating_mode", 5)
-        host.write(servo, "torque_enable", 1)
+    torque_on(host, 1, 2)
     host.arm.temperature[0] = 81.0
     host.arm.voltage[1] = 9.0
     assert host.read(1, "hardware_error") == 1 << 2
@@ -70,10 +64,9 @@ def test_a_reboot_loses_ram_and_indirect_addresses(host: Host) -> None:
 
 
 def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
+    torque_on(host, 1)
     host.write(1, "goal_current", 100)
     host.write(1, "bus_watchdog", 6)
-    host.write(1, "torque_enable", 1)
     host.write(1, "goal_position", 2048)
     host.advance(0.115)
     host.read(1, "present_position")  # any instruction counts
@@ -111,9 +104,7 @@ def test_a_delayed_reply_is_sent_when_due(host: Host) -> None:
 
 def test_the_supply_sags_under_load_and_the_error_that_this_latches_stays(host: Host) -> None:
     host.arm.supply_resistance = 0.5
-    for servo in (1, 2):
-        host.write(servo, "operating_mode", 5)
-        host.write(servo, "torque_enable", 1)
+    torque_on(host, 1, 2)
     host.arm.load[0] = host.arm.load[1] = 2.0 * TORQUE_CONSTANT
     host.advance(3.0)
     assert host.read(1, "input_voltage") == pytest.approx(100, abs=1)
@@ -144,21 +135,20 @@ def test_replies_of_two_servos_with_one_id_collide(host: Host) -> None:
     assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_in_a_collision_zero_bits_override_ones(seed: int) -> None:
-    source = random.Random(seed)
-    first, second = source.randbytes(14), source.randbytes(9)
-    assert collide(first, b"", source) == first
-    assert collide(first, b"\xff", source)  # at least a start bit collides
-    both = collide(first, second, source)
-    assert both != first
-    assert 0 < len(both) <= len(first) + 1
+def test_in_a_collision_zero_bits_override_ones() -> None:
+    for seed in range(20):
+        source = random.Random(seed)
+        first, second = source.randbytes(14), source.randbytes(9)
+        assert collide(first, b"", source) == first
+        assert collide(first, b"\xff", source)  # at least a start bit collides
+        both = collide(first, second, source)
+        assert both != first
+        assert 0 < len(both) <= len(first) + 1
 
 
 def test_deaf_servos_stop_by_their_watchdog_and_recover(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
+    torque_on(host, 1)
     host.write(1, "bus_watchdog", 6)
-    host.write(1, "torque_enable", 1)
     host.bus.faults.deaf = True
     assert host.ask(1, PING) == []
     host.advance(0.2)
@@ -186,42 +176,3 @@ def test_a_low_supply_is_reported_and_latched(host: Host) -> None:
     host.bus.alter(1, limit)
     assert host.read(2, "input_voltage") == 90
     assert [host.read(servo, "hardware_error") for servo in (1, 2)] == [0, 1]
-
-
-def test_a_supply_too_weak_for_the_load_makes_the_driver_stop_all(tmp_path: Path) -> None:
-    arm = BenchArm()
-    arm.supply_resistance = 1.0
-    events: list[tuple[object, ...]] = []
-    with PseudoTerminal(ServoBusEmulator(arm), tmp_path / "servo") as terminal:
-        controller = ServoController(
-            BusSettings(terminal.path), 2.8, TORQUE_CONSTANT, lambda *event: events.append(event)
-        )
-
-        def cycle_until(condition: Callable[[], object]) -> None:
-            end = time.monotonic() + 20.0
-            while not condition():
-                assert time.monotonic() < end, events
-                controller.cycle()
-                time.sleep(0.005)
-
-        controller.open()
-        try:
-            request = controller.request("torque_on")
-            cycle_until(lambda: request.wait(0.0))
-            assert request.success, request.message
-            cycle_until(lambda: all(arm.torque_enabled()))
-            arm.load[:] = [1.2 * TORQUE_CONSTANT] * 3  # 3.6 A in all: 12 V sag to 8.4 V
-            cycle_until(lambda: not any(arm.torque_enabled()))
-            assert any("voltage" in str(event) for event in events), events
-        finally:
-            controller.close()
-
-
-def test_the_driver_reports_a_duplicate_and_a_missing_id(tmp_path: Path) -> None:
-    emulator = ServoBusEmulator(BenchArm())
-    emulator.alter(2, lambda servo: servo.table.set("id", 2))
-    with PseudoTerminal(emulator, tmp_path / "servo") as terminal, pytest.raises(HandshakeError) as caught:
-        ServoBus(BusSettings(terminal.path)).open(scan=False)
-    faults = " / ".join(caught.value.faults)
-    assert "servo 2 sends garbled replies; look for two servos with this id" in faults
-    assert "servo 3" in faults

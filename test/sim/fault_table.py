@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Required behaviour under every fault: one row each, for moving, pressing and charging.
+"""Required behaviour under every fault: of docking by phase, and of the drivers by kind.
+
+Three drivers check it. test/docking/test_machine_faults.py shows each input's fault to docking's machine in every
+phase, in virtual time. test_fault_matrix.py causes each kind on the wires of real nodes, and under real goals.
+test_fault_channel.py causes and ends each kind by request.
 
 The limits are those of docs/docking.md. A board without packets opens within 0.1 s. The contactor's holder releases it
 within 0.35 s (lease and heartbeat), plus the time to notice the fault: 0.1 s for frames and latched errors, 0.2 s for a
@@ -8,9 +12,73 @@ servo that does not answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from .fault_bench import Phase
+from deltacharger_docking.codes import Code, State
+
+TOUCHING = (State.LOCATE, State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
+PHASES = (*TOUCHING, State.ENERGISE, State.CHARGING, State.RETRACT)
+_NONE, _SERVO, _PADS, _POWER = Code.NONE, Code.SERVO_FAULT, Code.TACTILE_STALE, Code.POWER_STALE
+
+
+def _ends(touching: Code = _NONE, energise: Code = _NONE, charging: Code = _NONE, retract: Code = _NONE) -> Any:
+    each = {State.ENERGISE: energise, State.CHARGING: charging, State.RETRACT: retract}
+    return {**dict.fromkeys(TOUCHING, touching), **each}
+
+
+@dataclass(frozen=True)
+class Input:
+    """A fault of docking's inputs.
+
+    Attributes:
+        codes: by phase, the code with which the goal ends, or supervision after its success; NONE = not disturbed.
+        later: the same if the node continues after a second; empty = it does not.
+        shown: values that docking observes; empty = the node of this name is silent.
+        opens: s within which a closed contactor opens, unless the code is NONE; 0 = not limited.
+    """
+
+    codes: Mapping[State, Code]
+    later: Mapping[State, Code] = field(default_factory=dict)
+    shown: Mapping[str, Any] = field(default_factory=dict)
+    opens: float = 0.0
+
+
+INPUTS = {
+    "servo_node": Input(*[_ends(*[_SERVO] * 4)] * 2, opens=0.35),
+    # While retracting the contactor may be closed: the arm stays. A late answer to the last probe is not too late.
+    "tactile_node": Input(
+        _ends(_PADS, _POWER, _POWER, Code.CONTACTOR_WELDED),
+        _ends(_PADS, _NONE, _POWER, Code.CONTACTOR_WELDED),
+        opens=0.11,
+    ),
+    "misalignment_node": Input(_ends(_PADS, _NONE, _PADS), _ends()),
+    # Docking asks it only in LOCATE; one later phase represents the others.
+    "electrode_detector_node": Input(
+        {State.LOCATE: Code.ELECTRODES_NOT_FOUND, State.CHARGING: _NONE}, {State.LOCATE: _NONE, State.CHARGING: _NONE}
+    ),
+    "docking_node": Input(_ends(), _ends(charging=_POWER), opens=0.35),
+    "latched error": Input(_ends(*[_SERVO] * 4), shown={"hardware_error": 32}, opens=0.15),
+    "lost torque": Input(
+        {State.APPROACH: _SERVO, State.CONTACT: _SERVO, State.CHARGING: _SERVO},
+        shown={"torque_enabled": False},
+        opens=0.15,
+    ),
+    "late frames": Input(_ends(_PADS, _PADS), shown={"tactile_age": 5.0}),
+    "late power": Input(_ends(_POWER, _POWER, _POWER, Code.CONTACTOR_WELDED), shown={"power_age": 5.0}, opens=0.15),
+    "trip": Input(_ends(*[Code.OVERCURRENT] * 3), shown={"power_fault": 9}, opens=0.15),
+}
+
+
+class Phase(enum.Enum):
+    """Activity of the charger at the time of a fault of its hardware."""
+
+    MOVING = "moving"
+    PRESSING = "pressing"
+    CHARGING = "charging"
+
 
 BUS, LINK, PADS, POWER = "servo bus", "board link", "tactile arrays", "power stage"
 NEVER = 0.0
@@ -18,7 +86,7 @@ NEVER = 0.0
 
 @dataclass(frozen=True)
 class Row:
-    """Effects of one fault.
+    """Effects of one fault of the hardware.
 
     Attributes:
         kind, servo, amount: the fault, as for `deltacharger fault`.
@@ -33,6 +101,7 @@ class Row:
             silent) or "taxel 44".
         asked: a service that refuses during it, with words of its response; nothing else reports the fault.
         recovery: services that a person calls after it, in this order, in addition to set_torque and probe.
+        shows: what docking sees of it, as in INPUTS; '' = nothing.
         idle: differences while the contactor is open.
     """
 
@@ -49,7 +118,8 @@ class Row:
     recovery: tuple[str, ...] = ()
     servo: int = 0
     amount: float | None = None
-    idle: Row | None = None
+    shows: str = ""
+    idle: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -58,17 +128,18 @@ class Row:
 
     def at(self, phase: Phase) -> Row:
         """Return its effects in a phase."""
-        return self if phase is Phase.CHARGING or self.idle is None else self.idle
+        return self if phase is Phase.CHARGING else replace(self, **self.idle)
 
 
-def _stopped(kind: str, *warning: str, within: float = 0.35 + 0.2, **others: object) -> Row:
+def _stopped(kind: str, *warning: str, within: float = 0.35 + 0.2, **others: Any) -> Row:
     """Return the row of a servo fault that stops all three."""
-    return replace(Row(kind, warning=warning, opens=within, torque_off=True), **others)  # type: ignore[arg-type]
+    return Row(kind, warning=warning, opens=within, torque_off=True, **{"shows": "servo_node", **others})
 
 
-def _latched(kind: str, error: str, **others: object) -> Row:
+def _latched(kind: str, error: str, **others: Any) -> Row:
     """Return the row of a hardware error that only a reboot clears."""
-    return _stopped(kind, f"servo 2 has latched: {error}", within=0.1, recovery=("reboot_servos",), **others)
+    others = {"recovery": ("reboot_servos",), "shows": "latched error", **others}
+    return _stopped(kind, f"servo 2 has latched: {error}", within=0.1, **others)
 
 
 def _tolerated(kind: str, part: str, counted: str, amount: float) -> Row:
@@ -93,25 +164,28 @@ SERVO_ROWS = (
     _stopped("servo_unplugged", "/servo", within=0.35, deaf=(1, 2, 3), unknown=(1, 2, 3)),
     _tolerated("servo_drop", BUS, "timeouts", 0.05),
     _stopped("servo_drop", "servo 3 does not answer", servo=3, unknown=(3,), amount=1.0),
-    _tolerated("servo_corrupt", BUS, "corrupt", 0.05),
-    _tolerated("servo_truncate", BUS, "corrupt", 0.05),
-    _tolerated("servo_duplicate", BUS, "", 0.05),
-    _tolerated("servo_garbage", BUS, "", 0.05),
+    *(_tolerated(f"servo_{name}", BUS, "corrupt", 0.05) for name in ("corrupt", "truncate")),
+    *(_tolerated(f"servo_{name}", BUS, "", 0.05) for name in ("duplicate", "garbage")),
 )
 
-_UNHEARD = Row("board_deaf", asked=("probe", "no answer"))
-
 BOARD_ROWS = (
-    Row("board_reboot", PADS, ("not tared",), opens=0.1, recovery=("tare",)),
+    Row("board_reboot", PADS, ("not tared",), opens=0.1, recovery=("tare",), shows="tactile_node"),
     *(
-        Row("board_trip", POWER, ("latched fault", name), opens=0.1, amount=code, recovery=("open",))
+        Row("board_trip", POWER, ("latched fault", name), opens=0.1, amount=code, recovery=("open",), shows="trip")
         for code, name in ((2.0, "short circuit"), (9.0, "over current"))
     ),
     Row("board_dead_taxel", PADS, ("dead taxel",), unknown=("taxel 44",), amount=44.0),
-    Row("board_silent", LINK, ("no answer",), opens=0.45, unknown=("frames", "power")),
-    Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1, recovery=("open",), idle=_UNHEARD),
+    Row("board_silent", LINK, ("no answer",), opens=0.45, unknown=("frames", "power"), shows="tactile_node"),
+    Row(
+        "board_deaf",
+        POWER,
+        ("latched fault", "heartbeat lost"),
+        opens=0.1,
+        recovery=("open",),
+        idle={"warning": (), "asked": ("probe", "no answer"), "recovery": ()},
+    ),
     _tolerated("board_delay", LINK, "", 0.03),
-    Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4),
+    Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late frames"),
     Row(
         "board_unplugged",
         LINK,
@@ -119,7 +193,8 @@ BOARD_ROWS = (
         opens=0.15,
         unknown=("frames", "power"),
         recovery=("open",),
-        idle=Row("board_unplugged", LINK, ("/board",), unknown=("frames", "power")),
+        shows="tactile_node",
+        idle={"recovery": ()},
     ),
     _tolerated("board_drop", LINK, "lost_tactile", 0.05),
     _tolerated("board_corrupt", LINK, "crc_errors", 0.05),
@@ -127,3 +202,4 @@ BOARD_ROWS = (
     _tolerated("board_duplicate", LINK, "duplicates", 0.05),
     _tolerated("board_garbage", LINK, "cobs_errors", 0.05),
 )
+ROWS = SERVO_ROWS + BOARD_ROWS
