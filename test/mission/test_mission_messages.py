@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Malformed data for the mission: it refuses or ignores them, and never gets a place that is not finite."""
+"""Malformed data for the mission: it refuses or ignores them; its log: a line for each change."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import pose_stamped
-from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation
+from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation, MissionStatus, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount
+from deltacharger_mission.places import BaseMount, Place
 from deltacharger_mission.ros import messages as io
+from deltacharger_mission.stage_log import StageLog
 
 pytestmark = pytest.mark.ros
 
@@ -106,3 +107,26 @@ def test_an_invalid_docking_state_is_ignored() -> None:
     report = io.read_state(DockingState(state=DockingState.STATE_CHARGING, charging=True))
     assert report is not None
     assert report.state is State.CHARGING
+
+
+def test_each_stage_and_each_failure_is_logged_once() -> None:
+    log = StageLog()
+    log.begin("charge_robot order-1")
+    status = MissionStatus()
+    assert log.lines(status) == []
+    status.stage, status.elapsed = Stage.DRIVE, 0.5
+    assert log.lines(status) == ["charge_robot order-1: wait → drive after 0.5 s"]
+    status.elapsed, status.place = 3.0, Place(1.0, 2.0, 0.5, "map")
+    assert log.lines(status) == []
+    status.stage, status.elapsed, status.views = Stage.SEARCH, 4.5, 1
+    (line,) = log.lines(status)
+    assert line.startswith(
+        "charge_robot order-1: drive → search after 4.0 s, base at (1.00, 2.00) m, yaw 0.50 rad of map"
+    )
+    assert line.endswith("views 1")
+    status.code, status.message = Code.ELECTRODES_NOT_FOUND, "nothing there"
+    assert log.lines(status) == ["charge_robot order-1: search, 201 ELECTRODES_NOT_FOUND: nothing there"]
+    status.stage, status.elapsed = Stage.RETURN, 6.0
+    (line,) = log.lines(status)
+    assert line.startswith("charge_robot order-1: search → return after 1.5 s")
+    assert "201" not in line

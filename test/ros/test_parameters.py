@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
-from deltacharger_core.parameters import Bounded, choice, flag, like, number, numbers, words
+from deltacharger_core.parameters import Bounded, choice, flag, number, numbers, words
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
@@ -49,13 +47,6 @@ def test_the_node_describes_its_declared_parameters(context: Any, namespace: str
     assert [each.read_only for each in described.values()] == [True, True, True, False, True, True]
 
 
-@dataclass(frozen=True)
-class LiveRates(Bounded):
-    rate: float = like(Rates, "rate", tunable=True)
-    corner: tuple[float, ...] = like(Rates, "corner", tunable=True)
-    count: int = like(Rates, "count", tunable=True)
-
-
 @pytest.mark.version
 @pytest.mark.parametrize("source", ["-p", "--params-file"])
 def test_integers_are_accepted_for_floats_from_command_line_and_files(
@@ -70,28 +61,6 @@ def test_integers_are_accepted_for_floats_from_command_line_and_files(
         reject_unknown(node)
     finally:
         node.destroy_node()
-
-
-def test_integers_are_accepted_for_floats_while_a_node_runs(
-    context: Any, namespace: str, name: str, value: Any, becomes: Any
-) -> None:
-    node = Node("subject", **options(context, namespace))
-    declare_all(node, LiveRates)
-    reject_unknown(node)
-
-    def now() -> dict[str, Any]:
-        values = {each: node.get_parameter(each).value for each in LiveRates.__dataclass_fields__}
-        return values | {"corner": list(values["corner"])}
-
-    usual = now()
-    try:
-        taken = node.set_parameters([Parameter(name, value=value)])[0].successful
-    except ParameterNotDeclaredException:
-        taken = False
-    after = now()
-    node.destroy_node()
-    assert taken == (becomes is not None)
-    assert after == usual | ({name: becomes} if taken else {})
 
 
 @pytest.mark.parametrize(

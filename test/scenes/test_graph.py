@@ -12,22 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from builtin_interfaces.msg import Duration
-from deltacharger.action import ChargeRobot
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
-from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
-from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import Scene, load_scene
 
-from ..chargers import DEADLINE, Spin, wait_until
+from ..chargers import Spin, wait_until
 from ..marks import night, rest
-from ..nodes import answer, options
+from ..nodes import options
 from ..quick import quick_simulation
 from ..running_charger import PATIENT, RunningCharger
 
@@ -127,11 +122,8 @@ def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: P
     with RunningCharger(scene, context, namespace=namespace) as charger:
         wait_until(lambda: diagnosed(heard) >= nodes_with_diagnostics(scene), "diagnostics of every node before a goal")
         wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
-        if "mission_node" in scene.nodes:
-            errand(charger.client)
-        else:
-            assert charger.dock(DockRequest(None)).success
-            assert charger.undock().success
+        assert charger.dock(DockRequest(None)).success
+        assert charger.undock().success
     return heard
 
 
@@ -147,19 +139,6 @@ def nodes_with_diagnostics(scene: Scene) -> set[str]:
     """Return a scene's nodes with diagnostics; the servos' mock has them only when it refuses a request."""
     silent = ("mock_", "simulated_camera", "kinematics", "misalignment")
     return {name for name in scene.nodes if not name.startswith(silent)}
-
-
-def errand(client: ChargerClient) -> None:
-    errands: Any = ActionClient(client.node, ChargeRobot, "charge_robot")
-    client.waitables.append(errands)
-    assert errands.wait_for_server(DEADLINE)
-    target = PoseStamped(header=Header(frame_id="map"))
-    target.pose.position.x, target.pose.orientation.z = 1.0, 1.0
-    target.pose.orientation.w = 0.0
-    goal = ChargeRobot.Goal(target=target, stop_after=Duration(sec=1))
-    handle = answer(answer(client.node.executor.call_soon(errands.send_goal_async, goal)))
-    result = answer(handle.get_result_async()).result
-    assert result.success, result.error_message
 
 
 def test_every_header_has_a_frame_and_every_diagnostic_known_values_only(listener: Listener) -> None:

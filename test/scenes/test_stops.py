@@ -2,7 +2,7 @@
 """A charging charger, ended by each signal that people, containers and systemd send, without launch.
 
 Started by `deltacharger up`, and as nodes in separate processes. Each time, the contactor is open within 350 ms and the
-arm ends without torque. Under launch: test_charger_launch.py.
+arm ends without torque. A wrongly configured process ends with 2 and a reason. Under launch: test_charger_launch.py.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from deltacharger_scenes.scene import load_scene, parse_scene
 from ..chargers import Process, wait_until
 from ..marks import rest
 from ..running_charger import GOAL, QUICK, RunningCharger, node_command, up
+from ..running_charger import node_command as arguments
 from .processes import ALARM, CONTAINER, OPEN, first, lives, needs_containers
 
 pytestmark = pytest.mark.ros
@@ -132,3 +133,40 @@ def test_a_process_ends_with_its_starter(
     node = int(starter.out[0])
     starter.process.kill()
     wait_until(lambda: not lives(node), f"the end of {what}")
+
+
+MINE = {
+    "nodes": ["servo_node", "tactile_node", "kinematics_node"],
+    "ports": {"servo": "/dev/no_servo", "board": "/dev/no_board"},
+}
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize(
+    ("name", "words", "expected"),
+    [
+        ("servo_node", (), "/dev/no_servo: there is no such port"),
+        ("tactile_node", (), "/dev/no_board: there is no such port"),
+        ("kinematics_node", ("-p", "no_such_parameter:=1"), "no_such_parameter"),
+        ("kinematics_node", ("-r", "__ns:=/bad name"), "ROS refuses"),
+        ("kinematics_node", ("--no-such-flag",), "no-such-flag"),
+    ],
+)
+def test_a_wrong_configuration_ends_a_node_with_2_and_its_reason(
+    start: Callable[..., Process], namespace: str, name: str, words: tuple[str, ...], expected: str
+) -> None:
+    process = start(*arguments(parse_scene(MINE, "mine"), name, namespace), *words)
+    assert process.end() == 2
+    assert any(expected in line for line in process.err), process.err
+    assert not any("Traceback" in line for line in process.err)
+
+
+@pytest.mark.rest
+def test_an_invalid_ros_domain_ends_a_node_with_2(
+    start: Callable[..., Process], namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    process = start(*arguments(parse_scene(MINE, "mine"), "kinematics_node", namespace))
+    assert process.end() == 2
+    (line,) = process.err
+    assert "0 to 232" in line

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foreign nodes on a simulated charger's topics and services: nothing live moves, and no docking fails.
+"""Foreign nodes on a charger's topics and services, and a second charger: nothing live moves, and no docking fails.
 
 Their random messages: test_strangers_by_dice.py.
 """
@@ -23,13 +23,14 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.motion_guard import ContactorState
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.qos import SERVICE
 from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_scenes.scene import Scene, parse_scene
 
-from ..chargers import DEADLINE, Spin, wait_until
+from ..chargers import DEADLINE, Spin, new_namespace, wait_until
 from ..nodes import TELLS_PUBLISHERS, options
-from ..running_charger import QUICK, RunningCharger
+from ..running_charger import QUICK, RunningCharger, up
 
 pytestmark = pytest.mark.ros
 
@@ -129,3 +130,35 @@ def test_the_mock_also_refuses_impossible_stamps_and_serves_the_next(
         return bool(mock._goals.angles == HOME)
 
     wait_until(followed, "the good one's goal")
+
+
+def assert_at_rest(charger: RunningCharger, since: int) -> None:
+    """Check that an open charger has switched nothing on since a number of events."""
+    assert charger.world.events[since:] == []
+    assert max(map(abs, charger.world.mechanics.rates)) < 0.01
+
+
+@pytest.mark.rest
+def test_actions_and_faults_of_one_do_not_affect_the_other(quick_scene: Scene, context: Any) -> None:
+    """The one in this process is of mocks, whose faults are easy to set; two of one kind would starve each other."""
+    name = new_namespace()
+    with (
+        RunningCharger(quick_scene, context, namespace=name) as outer,
+        RunningCharger(parse_scene(QUICK, "inner"), context, command=up, namespace=f"{name}/inner") as inner,
+    ):
+        outer.charge()
+        assert_at_rest(inner, 0)
+        inner.charge()
+        events, states = len(inner.world.events), len(inner.states)
+        outer.set("mock_servo_node", fault="silence")
+        wait_until(lambda: outer.state.error_code, "the outer to notice")
+        assert CODES[outer.state.error_code] == "SERVO_FAULT"
+        wait_until(lambda: outer.state.state == outer.state.STATE_IDLE, "the end of its retreat")
+        outer.set("mock_servo_node", fault="none")
+        outer.go_home()
+        assert inner.is_closed
+        assert (inner.world.events[events:], inner.states[states:]) == ([], [])
+        states = len(outer.states)
+        inner.go_home()
+        assert outer.states[states:] == []
+        assert not outer.is_closed
