@@ -6,10 +6,12 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
+from rclpy.clock import Clock
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -35,8 +37,128 @@ SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "p
 _GOALS = ("dock/_action/send_goal", "undock/_action/send_goal")
 
 
+class Heard:
+    """The latest message of each topic as one `Observation`: what counts as new, how old it is, and whose clock errs.
+
+    Knows no topics and no threads. Ages follow the monotonic clock, stamps the node's.
+
+    Args:
+        clock: of the node; stamps are compared with it. While /clock stands still no data count as new.
+        monotonic: returns s.
+
+    Attributes:
+        refused: refused messages.
+    """
+
+    def __init__(self, clock: Clock, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self.refused = Refusals()
+        self._clock, self._monotonic = clock, monotonic
+        self._watch = ClockWatch(clock)
+        self._frame_check = FrameCheck()
+        self._latest: dict[type[Any], Any] = {}  # the latest message of each type
+        self._ahead: dict[type[Any], float] = {}  # how far the latest stamp is ahead of this node's clock, s
+        self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
+
+    def hear_frames(self, frames: Iterable[bytes]) -> None:
+        """Take tactile frames as bytes: all for estimates, the newest valid one as the state of the pads."""
+        taken = list(frames)
+        instant, now = self._instant()
+        newest = b""
+        for data in taken:
+            try:
+                stamp, sequence = stamp_and_sequence(data, _FRAME_MAX)
+                check_ahead(stamp - now)
+            except MessageRefused as refusal:
+                self.refused.add("tactile_frame", str(refusal))
+                continue
+            self._frame_check.add(sequence, instant - (now - stamp))
+            newest = data
+        if not newest:
+            return
+        try:
+            frame = deserialize_message(newest, TactileFrame)
+        except RuntimeError as error:  # foreign bytes
+            self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
+            return
+        self.hear(frame)
+
+    def hear(self, message: Any) -> None:
+        """Store new measurements with their time; old data do not become fresh by being sent late or again."""
+        kind = type(message)
+        known = self._latest.get(kind)
+        if known is not None and message.header.stamp == known.header.stamp:
+            return
+        instant, now = self._instant()
+        try:
+            stamp = stamp_seconds(message.header.stamp)
+            self._ahead[kind] = stamp - now
+            check_ahead(stamp - now)
+            if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
+                raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
+            if kind in _CHECKS:  # charger_power is checked where its values are used
+                message = _CHECKS[kind](message)
+        except MessageRefused as refusal:
+            self.refused.add(_NAMES[kind], str(refusal))
+            return
+        if kind is not ServoState or all(message.valid):
+            self._measured[kind] = instant - max(now - stamp, 0.0)
+        self._latest[kind] = message
+
+    def _instant(self) -> tuple[float, float]:
+        """Return one instant in s, monotonic and on the node's clock.
+
+        Read in this order, after messages were taken: if the thread is interrupted in between, data seem older than
+        they are, never fresher and never from the future.
+        """
+        return self._monotonic(), seconds(self._clock.now().to_msg())
+
+    def observation(self, replies: tuple[Reply, ...] = (), **known: Any) -> Observation:
+        """Return the present observation; `known` are its values from elsewhere.
+
+        Estimates of unconfirmed frames are refused.
+        """
+        now = self._monotonic()
+        self._watch.look(now)
+        servo, tactile, power = (self._latest.get(kind) for kind in self._measured)
+        ages = (now - min(measured, self._watch.stepped) for measured in self._measured.values())
+        values: dict[str, Any] = dict(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
+        if servo is not None:
+            values.update(
+                angles=tuple(servo.position),
+                currents=tuple(servo.current),
+                servos_valid=all(servo.valid),
+                hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
+                torque_enabled=all(servo.torque_enabled),
+                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
+            )
+        if tactile is not None:
+            values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
+        if power is not None:
+            values.update(
+                contactor_closed=power.contactor_closed,
+                charge_current=power.charge_current,
+                target_voltage=power.target_voltage,
+                battery_voltage=power.battery_voltage,
+                power_fault=power.fault,
+            )
+        return Observation(
+            time=now,
+            replies=tuple(map(self._frame_check.checked, replies)),
+            clock_problem=self._watch.problem(now) or self._other_clock(now),
+            **values,
+            **known,
+        )
+
+    def _other_clock(self, now: float) -> str:
+        """Return which topic is stamped by another clock; '' = none."""
+        for kind, measured in self._measured.items():
+            if _ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > _ANOTHER_CLOCK:
+                return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
+        return ""
+
+
 class Inputs:
-    """The latest message of each topic, as one `Observation`.
+    """The topics that docking hears, as one `Observation`.
 
     Topics are read only when an observation is requested, because only the newest message counts. All tactile frames
     are received, as bytes: an estimate that allows current must come from them.
@@ -48,25 +170,20 @@ class Inputs:
     Attributes:
         refused: refused messages.
         simulated: whether servos and board are known to be a simulated charger's; copied to each observation.
-        clock: used for ages. While /clock stands still no data count as new.
     """
 
     def __init__(self, node: Node, log: Log) -> None:
-        self.refused = Refusals()
         self.simulated = False
-        self._clock, self._log = node.get_clock(), log
-        self.clock = ClockWatch(self._clock)
+        self._log = log
         self._lock = threading.Lock()
+        self._heard = Heard(node.get_clock())
+        self.refused = self._heard.refused
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
         sampled = QoSProfile(depth=_BACKLOG, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
-        self._frame_check = FrameCheck()
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
         self._double, self._looked = "", -math.inf
-        self._heard: dict[type[Any], Any] = {}  # the latest message of each type
-        self._ahead: dict[type[Any], float] = {}  # how far the latest stamp is ahead of this node's clock, s
-        self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; only for the thread that steps."""
@@ -90,104 +207,16 @@ class Inputs:
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return the present observation; callable from any thread. Estimates of unconfirmed frames are refused."""
         with self._lock:
-            for message in (self._servo.take(), self._power.take(), self._newest_frame()):
+            for message in (self._servo.take(), self._power.take()):
                 if message is not None:
-                    self._hear(message)
-            return self._compose(tuple(map(self._frame_check.checked, replies)), contactor_refusal)
-
-    def _newest_frame(self) -> TactileFrame | None:
-        """Process all received frames; return the newest."""
-        taken = list(self._frames.take())
-        instant, now = self._instant()
-        newest = b""
-        for data, _ in taken:
-            try:
-                stamp, sequence = stamp_and_sequence(data, _FRAME_MAX)
-                check_ahead(stamp - now)
-            except MessageRefused as refusal:
-                self.refused.add("tactile_frame", str(refusal))
-                continue
-            self._frame_check.add(sequence, instant - (now - stamp))
-            newest = data
-        if not newest:
-            return None
-        try:
-            return deserialize_message(newest, TactileFrame)
-        except RuntimeError as error:  # foreign bytes
-            self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
-            return None
-
-    def _hear(self, message: Any) -> None:
-        """Store new measurements with their time; old data do not become fresh by being sent late or again."""
-        kind = type(message)
-        known = self._heard.get(kind)
-        if known is not None and message.header.stamp == known.header.stamp:
-            return
-        instant, now = self._instant()
-        try:
-            stamp = stamp_seconds(message.header.stamp)
-            self._ahead[kind] = stamp - now
-            check_ahead(stamp - now)
-            if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
-                raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
-            if kind in _CHECKS:  # charger_power is checked where its values are used
-                message = _CHECKS[kind](message)
-        except MessageRefused as refusal:
-            self.refused.add(_NAMES[kind], str(refusal))
-            return
-        if kind is not ServoState or all(message.valid):
-            self._measured[kind] = instant - max(now - stamp, 0.0)
-        self._heard[kind] = message
-
-    def _instant(self) -> tuple[float, float]:
-        """Return one instant in s, monotonic and on the node's clock.
-
-        Read in this order, after messages were taken: if the thread is interrupted in between, data seem older than
-        they are, never fresher and never from the future.
-        """
-        return time.monotonic(), seconds(self._clock.now().to_msg())
-
-    def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
-        now = time.monotonic()
-        self.clock.look(now)
-        servo, tactile, power = (self._heard.get(kind) for kind in self._measured)
-        ages = (now - min(measured, self.clock.stepped) for measured in self._measured.values())
-        values: dict[str, Any] = dict(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
-        if servo is not None:
-            values.update(
-                angles=tuple(servo.position),
-                currents=tuple(servo.current),
-                servos_valid=all(servo.valid),
-                hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
-                torque_enabled=all(servo.torque_enabled),
-                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
+                    self._heard.hear(message)
+            self._heard.hear_frames(data for data, _ in self._frames.take())
+            return self._heard.observation(
+                replies,
+                contactor_refusal=contactor_refusal,
+                duplicate_sources=self._double,
+                simulated=self.simulated,
             )
-        if tactile is not None:
-            values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
-        if power is not None:
-            values.update(
-                contactor_closed=power.contactor_closed,
-                charge_current=power.charge_current,
-                target_voltage=power.target_voltage,
-                battery_voltage=power.battery_voltage,
-                power_fault=power.fault,
-            )
-        return Observation(
-            time=now,
-            replies=replies,
-            contactor_refusal=contactor_refusal,
-            duplicate_sources=self._double,
-            simulated=self.simulated,
-            clock_problem=self.clock.problem(now) or self._other_clock(now),
-            **values,
-        )
-
-    def _other_clock(self, now: float) -> str:
-        """Return which topic is stamped by another clock; '' = none."""
-        for kind, measured in self._measured.items():
-            if _ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > _ANOTHER_CLOCK:
-                return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
-        return ""
 
 
 def _in_order(message: ServoState) -> ServoState:

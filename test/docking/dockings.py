@@ -10,15 +10,18 @@ from types import MappingProxyType
 from typing import Any
 
 from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import State
-from deltacharger_docking.observation import DockGoal
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
+from deltacharger_lab.campaigns.quick_charger import QuickCharger
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
+from deltacharger_tactile.source import ContactSource
 
 from .. import quick
 
 MILLIMETRE = 1e-3
+RIG_SEED = 900
 
 
 def charger(
@@ -27,17 +30,89 @@ def charger(
     degrees: float = 2.0,
     seed: int = 1,
     parameters: Mapping[str, Any] = MappingProxyType({}),
+    coarse: bool = False,
     **world: Any,
 ) -> VirtualCharger:
-    """A charger whose target differs from the goal's place by (x, y) mm and by degrees."""
+    """A charger whose target differs from the goal's place by (x, y) mm and by degrees.
+
+    A coarse one is six times as fast and decides the same, but its steps are up to 130 ms long.
+    """
     target = TargetParameters(x=x * MILLIMETRE, y=y * MILLIMETRE, roll=math.radians(degrees))
-    return VirtualCharger(WorldParameters(target=target, **world), DockingParameters(**parameters), seed)
+    given, docking = WorldParameters(**{"target": target, **world}), DockingParameters(**parameters)
+    if coarse:
+        return QuickCharger(given, docking, ContactSource(None, RIG_SEED, seed), seed, RIG_SEED)
+    return VirtualCharger(given, docking, seed, RIG_SEED)
 
 
-def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **world: Any) -> VirtualCharger:
+def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **more: Any) -> VirtualCharger:
     """The same with quick steps; other servos need their damping."""
     servo = {"servo": ServoParameters(damping=quick.DAMPING)}
-    return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **world})
+    return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **more})
+
+
+def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> VirtualCharger:
+    """A quick charger that has docked."""
+    run = quick_charger(*place, **kwargs)
+    outcome = run.dock(DockGoal(GOAL, start_charging=start_charging))
+    assert outcome.success, outcome.message
+    assert run.world.snapshot().contactor_closed is (start_charging and not run.parameters.always_live)
+    return run
+
+
+def reach(run: VirtualCharger, state: State, goal: DockGoal | None = None) -> None:
+    """Begin a goal and step until this state."""
+    run.begin(goal or DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is state, 120.0)
+
+
+def spoil(run: VirtualCharger, **values: Any) -> None:
+    """Replace these values of every observation from now on; without values, none."""
+    run.distort = lambda seen: replace(seen, **values)
+
+
+def feel(run: VirtualCharger, times: int = 10**9, **values: Any) -> None:
+    """Replace these values of the next estimates."""
+    left = [times]
+
+    def change(reply: Reply) -> Reply:
+        assert reply.estimate is not None
+        left[0] -= 1
+        return replace(reply, estimate=felt_as(reply.estimate, **values)) if left[0] >= 0 else reply
+
+    run.answer[Service.ESTIMATE] = change
+
+
+def until_open(run: VirtualCharger, limit: float = 30.0) -> float:
+    """Return how long (s) the contactor stayed closed from now on."""
+    start = run.now
+    run.until(lambda: not run.world.snapshot().contactor_closed, limit)
+    return float(run.now - start)
+
+
+def ends(run: VirtualCharger, code: Code, within: float = 15.0) -> None:
+    """Step until docking reports this code, and then until the arm is back or stopped, with its observations mended."""
+    run.until(lambda: run.machine.status.code is not Code.NONE, within)
+    spoil(run)
+    run.until(lambda: run.machine.status.state is State.IDLE, 40.0)
+    assert run.machine.status.code is code, run.machine.status.message
+
+
+def commands(run: VirtualCharger) -> list[Command]:
+    """Collect the machine's commands from now on."""
+    found: list[Command] = []
+    follow = run._follow
+
+    def keep(command: Command) -> None:
+        found.append(command)
+        follow(command)
+
+    run._follow = keep  # type: ignore[method-assign]
+    return found
+
+
+def decisions(found: list[Command], kind: str = "") -> list[Decision]:
+    """Return the decisions of collected commands, of one kind or of all."""
+    return [each for command in found for each in command.decisions if kind in ("", each.kind)]
 
 
 def felt_as(felt: MisalignmentEstimate, **values: Any) -> MisalignmentEstimate:
@@ -57,17 +132,6 @@ def assert_safe_at_home(run: VirtualCharger) -> None:
     assert math.dist(truth.position, run.parameters.home) < 3 * MILLIMETRE
     assert not run.observe().torque_enabled
     assert run.machine.status.state is State.IDLE
-
-
-def moving_in(state: State, **world: Any) -> VirtualCharger:
-    """A charger whose platform has just begun to move in that state; in ALIGN sideways, off the magnets."""
-    run = charger(6, 6, seed=2, **world)
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is state, 60.0)
-    if state is State.ALIGN:
-        run.until(lambda: run.world.snapshot().position[0] > 1.0 * MILLIMETRE, 10.0)
-    run.until(lambda: moves(run, 3 * TICK), 10.0)
-    return run
 
 
 def moves(run: VirtualCharger, seconds: float) -> bool:

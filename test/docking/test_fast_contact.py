@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation
+from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
 
-from .dockings import MILLIMETRE, assert_safe_at_home, charger
+from ..marks import rest
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, spoil
 
 STRIKE_MOST = 115.0  # N without the magnets, on electrodes of 1e5 N/m, with impact; the magnets' snap takes 40 to 60
 
@@ -46,8 +47,9 @@ def pushed(run: VirtualCharger) -> float:
     return max(run.world.record.peak_push, 0.0) / max(stiffness / 1e5, 1.0) ** 0.5
 
 
-@pytest.mark.parametrize("servo", [2.5, 5.0, 15.0, 20.0])
-@pytest.mark.parametrize("contact", [1e4, 1e5, 1e7])
+@pytest.mark.parametrize(
+    ("servo", "contact"), [(15.0, 1e5), *(rest(servo, contact) for servo in (2.5, 5.0, 20.0) for contact in (1e4, 1e7))]
+)
 def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, contact: float) -> None:
     parameters = {"servo_stiffness": servo}
     run = charger(
@@ -55,27 +57,18 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
         servo=ServoParameters(stiffness=servo),
         contact=ContactParameters(stiffness=contact, hard_stop=0.002),
     )
-    commands: list[tuple[float, Command]] = []
-    step = run.machine.step
-
-    def watched(observation: Observation) -> Command:
-        commands.append((run.now, command := step(observation)))
-        return command
-
-    run.machine.step = watched  # type: ignore[method-assign]
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.observe().tactile_contact, 60.0)
-    touched = run.now
+    after = commands(run)
     run.run(2 * TICK)
-    after = [command.trajectory for time, command in commands if time >= touched and command.trajectory is not None]
-    assert after, "the line goes on"
-    assert len(after[0]) <= 1, "the goal stands still, or goes back to where the arm is"
+    (first, *_) = [command.trajectory for command in after if command.trajectory is not None]
+    assert len(first) <= 1, "the goal stands still, or goes back to where the arm is"
     run.finish(120.0)
     assert run.world.record.contacts >= 1
     assert pushed(run) < STRIKE_MOST
 
 
-@pytest.mark.parametrize("z", [-8.0, -3.0, 3.0, 8.0])
+@pytest.mark.parametrize("z", [rest(-8.0), -3.0, rest(3.0), 8.0])
 def test_a_wrong_known_place_does_no_harm(z: float) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
@@ -89,7 +82,7 @@ def test_a_wrong_known_place_does_no_harm(z: float) -> None:
     assert pushed(run) < STRIKE_MOST
 
 
-@pytest.mark.parametrize("place", [(4.0, 0.0), (0.0, -4.0), (-3.0, 3.0)])
+@pytest.mark.parametrize("place", [rest((4.0, 0.0)), rest((0.0, -4.0)), (-3.0, 3.0)])
 def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place: tuple[float, float]) -> None:
     run = charger(6, 6, seed=2)
     until_lifted(run)
@@ -109,7 +102,7 @@ def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     assert_safe_at_home(run)
 
 
-@pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
+@pytest.mark.parametrize("z", [-20.0, rest(-12.0), 12.0, rest(20.0)])
 def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
     """Nearer than given by less than the standoff, or farther: the search finds it."""
     given = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
@@ -119,19 +112,14 @@ def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
     assert pushed(run) < STRIKE_MOST
 
 
-def unfelt(observation: Observation) -> Observation:
-    return replace(observation, tactile_contact=False)
-
-
 @pytest.mark.parametrize("again", [False, True])
 def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -> None:
     run = charger(6, 6, seed=2)
     if again:
         until_lifted(run)
-        run.distort = unfelt
     else:
-        run.distort = unfelt
         run.begin(DockGoal(GOAL))
+    spoil(run, tactile_contact=False)
     assert run.finish(120.0).code is Code.NO_TACTILE_CONTACT
     assert pushed(run) < STRIKE_MOST
     assert_safe_at_home(run)
@@ -146,11 +134,10 @@ def test_missing_touch_data_on_the_fast_line_stops_the_arm_before_the_target(fau
     until_lifted(run)
     run.until(lambda: run.machine.status.state is State.CONTACT, 10.0)
     run.run(5 * TICK)
-    distort: Callable[[Observation], Observation] = lambda observation: replace(observation, **fault)  # noqa: E731
-    run.distort = distort
+    spoil(run, **fault)
     run.run(1.0)
     assert run.world.snapshot().contact_force == 0.0, "it stood still before it touched"
-    run.distort = lambda observation: observation
+    spoil(run)
     assert run.finish(120.0).success
     assert pushed(run) < STRIKE_MOST
 
@@ -168,28 +155,30 @@ def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
     ]
 
 
-@pytest.mark.parametrize("line", range(5))
-@pytest.mark.parametrize("what", ["cancel", "servo_age", "tactile_age", "hardware_error", "torque"])
-def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, what: str) -> None:
+FAULTS: dict[str, dict[str, Any]] = {"cancel": {}, "servo": {"servo_age": 1.0}, "pads": {"tactile_age": 5.0}}
+
+
+@pytest.mark.parametrize(
+    ("line", "what", "code"),
+    [
+        *((line, "cancel", Code.CANCELED) for line in range(5)),
+        *((line, "servo", Code.SERVO_FAULT) for line in (0, 3)),
+        *(rest(line, "pads", Code.TACTILE_STALE) for line in range(5)),
+        *(rest(line, "servo", Code.SERVO_FAULT) for line in (1, 2, 4)),
+    ],
+)
+def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, what: str, code: Code) -> None:
     run = charger(6, 6, seed=2)
     run.begin(DockGoal(GOAL))
     run.until(lines(run)[line], 60.0)
-    faults: dict[str, dict[str, Any]] = {
-        "servo_age": {"servo_age": 1.0},
-        "tactile_age": {"tactile_age": 5.0},
-        "hardware_error": {"hardware_error": 32},
-        "torque": {"torque_enabled": False},
-    }
     if what == "cancel":
         run.machine.cancel()
     else:
-        run.distort = lambda observation: replace(observation, **faults[what])
+        spoil(run, **FAULTS[what])
         run.until(lambda: run.machine.status.code is not Code.NONE, 5.0)
-        run.distort = lambda observation: observation
-    outcome = run.finish(60.0)
-    codes = {"cancel": Code.CANCELED, "tactile_age": Code.TACTILE_STALE}
-    assert outcome.code is codes.get(what, Code.SERVO_FAULT)
+        spoil(run)
+    assert run.finish(60.0).code is code
     assert pushed(run) < STRIKE_MOST
     assert not run.observe().torque_enabled
-    if what in codes:
+    if code is not Code.SERVO_FAULT:
         assert_safe_at_home(run)

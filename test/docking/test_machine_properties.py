@@ -2,15 +2,13 @@
 """Laws of the docking machine under any observations: no current without all of its conditions, and no endless goal.
 
 A small cooperative model drives the machine, so that a docking takes a few hundred steps. An adversary spoils its
-observations: not measured, too old, contradictory, late, twice, of another kind, in another order, clocks that jump,
-goals and cancels at any time.
+observations: not measured, too old, contradictory, twice, of another kind, with goals at any time.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -144,7 +142,6 @@ class Judge:
     def __init__(self) -> None:
         self.asked: dict[int, Service] = {}
         self.states = [State.IDLE]
-        self.kinds: Counter[str] = Counter()
         self.closings = 0
         self._closed = False
         self._forget()
@@ -175,8 +172,6 @@ class Judge:
         for state in command.states:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
             self.states.append(state)
-        self.kinds.update(decision.kind for decision in command.decisions)
-        assert all(kind.islower() and kind.isalpha() for kind in self.kinds)
         self.asked.update((request.number, request.service) for request in command.requests)
         if command.energise and not self._closed:
             self._check_closing(observation, contact_current)
@@ -203,8 +198,6 @@ class Judge:
 
 
 Spoil = Callable[[Observation, random.Random], Observation]
-
-
 FLAGS = ("sure", "in_range", "contact")
 
 
@@ -240,10 +233,6 @@ def _other(reply: Reply, source: random.Random) -> Iterator[Reply]:
     yield replace(reply, resistance=value, target_voltage=source.choice((24.0, value)), estimate=felt, detection=None)
 
 
-def _nothing(reply: Reply, source: random.Random) -> Iterator[Reply]:
-    yield from ()
-
-
 SPOILS: dict[str, Spoil] = {
     "nan angles": lambda seen, source: replace(seen, angles=NAN3, servos_valid=source.random() < 0.5),
     "nan currents": lambda seen, source: replace(seen, currents=NAN3),
@@ -265,42 +254,30 @@ SPOILS: dict[str, Spoil] = {
     "unknown": _replies(_unknown),
     "failed": _replies(_failed),
     "other": _replies(_other),
-    "nothing": _replies(_nothing),
+    "nothing": lambda seen, source: replace(seen, replies=()),
 }
 
 
 class Run:
     """A machine, the model, the adversary and the judge."""
 
-    def __init__(self, seed: int, spoiled: tuple[str, ...], rate: float, jumps: bool, after: float = 0.0) -> None:
+    def __init__(self, seed: int, spoiled: tuple[str, ...], rate: float) -> None:
         self.model, self.judge = Model(), Judge()
         geometry = DeltaGeometry()
         self.machine = DockingMachine(LIMITS, geometry, QuickPlanner(LIMITS, geometry))
         self._source = random.Random(seed)
-        self._spoiled, self._rate, self._jumps, self._after = spoiled, rate, jumps, after
-        self._jumped = 0.0
-        self._left = 0
-        self._late: list[Reply] = []
+        self._spoiled, self._rate, self._left = spoiled, rate, 0
         self._how: Spoil = lambda seen, source: seen
         self.codes: list[Code] = []
 
     def _observe(self) -> Observation:
         seen, source = self.model.observe(), self._source
-        if self.model.now < self._after:
-            return seen
         if self._left <= 0 and self._spoiled and source.random() < self._rate:
             self._left = source.choice((1, 1, 2, 5, 40))
             self._how = SPOILS[source.choice(self._spoiled)]
         if self._left > 0:
             self._left -= 1
             seen = self._how(seen, source)
-        if self._jumps:
-            if source.random() < 0.01:
-                self._jumped += source.choice((-3600.0, -1.0, 0.7, 3600.0))
-            kept = [reply for reply in seen.replies if source.random() < 0.3]
-            now, self._late = [*self._late, *(each for each in seen.replies if each not in kept)], kept
-            source.shuffle(now)
-            seen = replace(seen, time=seen.time + self._jumped, replies=tuple(now))
         return seen
 
     def step(self) -> None:
@@ -319,15 +296,13 @@ class Run:
     def goal(self, goal: DockGoal | None) -> None:
         """Send a goal, None = undock; refusals have codes too."""
         try:
+            seen = replace(self.model.observe(), replies=())
             if goal is None:
-                self.machine.start_undock("", self._observe_only())
+                self.machine.start_undock("", seen)
             else:
-                self.machine.start_dock(goal, self._observe_only())
+                self.machine.start_dock(goal, seen)
         except DockingError as error:
             self.codes.append(error.code)
-
-    def _observe_only(self) -> Observation:
-        return replace(self.model.observe(), replies=(), time=self.model.now + self._jumped)
 
     def finish(self, limit: float) -> None:
         """Step until the goal has its outcome."""
@@ -338,7 +313,7 @@ class Run:
 
     def settle(self) -> None:
         """Let the machine end its own actions without the adversary."""
-        self._spoiled, self._jumps, self._left = (), False, 0
+        self._spoiled, self._left = (), 0
         quiet, end = 0, self.model.now + ENOUGH
         while quiet < 20:
             assert self.model.now < end, f"not at rest within {ENOUGH} s, {self.machine.status.state.name}"
@@ -353,7 +328,6 @@ ADVERSARIES = st.tuples(
     st.integers(0, 2**32),
     st.lists(st.sampled_from(sorted(SPOILS)), min_size=1, max_size=3, unique=True).map(tuple),
     st.sampled_from((0.0, 0.003, 0.02, 0.2)),
-    st.booleans(),
 )
 GOALS = st.builds(
     DockGoal,
@@ -363,14 +337,13 @@ GOALS = st.builds(
     stop_after=st.sampled_from((0.0, 1.0)),
     hold=st.just(False),
 )
-CLOSINGS: Counter[str] = Counter()
 SETTINGS = settings(
-    max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
 
 
 def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
-    run = Run(1, (), 0.0, False)
+    run = Run(1, (), 0.0)
     run.goal(DockGoal(None))
     run.finish(ENOUGH)
     assert run.codes == [Code.NONE]
@@ -381,10 +354,11 @@ def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
     assert not run.model.torque
 
 
+@pytest.mark.rest
 @SETTINGS
 @given(adversary=ADVERSARIES, goals=st.lists(GOALS, min_size=1, max_size=3), undock=st.booleans())
 def test_the_contactor_closes_only_under_its_conditions_and_every_goal_ends(
-    adversary: tuple[int, tuple[str, ...], float, bool], goals: list[DockGoal], undock: bool
+    adversary: tuple[int, tuple[str, ...], float], goals: list[DockGoal], undock: bool
 ) -> None:
     run = Run(*adversary)
     for goal in goals:
@@ -397,31 +371,5 @@ def test_the_contactor_closes_only_under_its_conditions_and_every_goal_ends(
     if undock:
         run.goal(None)
     run.settle()
-    CLOSINGS.update(closed=run.judge.closings, runs=1)
     assert run.machine.busy is False
-    assert run.machine.status.state in (State.IDLE, State.CHARGING)
-    assert (run.machine.status.state is State.CHARGING) == run.model.wanted
-    if run.machine.status.state is State.IDLE:
-        assert not run.model.wanted
-
-
-def test_the_runs_close_the_contactor_often_enough() -> None:
-    if not CLOSINGS["runs"]:
-        pytest.skip("runs after the property that it speaks about")
-    assert CLOSINGS["closed"] > 0.4 * CLOSINGS["runs"], CLOSINGS
-
-
-@SETTINGS
-@given(seed=st.integers(0, 2**32), spoil=st.sampled_from(sorted(SPOILS)), jumps=st.booleans())
-def test_after_any_disturbance_charging_ends_or_stays_supervised(seed: int, spoil: str, jumps: bool) -> None:
-    """The adversary waits until current flows."""
-    run = Run(seed, (spoil,), 0.05, jumps, after=11.0)
-    run.goal(DockGoal(None))
-    while not run.machine.status.charging and run.model.now < 10.5:
-        run.step()
-    assert run.machine.status.charging, "the model charges within 10.5 s when left alone"
-    for _ in range(100):
-        run.step()
-    run.settle()
-    assert run.judge.closings >= 1
-    assert run.machine.status.charging == run.model.wanted
+    assert run.machine.status.state is (State.CHARGING if run.model.wanted else State.IDLE)

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of docking: commanded with the arm's weight fed forward, bounded in effort, and refused before any motion."""
+"""Lines of docking: with the arm's weight fed forward, bounded, refused before any motion, and sent piece by piece.
+
+The receiver of the pieces follows the same line, and stops early if the sender stops.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+import random
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,10 +20,13 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_driver.servos import trajectory as driver
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
+
+from .dockings import commands
 
 HOME, STANDOFF = (0.0, 0.0, 0.0), (0.010, -0.020, 0.062)
 PARAMETERS = DockingParameters()
@@ -52,11 +60,7 @@ def test_velocities_match_the_commanded_angles_and_end_at_rest() -> None:
     slope = (angles[2:] - angles[:-2]) / (times[2:] - times[:-2])[:, None]
     assert np.allclose(velocities[1:-1], slope, atol=0.02 * np.abs(slope).max())
     assert waypoints[-1].velocities == (0.0, 0.0, 0.0)
-
-
-def test_the_start_is_not_a_waypoint_and_times_increase() -> None:
-    times = table(PLANNER.line(HOME, STANDOFF, 0.12), "time")
-    assert times[0] > 0.0
+    assert times[0] > 0.0, "the start is no waypoint"
     assert np.all(np.diff(times) > 0.0)
 
 
@@ -73,42 +77,29 @@ def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> 
 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.0, 0.190), (0.150, 0.0, 0.080), (0.0, 0.0, 0.5)])
-def test_a_line_that_leaves_the_limits_is_unreachable_and_reports_the_place(goal: tuple[float, float, float]) -> None:
-    with pytest.raises(Unreachable, match=r"mm, .* along the line"):
+def test_a_line_or_a_last_leg_that_leaves_the_limits_is_unreachable(goal: tuple[float, float, float]) -> None:
+    with pytest.raises(Unreachable, match="along the line"):
         PLANNER.line((0.0, 0.0, 0.080), goal, 0.12)
-
-
-def test_a_way_is_refused_if_its_last_leg_is_impossible() -> None:
     PLANNER.check_way(0.12, HOME, STANDOFF, HOME)
     with pytest.raises(Unreachable):
-        PLANNER.check_way(0.12, HOME, STANDOFF, HOME, (0.0, 0.0, 0.190))
+        PLANNER.check_way(0.12, HOME, STANDOFF, HOME, goal)
 
 
-class Watched(VirtualCharger):
-    """A charger whose machine uses its own geometry; it stores the arm's commands."""
-
-    def __init__(self, geometry: DeltaGeometry, target: TargetParameters, **parameters: Any) -> None:
-        super().__init__(WorldParameters(target=target), DockingParameters(**parameters))
-        self.machine = DockingMachine(self.parameters, geometry)
-        self.commands: list[tuple[State, tuple[Waypoint, ...]]] = []
-        step = self.machine.step
-
-        def watched(observation: Any) -> Any:
-            command = step(observation)
-            if command.trajectory is not None:
-                self.commands.append((self.machine.status.state, command.trajectory))
-            return command
-
-        self.machine.step = watched  # type: ignore[method-assign]
+def charger(geometry: DeltaGeometry, x: float = 0.0) -> VirtualCharger:
+    """A charger whose machine uses its own geometry, before a target that is x (m) aside."""
+    run = VirtualCharger(WorldParameters(target=TargetParameters(x=x)))
+    run.machine = DockingMachine(run.parameters, geometry)
+    return run
 
 
 def test_an_arm_outside_its_limits_is_not_moved() -> None:
     home_angle = float(DELTA.inverse(HOME).angles[0])
-    run = Watched(DeltaGeometry(joint_min=home_angle + 0.02), TargetParameters())
+    run = charger(DeltaGeometry(joint_min=home_angle + 0.02))
+    sent = commands(run)
     outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0)))
     assert outcome.code is Code.UNREACHABLE
     assert "JOINT_LIMIT" in outcome.message
-    assert not any(trajectory for _, trajectory in run.commands)
+    assert not any(command.trajectory for command in sent)
     assert math.dist(run.world.snapshot().position, HOME) < 1e-3
     assert not run.observe().torque_enabled
 
@@ -117,8 +108,7 @@ def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting
     # The rods allow the given place, but not a place 6 mm farther, which touch requests.
     given, real = (0.048, 0.0, 0.080), 0.054
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
-    geometry = DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod))
-    run = Watched(geometry, TargetParameters(x=real))
+    run = charger(DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod)), real)
     outcome = run.dock(DockGoal(ElectrodePose(given, 0.0), start_charging=False))
     assert outcome.code is Code.UNREACHABLE, outcome.message
     assert "SWING_LIMIT" in outcome.message
@@ -126,3 +116,179 @@ def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting
     assert State.ALIGN not in run.states
     assert run.world.record.contacts == 1
     assert math.dist(run.world.snapshot().position, HOME) < 3e-3
+
+
+TICK = 0.01
+LAG = 0.06
+LINE = Planner(DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.01, -0.02, 0.062), 0.12)
+SLOW = Planner(DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.0, 0.0, 0.060), 0.03)
+END = LINE[-1].time
+LIMITS = driver.JointLimits(("a", "b", "c"), -math.pi, math.pi, 10.0)
+
+
+def checked(piece: Sequence[Waypoint]) -> driver.Trajectory:
+    """The piece as servo_node reads it; refused pieces raise."""
+    points = [driver.ServoWaypoint(point.time, point.angles, point.torque_bound) for point in piece]
+    return driver.check(LIMITS.names if points else (), points, LIMITS)
+
+
+def peak_speed(line: Piece) -> float:
+    return max(max(map(abs, point.velocities or ())) for point in line)
+
+
+class Listener:
+    """Follows pieces from their arrival on, as linear motion of the goal, with a first-order arm."""
+
+    def __init__(self, lag: float = LAG) -> None:
+        self._lag = lag
+        self._trajectory = checked(())
+        self._since, self._start = 0.0, (0.0, 0.0, 0.0)
+        self.goal = self.arm = LINE[0].angles
+        self.pieces: list[Piece] = []
+
+    def hear(self, piece: Piece | None, time: float) -> None:
+        if piece is None:
+            return
+        self.advance(time, 0.0)
+        self.pieces.append(piece)
+        self._trajectory, self._since, self._start = checked(piece), time, self.goal
+
+    def advance(self, time: float, step: float) -> None:
+        if not self._trajectory.is_hold:
+            goal = self._trajectory.goal_at(time - self._since, self._start)
+            self.goal = goal[0], goal[1], goal[2]
+        share = 1.0 - math.exp(-step / self._lag)
+        moved = [arm + share * (goal - arm) for arm, goal in zip(self.arm, self.goal, strict=True)]
+        self.arm = moved[0], moved[1], moved[2]
+
+
+def drive(
+    feed: TrajectoryFeed,
+    listener: Listener,
+    end: float,
+    received: Callable[[float], bool] = lambda now: True,
+    held: Callable[[float], bool] = lambda now: False,
+) -> np.ndarray:
+    """Run sender and receiver for `end` s; rows of time, goal and arm angles."""
+    rows = []
+    for step in range(1 + round(end / TICK)):
+        now = step * TICK
+        listener.advance(now, TICK if step else 0.0)
+        rows.append((now, *listener.goal, *listener.arm))
+        if received(now):
+            listener.hear(feed.piece(now, held(now)), now)
+    return np.array(rows)
+
+
+def begun(line: Piece = LINE, lag: float = LAG) -> TrajectoryFeed:
+    feed = TrajectoryFeed(lag)
+    feed.start(line, 0.0)
+    return feed
+
+
+@pytest.mark.parametrize("lag", [0.02, LAG, 0.364])
+@pytest.mark.parametrize("line", [LINE, SLOW, LINE[:2], LINE[:1]])
+def test_pieces_are_short_never_refused_and_end_exactly_at_the_goal(line: Piece, lag: float) -> None:
+    draw, feed, now = random.Random(3), begun(line, lag), 0.0
+    pieces: list[Piece] = []
+    while feed.is_under_way(now):
+        piece = feed.piece(now)
+        if piece is not None:
+            pieces.append(piece)
+        now += draw.choice((0.004, 0.01, 0.011, 0.03, 0.1))
+    for piece in pieces:
+        trajectory = checked(piece)
+        assert trajectory.duration <= HORIZON + TURN
+        assert len(piece) <= 8
+        assert all(later.time - sooner.time > 5e-4 for sooner, later in pairwise(piece))
+    assert pieces[-1][-1].angles == line[-1].angles
+    assert pieces[-1][-1].torque_bound == line[-1].torque_bound
+    assert feed.piece(now) is None
+
+
+@pytest.mark.parametrize("longest", [0.0, HORIZON - 2 * TICK])
+def test_ticks_in_time_or_late_within_the_horizon_give_the_goal_of_the_complete_line(longest: float) -> None:
+    draw, due = random.Random(3), [0.0]
+
+    def received(now: float) -> bool:
+        if now < due[0]:
+            return False
+        due[0] = now + draw.uniform(0.0, longest)
+        return True
+
+    whole, listener = checked(LINE), Listener()
+    rows = drive(begun(), listener, END + 0.1, received)
+    goals = np.array([whole.goal_at(now, LINE[0].angles) for now in rows[:, 0]])
+    assert np.abs(rows[:, 1:4] - goals).max() < (0.003 if longest else 1e-12), "chords of a curved way, in rad"
+    assert len(listener.pieces) > 5
+
+
+@pytest.mark.parametrize(("lag", "share"), [(0.02, 0.1), (LAG, 0.3), (0.364, 0.5)])
+def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(lag: float, share: float) -> None:
+    gone = share * END
+    rows = drive(begun(lag=lag), Listener(lag), END + 1.0, received=lambda now: now < gone)
+    stopped = rows[rows[:, 0] >= gone + HORIZON + TURN + TICK]
+    assert np.ptp(stopped[:, 1:4], axis=0).max() == 0.0, "the goal rests"
+    drift = np.abs(stopped[-1, 4:] - stopped[0, 4:]).max()
+    assert drift < 0.25 * lag * peak_speed(LINE), "and the arm is not drawn after it by its whole lag"
+    left = np.abs(np.subtract(LINE[-1].angles, stopped[-1, 4:])).max()
+    assert left > 0.1, "far from the end, rad"
+
+
+def assert_ends_without_a_jump(rows: np.ndarray, after: float) -> None:
+    """After that time nothing jumps to catch up, and the goal is reached."""
+    steps = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1)
+    assert steps[rows[1:, 0] > after].max() < 1.1 * TICK * peak_speed(LINE)
+    assert rows[-1, 1:4] == pytest.approx(LINE[-1].angles, abs=1e-9)
+
+
+@pytest.mark.parametrize("silence", [0.2, 3.0])
+def test_a_returning_sender_continues_from_where_it_left_the_arm(silence: float) -> None:
+    gone = 0.4 * END
+    rows = drive(begun(), Listener(), END + silence + 0.2, received=lambda now: not gone < now < gone + silence)
+    assert_ends_without_a_jump(rows, gone + silence)
+
+
+def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
+    feed, listener = begun(), Listener()
+    since, until = 0.4 * END, 0.4 * END + 0.5
+    rows = drive(feed, listener, END + 0.7, held=lambda now: since <= now < until)
+    time, goal, arm = rows[:, 0], rows[:, 1:4], rows[:, 4:]
+    still = (time > since + 2 * TICK) & (time < until)
+    assert np.ptp(goal[still], axis=0).max() == 0.0
+    assert np.ptp(arm[still], axis=0).max() < 0.25 * LAG * peak_speed(LINE)
+    assert_ends_without_a_jump(rows, until)
+    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is sent once"
+    arrival = time[np.abs(goal - LINE[-1].angles).max(axis=1) < 1e-9][0]
+    assert arrival >= END + 0.5, "the time held is not made up for"
+
+
+def test_velocities_match_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
+    piece = begun().piece(0.5 * END)
+    assert piece is not None
+    assert max(map(abs, piece[0].velocities or ())) == pytest.approx(peak_speed(LINE), rel=0.1)
+    assert piece[-1].velocities == (0.0, 0.0, 0.0)
+
+
+def test_a_line_that_is_stopped_or_replaced_is_no_longer_sent() -> None:
+    feed = begun()
+    feed.piece(0.0)
+    feed.stop()
+    assert not feed.is_under_way(0.1)
+    assert feed.piece(0.1) is None
+    assert feed.hold(0.1) == ()
+    feed.start(LINE, 0.2)
+    feed.start(SLOW, 0.3)
+    piece = feed.piece(0.3)
+    assert piece is not None
+    assert piece[0] == SLOW[0]
+
+
+def test_a_pull_that_is_not_repeated_ends_at_the_arms_place_under_the_weaker_bound() -> None:
+    goal, rest = (0.0, 0.0, 0.0), (0.2, 0.2, 0.2)
+    trajectory = checked(pull(goal, (4.0,) * 3, rest, (0.9,) * 3))
+    for elapsed in (0.0, 0.03, PULL_HORIZON - 1e-6):
+        assert trajectory.goal_at(elapsed, rest) == goal
+        assert trajectory.torque_at(elapsed) == (4.0,) * 3
+    assert trajectory.goal_at(1.0, rest) == rest
+    assert trajectory.torque_at(PULL_HORIZON) == (0.9,) * 3

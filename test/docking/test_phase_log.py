@@ -9,13 +9,13 @@ import re
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Command, DockGoal, DockingStatus, Observation
-from deltacharger_docking.phase_log import PhaseLog
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_docking.observation import Command, DockingStatus, Observation
+from deltacharger_docking.phase_log import PhaseLog, changes
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 
 from .dockings import quick_charger
 
@@ -53,32 +53,19 @@ def test_a_docking_is_logged_phase_by_phase_with_its_contactor(logged: list[str]
     assert all(left[1] == right[0] for left, right in itertools.pairwise(found)), found
     assert found[-1][1] == "idle"
     assert {"contact", "measure", "energise", "charging", "retract"} <= {after for _, after in found}
-    closed, opened = (line for line in logged if "contactor" in line)
-    assert closed.startswith("dock order-1: contactor closed, target ")
-    assert re.match(r"dock order-1: contactor open, it was closed for \d+\.\d s$", opened)
+    assert [line.split(",")[0] for line in logged if "contactor" in line] == [
+        "dock order-1: contactor closed",
+        "dock order-1: contactor open",
+    ]
     assert len(logged) == len(found) + 2, "a line for each change, and none for a tick"
-    (measured, *_) = [line for line in logged if "contact → measure" in line]
-    assert re.search(r"z \d+\.\d mm, contact current 0\.\d{3} A, force \d+\.\d N$", measured)
-    (charging,) = [line for line in logged if "→ charging" in line]
-    assert re.search(r"charge current \d+\.\d\d A$", charging)
     assert "nan" not in "".join(logged)
-
-
-def test_a_failure_is_logged_once_when_retracting_begins(logged: list[str]) -> None:
-    run = quick_charger(1.0, -1.0, 1.0, parameters={"restarts_max": 0})
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
-    run.machine.cancel()
-    assert run.finish(60.0).code is Code.CANCELED
-    (failed,) = [line for line in logged if "102 CANCELED: cancelled by the client" in line]
-    assert "contact → retract after" in failed
 
 
 def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingStatus:
     return DockingStatus(state=state, code=code, message=message)
 
 
-def test_docking_again_and_its_failure_are_logged() -> None:
+def test_docking_again_and_a_failure_without_a_new_phase_are_logged() -> None:
     log = PhaseLog()
     log.begin("dock order-1")
     log.lines(status(State.CONTACT), (State.APPROACH, State.CONTACT), Observation(1.0))
@@ -86,15 +73,21 @@ def test_docking_again_and_its_failure_are_logged() -> None:
     assert failed == "dock order-1: contact → retract after 2.0 s, 302 NO_CONTACT: met nothing"
     (again,) = log.lines(status(State.APPROACH), (State.APPROACH,), Observation(4.5))
     assert again == "dock order-1: retract → approach after 1.5 s, docking again"
+    limp = status(State.APPROACH, Code.SERVO_FAULT, "limp")
+    (line,) = log.lines(limp, (), Observation(5.0))
+    assert "304 SERVO_FAULT: limp" in line
+    assert log.lines(limp, (), Observation(5.1)) == []
 
 
-def test_a_failure_without_a_new_phase_is_logged() -> None:
-    log = PhaseLog()
-    (line,) = log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.0))
-    assert line == "docking: idle, 304 SERVO_FAULT: limp"
-    assert log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.1)) == []
+@given(states, st.lists(states), states)
+def test_states_passed_between_two_reports_are_reported_once_each_in_order(
+    before: State, passed: list[State], now: State
+) -> None:
+    reported = changes(before, passed, now)
+    assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
 def test_log_lines_follow_any_sequence_of_states(steps: list[tuple[list[State], State, bool, Code]]) -> None:
     log = PhaseLog()

@@ -17,19 +17,15 @@ from std_srvs.srv import SetBool
 
 from deltacharger_docking.ros.messages import estimate
 from deltacharger_docking.ros.port_owners import PortOwners
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_ros.unknown import unknown_misalignment
-from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, parse_scene
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-from ..chargers import DEADLINE, Spin, new_namespace
-from ..quick import SCENE
+from ..chargers import Spin, new_namespace
+from ..running_charger import GOAL, QUICK, RunningCharger
 from ..waiting import wait_until
 
 HEARD = ("servo_state", "tactile_frame", "charger_power", "set_torque", "set_contactor", "probe")
-PLACE = Pose(0.0, 0.0, 0.080)
 
 
 def as_published(scene: Scene, **more: Any) -> Scene:
@@ -38,47 +34,30 @@ def as_published(scene: Scene, **more: Any) -> Scene:
     return replace(scene, parameters={**scene.parameters, "docking_node": docking})
 
 
-def outcomes(scene: Scene, context: Any, *requests: DockRequest) -> list[Outcome]:
-    """Serve goals one after the other on a charger of this scene."""
-    namespace = new_namespace()
-    with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE)
-        return [client.dock(request, deadline=DEADLINE) for request in requests]
-
-
 @pytest.mark.ros
+@pytest.mark.rest
 def test_the_simulated_charger_accepts_a_goal_and_its_estimates_have_cnn_classes(context: Any) -> None:
-    namespace = new_namespace()
-    scene = as_published(parse_scene(SCENE, "quick"))
-    with Composition(scene, context, namespace) as composition, ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE)
-        outcome = client.dock(DockRequest(PLACE), deadline=DEADLINE)
-        assert outcome.success, outcome
-        node = composition.node("docking_node")
+    with RunningCharger(as_published(parse_scene(QUICK, "quick")), context) as charger:
+        charger.charge()
+        node = charger.node("docking_node")
         felt = node._machine.status.estimate
         assert felt.classes is not None
         assert node._calls.misalignment(felt).model.endswith("+cnn")
 
 
 @pytest.mark.ros
-def test_goals_that_charge_are_refused_if_nodes_do_not_prove_simulation(quick_scene: Scene, context: Any) -> None:
-    refused, rests, again = outcomes(
-        as_published(quick_scene),
-        context,
-        DockRequest(PLACE),
-        DockRequest(PLACE, start_charging=False),
-        DockRequest(PLACE),
-    )
-    for outcome in (refused, again):
-        assert outcome.error_name == "REJECTED"
-        assert "published_clearance_rule" in outcome.error_message
-    assert rests.success, rests
-
-
-@pytest.mark.ros
-def test_with_our_clearance_rule_any_charger_is_accepted(quick_scene: Scene, context: Any) -> None:
-    (outcome,) = outcomes(as_published(quick_scene, published_clearance_rule=True), context, DockRequest(PLACE))
-    assert outcome.error_name != "REJECTED", outcome
+@pytest.mark.rest
+@pytest.mark.parametrize("rule", [False, True])
+def test_goals_that_charge_need_nodes_that_prove_simulation_or_our_rule(
+    quick_scene: Scene, context: Any, rule: bool
+) -> None:
+    with RunningCharger(as_published(quick_scene, published_clearance_rule=rule), context) as charger:
+        outcome = charger.dock()
+        assert (outcome.error_name == "REJECTED") is not rule, outcome
+        if not rule:
+            assert "published_clearance_rule" in outcome.error_message
+            assert charger.dock(replace(GOAL, start_charging=False)).success
+            assert charger.dock().error_name == "REJECTED", "nor does it energise a docked target"
 
 
 def message(**shares: Any) -> Misalignment:
@@ -125,6 +104,7 @@ class Owner(Node):
 
 
 @pytest.mark.ros
+@pytest.mark.rest
 def test_the_nodes_in_use_must_prove_simulation_and_stay_the_same(context: Any, spin: Spin, tmp_path: Path) -> None:
     """Simulated nodes of the right names prove nothing about other nodes to which docking is remapped."""
     ours, robot = (f"/{new_namespace().strip('/')}" for _ in range(2))

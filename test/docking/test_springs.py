@@ -1,27 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's value of the servos' stiffness: as configured until it is estimated."""
+"""What the servos' currents tell: the push, the stiffness of their springs, and an arm at ease for hours."""
 
 from __future__ import annotations
 
 import math
 import random
-from dataclasses import replace
 
 import pytest
 
 from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
 from deltacharger_core.script import Script
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.context import Context
-from deltacharger_docking.observation import Decision, DockGoal, Observation
+from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.springs import Springs
-from deltacharger_driver.servos.mx64 import TICK
+from deltacharger_driver.servos.thermal import ThermalModel
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import MagnetParameters, ServoParameters
+from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters
 
-from .dockings import assert_safe_at_home, charger
+from ..marks import rest
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, decisions, reach, spoil
 
 STILL: Vector = (0.0, 0.0, 0.0)
 PRESSED: Vector = (0.45, 0.6, 0.35)
@@ -41,47 +43,16 @@ def configured(stiffness: float) -> Springs:
     return Springs(DockingParameters(servo_stiffness=stiffness))
 
 
-def decisions(run: VirtualCharger) -> list[Decision]:
-    """Every decision from now on."""
-    found: list[Decision] = []
-    step = run.machine.step
-
-    def watched(observation: Observation):  # type: ignore[no-untyped-def]
-        command = step(observation)
-        found.extend(command.decisions)
-        return command
-
-    run.machine.step = watched  # type: ignore[method-assign]
-    return found
-
-
 @pytest.mark.parametrize("true", [2.0, 15.0, 40.0])
 @pytest.mark.parametrize("factor", [0.25, 4.0])
-def test_the_estimated_stiffness_overrides_the_configured_one(true: float, factor: float) -> None:
+@pytest.mark.parametrize("rates", [STILL, (-0.05, -0.08, 0.02)], ids=["at rest", "moving"])
+def test_the_estimated_stiffness_overrides_the_configured_one(true: float, factor: float, rates: Vector) -> None:
     springs = configured(factor * true)
-    feel(springs, true)
+    feel(springs, true, rates=rates)
     assert springs.is_estimated
     assert springs.stiffness == pytest.approx(true)
     assert springs.compliance == pytest.approx(TORQUE_CONSTANT / true)
     assert springs.lag == pytest.approx(SERVO_DAMPING / true)
-
-
-def test_a_moving_arm_gives_as_good_an_estimate_as_one_at_rest() -> None:
-    springs = configured(40.0)
-    feel(springs, 4.0, rates=(-0.05, -0.08, 0.02))
-    assert springs.stiffness == pytest.approx(4.0)
-
-
-def test_encoder_resolution_costs_little_accuracy() -> None:
-    source = random.Random(1)
-    worst = 0.0
-    for _ in range(200):
-        springs = configured(20.0)
-        noise = [source.uniform(-0.5, 0.5) * TICK + source.uniform(-0.5, 0.5) * TICK for _ in range(3)]
-        goals = [TORQUE_CONSTANT * current / 40.0 + each for current, each in zip(PRESSED, noise, strict=True)]
-        springs.add_reading((goals[0], goals[1], goals[2]), STILL, STILL, PRESSED)
-        worst = max(worst, abs(springs.stiffness / 40.0 - 1.0))
-    assert worst < 0.08
 
 
 SILENT: dict[str, tuple[Vector, Vector]] = {
@@ -124,16 +95,15 @@ def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
         assert springs.stiffness == pytest.approx(15.0), "even where it is lighter"
 
 
-@pytest.mark.parametrize("after", [0.3, 0.6])
+@pytest.mark.parametrize("after", [rest(0.3), 0.6])
 def test_a_repeated_servo_state_is_ignored(after: float) -> None:
     up = {"gravity_y": 0.0, "gravity_z": -9.81}  # equal load on all three servos, as under a push
     run = charger(parameters=up, **up)
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
+    reach(run, State.CONTACT)
     run.run(after)
     held = run.observe()
-    run.distort = lambda now: replace(now, angles=held.angles, currents=held.currents)
-    run.run(6.0)
+    spoil(run, angles=held.angles, currents=held.currents)
+    run.run(3.0)
     assert run.machine.planner.springs.stiffness == pytest.approx(15.0, rel=0.1)
 
 
@@ -147,61 +117,43 @@ def test_a_wrong_stiffness_is_reported_with_the_command_that_measures_it(
     assert springs.contradiction == ""
     feel(springs, felt)
     assert ("calibrate servos" in springs.contradiction) is named
-    if named:
-        assert f"{felt:.1f} N·m/rad, but servo_stiffness is {given:g}" in springs.contradiction
 
 
-@pytest.mark.parametrize(("true", "given"), [(2.0, 8.0), (3.0, 0.75), (15.0, 60.0), (40.0, 10.0)])
+@pytest.mark.parametrize(("true", "given"), [rest(2.0, 8.0), rest(3.0, 0.75), (15.0, 60.0), rest(40.0, 10.0)])
 def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: float) -> None:
     run = charger(parameters={"servo_stiffness": given}, servo=ServoParameters(stiffness=true))
-    found = decisions(run)
+    sent = commands(run)
     outcome = run.dock()
     assert outcome.success, outcome.message
     assert 0.4 <= outcome.contact_current <= 0.5
     context = run.machine._context
     assert context.springs.stiffness == pytest.approx(true, rel=0.02)
     assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
-    weighed = [dict(each.values)["estimated_Nm_per_rad"] for each in found if each.kind == "stiffness"]
+    weighed = [dict(each.values)["estimated_Nm_per_rad"] for each in decisions(sent, "stiffness")]
     # The weight hardly bends a stiff arm; the contact gives the estimate.
     assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
 
 
 def test_the_estimate_is_kept_for_the_next_docking() -> None:
     run = charger(parameters={"servo_stiffness": 40.0}, servo=ServoParameters(stiffness=10.0))
-    first = run.dock()
-    assert first.success, first.message
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
     assert run.undock().success
     assert_safe_at_home(run)
-    before, found = run.machine._context.springs.stiffness, decisions(run)
-    second = run.dock()
-    assert second.success, second.message
-    weighed = next(each for each in found if each.kind == "stiffness")
-    assert dict(weighed.values)["estimated_Nm_per_rad"] == pytest.approx(before, rel=0.1)
+    before, sent = run.machine._context.springs.stiffness, commands(run)
+    reach(run, State.CONTACT)
+    assert dict(decisions(sent, "stiffness")[0].values)["estimated_Nm_per_rad"] == pytest.approx(before, rel=0.1)
 
 
-def test_readings_during_a_motion_are_ignored() -> None:
-    run, found = charger(), []
+def test_readings_during_a_motion_or_at_the_current_bound_are_ignored() -> None:
+    """At the bound, the goal is farther and farther behind the target while the currents stay."""
+    run, moving, pushed = charger(0.0, 0.0, 0.0), list[float](), list[float]()
 
     def script(context: Context) -> Script[str]:
         yield from context.torque_on()
         context.follow(context.planner.line(context.measured(), (0.0, 0.0, 0.05), 0.25))
         while context.feed.is_under_way(context.time):
             yield from context.read()
-            found.append(context.springs.stiffness)
-        return ""
-
-    run.start(script)
-    run.finish(10.0)
-    assert len(found) > 2
-    assert found == [15.0] * len(found)
-
-
-def test_servos_at_their_current_bound_are_ignored() -> None:
-    """The goal is farther and farther behind the target while the currents stay at their bound."""
-    run, pushed = charger(0.0, 0.0, 0.0), []
-
-    def script(context: Context) -> Script[str]:
-        yield from context.torque_on()
+            moving.append(context.springs.stiffness)
         context.commanded = context.position
         for z in (0.090, 0.100, 0.108):
             yield from context.move((0.0, 0.0, z), 0.02)
@@ -210,10 +162,13 @@ def test_servos_at_their_current_bound_are_ignored() -> None:
 
     run.start(script)
     run.finish(60.0)
+    assert len(moving) > 2
+    assert moving == [15.0] * len(moving)
     assert min(pushed[1:]) > 0.5
     assert run.machine._context.springs.stiffness == pytest.approx(15.0, rel=0.05)
 
 
+@pytest.mark.rest
 def test_a_soft_arm_leaves_the_magnets_so_far_that_they_do_not_pull_it_back() -> None:
     run = charger(-8.0, -8.0, 8.0, 5, parameters={"servo_stiffness": 2.0}, servo=ServoParameters(stiffness=2.0))
     assert run.dock().success
@@ -227,5 +182,142 @@ def test_a_stuck_arm_reports_a_wrong_stiffness(given: float, named: bool) -> Non
     run = charger(0.0, 0.0, parameters={"servo_stiffness": given}, magnets=MagnetParameters(force=200.0))
     run.dock()
     outcome = run.undock()
-    assert outcome.code is Code.STUCK
+    assert (outcome.code, run.machine.status.docked) == (Code.STUCK, True)
     assert ("calibrate servos" in outcome.message) is named
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (3.0, -5.0, 7.0)])
+def test_force_comes_from_the_torques_less_the_holding_torques(gravity: tuple[float, float, float]) -> None:
+    source, delta = random.Random(3), ScalarDelta()
+    x, y, z = gravity
+    parameters = DockingParameters(gravity_x=x, gravity_y=y, gravity_z=z)
+    for _ in range(200):
+        place = source.uniform(-0.06, 0.06), source.uniform(-0.06, 0.06), source.uniform(0.0, 0.11)
+        angles = delta.inverse(*place)
+        currents = (source.uniform(-1.0, 2.0), source.uniform(-1.0, 2.0), source.uniform(-1.0, 2.0))
+        contact = ContactCurrent(delta, parameters)
+        contact.update(0.0, angles, currents)
+        held = delta.holding_torque(*contact.position, gravity)
+        a, b, c = (current * TORQUE_CONSTANT - hold for current, hold in zip(currents, held, strict=True))
+        assert contact.force == pytest.approx(delta.force(*contact.position, (a, b, c))[2], rel=1e-9, abs=1e-9)
+
+
+def test_invalid_angles_give_nan_and_no_error() -> None:
+    contact = ContactCurrent(ScalarDelta(), DockingParameters())
+    for angles in ((math.nan, 0.0, 0.0), (math.inf, 0.0, 0.0)):
+        contact.update(0.0, angles, (0.0, 0.0, 0.0))
+        assert math.isnan(contact.value)
+        assert math.isnan(contact.position[0])
+    contact.update(0.1, ScalarDelta().inverse(0.0, 0.0, 0.08), (0.2, 0.2, 0.2))
+    assert math.isfinite(contact.value)
+
+
+DOWN = (0.0, -9.81, 0.0)
+HOURS = 4 * 3600.0
+
+
+def resting(
+    x: float, y: float, stiffness: float, gravity: Vector, believed: float | None = None, friction: float = 0.3
+) -> VirtualCharger:
+    """A charger before a target at (x, y) mm."""
+    weight = dict(zip(("gravity_x", "gravity_y", "gravity_z"), gravity, strict=True))
+    world = {"servo": ServoParameters(stiffness=stiffness), "contact": ContactParameters(friction=friction), **weight}
+    return charger(x, y, parameters={"servo_stiffness": believed or stiffness, **weight}, **world)
+
+
+def currents(run: VirtualCharger) -> list[float]:
+    """The servos' currents (A) without noise."""
+    constant = run.world.parameters.servo.torque_constant
+    return [torque / constant for torque in run.world.mechanics.torques]
+
+
+CASES = [
+    (3.0, -2.0, 15.0, DOWN, None),
+    *(rest(3.0, -2.0, 15.0, gravity, None) for gravity in ((9.81, 0.0, 0.0), (-7.0, 7.0, 0.0))),
+    rest(-18.0, -18.0, 15.0, DOWN, None),
+    rest(18.0, 18.0, 10.0, DOWN, None),
+    rest(3.0, -2.0, 2.5, DOWN, None),
+    rest(3.0, -2.0, 20.0, DOWN, 15.0),
+    rest(3.0, -2.0, 10.0, DOWN, 16.0),
+]
+
+
+@pytest.mark.parametrize(("x", "y", "stiffness", "gravity", "believed"), CASES)
+def test_every_servo_can_hold_its_pressing_current_for_four_hours(
+    x: float, y: float, stiffness: float, gravity: Vector, believed: float | None
+) -> None:
+    run = resting(x, y, stiffness, gravity, believed)
+    sent = commands(run)
+    outcome = run.dock(DockGoal(ElectrodePose((x * MILLIMETRE, y * MILLIMETRE, 0.080), 0.0)))
+    assert outcome.success, outcome.message
+    assert 0.4 <= outcome.contact_current <= 0.5
+    run.run(1.0)
+    assert 0.4 <= run.machine.status.contact_current <= 0.5
+    hottest = max(map(abs, currents(run)))
+    eased = dict(decisions(sent, "eased")[0].values)
+    assert eased["slip_m"] < 0.1 * MILLIMETRE
+    assert hottest < 0.52
+    model = ThermalModel()
+    model.update(hottest, HOURS)
+    assert model.reserve() == math.inf
+    before = ThermalModel()
+    before.update(eased["hottest_before_A"], HOURS)
+    assert before.reserve() == 0.0, "with the weight on the servos it would have been too much"
+
+
+@pytest.mark.rest
+def test_four_hours_in_the_simulated_world_change_nothing() -> None:
+    run = resting(3.0, -2.0, 15.0, DOWN)
+    assert run.dock().success
+    run.run(0.5)
+    place, force, load = run.world.mechanics.position, run.world.snapshot().contact_force, currents(run)
+    for _ in range(int(HOURS / 10.0)):
+        run.world.step(10.0)
+    assert math.dist(place, run.world.mechanics.position) < 0.01 * MILLIMETRE
+    assert run.world.snapshot().contact_force == pytest.approx(force, abs=0.1)
+    assert currents(run) == pytest.approx(load, abs=0.005)
+    assert run.world.record.energised_unsafe == 0.0
+    assert max(run.world.servo(index)[4] for index in range(3)) < 40.0
+
+
+@pytest.mark.parametrize("expected", [0.36, rest(0.54)])
+def test_weight_along_the_push_remains_on_the_servos(expected: float) -> None:
+    """No friction carries it: it adds 0.09 A to each servo."""
+    run = resting(3.0, -2.0, 15.0, (0.0, 0.0, 9.81 * math.copysign(1.0, 0.45 - expected)))
+    assert run.dock().success
+    assert max(map(abs, currents(run))) == pytest.approx(expected, abs=0.04)
+
+
+@pytest.mark.parametrize("stiffness", [rest(5.0), 15.0])
+def test_if_friction_does_not_hold_the_weight_remains_on_the_servos(stiffness: float) -> None:
+    run = resting(3.0, -2.0, stiffness, DOWN, friction=0.01)
+    sent = commands(run)
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    assert decisions(sent, "slipped")
+    eased = dict(decisions(sent, "eased")[-1].values)
+    assert eased["slip_m"] < 1.5 * MILLIMETRE
+    assert eased["hottest_A"] > 0.55
+    assert 0.4 <= outcome.contact_current <= 0.5
+    rests = run.world.mechanics.position
+    run.run(3.0)
+    assert math.dist(rests, run.world.mechanics.position) < 0.1 * MILLIMETRE, "it does not go on slipping"
+    assert run.world.record.energised_unsafe == 0.0
+
+
+def test_clearance_is_measured_after_easing_and_before_probing() -> None:
+    run = resting(3.0, -2.0, 15.0, DOWN)
+    sent = commands(run)
+    assert run.dock().success
+    kinds = [each.kind for each in decisions(sent)]
+    last = len(kinds) - 1 - kinds[::-1].index("eased")
+    assert "measured" in kinds[last : kinds.index("probe")]
+    assert kinds.index("close") > kinds.index("probe") > last
+
+
+@pytest.mark.parametrize("changes", [{"approach": "paper"}, rest({"current_signal": "max"})])
+def test_approaches_as_published_are_not_eased(changes: dict[str, str]) -> None:
+    run = charger(parameters={"servo_stiffness": 2.5, **changes}, servo=ServoParameters(stiffness=2.5))
+    sent = commands(run)
+    run.dock(DockGoal(GOAL, start_charging=False))
+    assert not decisions(sent, "eased")

@@ -1,24 +1,72 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each declared parameter of docking and mission is read, and the machine uses the scene's value."""
+"""Docking's parameters: each is read and used; live ones are set between goals and apply to the next one."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from deltacharger_core.parameters import Declaration, declared
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
-from deltacharger_lab.campaigns.keys import TAKEN, known_keys
-from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import parse_scene
 
 from ..nodes import options
+
+LIVE = [each for each in declared(DockingParameters) if each.tunable]
+GUARDS = {  # of live electrodes, or copied by another part
+    "approach", "published_clearance_rule", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
+    "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",
+    "unsafe_max", "blind_max", "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
+    "hard_current", "torque_constant", "gravity_z", "servo_stiffness", "electrode_half_gap",
+}  # fmt: skip
+
+
+def content(thing: Any, seen: set[int]) -> Any:
+    """Return all values that can be reached from an object."""
+    if id(thing) in seen or callable(thing):
+        return type(thing).__name__
+    if isinstance(thing, dict | list | tuple) or hasattr(thing, "__dict__"):
+        seen.add(id(thing))
+    if isinstance(thing, dict):
+        return {str(key): content(value, seen) for key, value in thing.items()}
+    if isinstance(thing, list | tuple):
+        return [content(value, seen) for value in thing]
+    if hasattr(thing, "__dict__"):
+        return content(vars(thing), seen)
+    return repr(thing)
+
+
+@pytest.mark.parametrize("each", LIVE, ids=lambda each: each.name)
+def test_a_tuned_machine_equals_one_created_with_these_values(each: Declaration) -> None:
+    wanted = dataclasses.replace(DockingParameters(), **{each.name: other(each)})
+    tuned = DockingMachine(DockingParameters())
+    assert tuned.tune(wanted) == ""
+    assert content(tuned, set()) == content(DockingMachine(wanted), set())
+    assert content(tuned, set()) != content(DockingMachine(DockingParameters()), set())
+
+
+def test_parameters_that_protect_live_electrodes_or_describe_the_machine_are_fixed() -> None:
+    assert len(LIVE) > 50
+    assert not GUARDS & {each.name for each in LIVE}
+    assert {each.name for each in declared(DockingParameters)} >= GUARDS
+
+
+def test_tuning_is_refused_while_the_arm_retracts() -> None:
+    machine = DockingMachine(DockingParameters())
+    machine.start_undock("", Observation(0.0))
+    assert machine.tune(DockingParameters(home_z=0.01)).startswith("a goal is running")
+    machine.emergency()
+    assert machine.tune(DockingParameters(home_z=0.01)) == ""
+
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNodeParameters)
@@ -60,11 +108,9 @@ def test_every_declared_parameter_is_read(table: type[Any]) -> None:
 def test_a_scene_may_set_each_parameter_and_wrong_values_are_refused(node: str) -> None:
     given = values(node)
     assert not list(problems(parse_scene({"nodes": [node], "parameters": {node: given}}, "mine")))
-    tables = TABLES[:2] if node == "docking_node" else TABLES[2:]
-    for each in (each for table in tables for each in declared(table) if each.kind in (int, float)):
-        wrong = {node: {each.name: "much"}}
-        ((key, _),) = problems(parse_scene({"nodes": [node], "parameters": wrong}, "mine"))
-        assert key == f"parameters.{node}.{each.name}"
+    wrong = {name: "much" for name, value in given.items() if type(value) in (int, float)}
+    found = problems(parse_scene({"nodes": [node], "parameters": {node: wrong}}, "mine"))
+    assert {key for key, _ in found} == {f"parameters.{node}.{name}" for name in wrong}
 
 
 @pytest.mark.ros
@@ -76,11 +122,3 @@ def test_the_node_uses_the_values_of_the_scene(context: Any, namespace: str) -> 
     finally:
         node.destroy_node()
     assert decides_by == DockingParameters(**{each.name: other(each) for each in declared(DockingParameters)})
-
-
-def test_a_campaign_uses_the_values_of_its_scene() -> None:
-    numbers = {each.name: other(each) for each in declared(DockingParameters) if each.kind in (bool, int, float)}
-    given = {f"docking.{name}": value for name, value in numbers.items() if f"docking.{name}" not in TAKEN}
-    assert set(given) <= set(known_keys())
-    _, _, docking = build_parts(given, "guarded")
-    assert {f"docking.{name}": getattr(docking, name) for name in numbers if f"docking.{name}" in given} == given
