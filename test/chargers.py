@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -104,14 +103,6 @@ def start() -> Iterator[Callable[..., Process]]:
 def deltacharger() -> tuple[str, ...]:
     """The command, run from the code under test."""
     return (sys.executable, "-m", "deltacharger_bringup.cli")
-
-
-def dock_at_last(client: Any, request: Any) -> Any:
-    """Dock successfully; retry, as a fleet would, after failures caused by a stall of the computer."""
-    end = time.monotonic() + DEADLINE
-    while not (outcome := client.dock(request, deadline=DEADLINE)).success:
-        assert time.monotonic() < end, outcome
-    return outcome
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`ros2 launch` of charger.launch.py: it docks, keeps scopes apart, restarts nodes that may, and ends safely.
 
-Its exit code is 0 after Ctrl-C; 1, with a reason, if a part has ended or refuses. Without launch: test_stops.py and
-test_processes.py.
+Its exit code is 0 after Ctrl-C; 1, with a reason, if a part has ended or refuses. Without launch: test_stops.py.
 """
 
 from __future__ import annotations
