@@ -13,18 +13,6 @@ from deltacharger_driver.board.protocol import BoardFault, PacketType
 from .board_bench import Bench, acks
 
 
-def test_a_complete_close() -> None:
-    bench = Bench()
-    bench.run(0.1)
-    assert not bench.power().contactor_closed
-    bench.closed()
-    assert bench.error(PacketType.CONTACTOR, b"\0") == 0
-    bench.run(0.1)
-    assert not bench.power().contactor_closed
-    assert bench.power().charge_current == 0.0
-    assert bench.power().fault == 0
-
-
 def test_a_probe_is_answered_when_measured() -> None:
     bench = Bench()
     assert acks(bench.send(PacketType.PROBE) + bench.run(0.14)) == []
@@ -99,11 +87,6 @@ def test_closing_twice_is_not_now_and_opening_always_works() -> None:
     assert bench.close() == 3  # the opening voided the probe
 
 
-@pytest.mark.parametrize("payload", [b"", b"\2", b"\1\0"])
-def test_invalid_contactor_payloads_are_refused(payload: bytes) -> None:
-    assert Bench().error(PacketType.CONTACTOR, payload) == 1
-
-
 def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
     bench = Bench().closed()
     bench.beating = False
@@ -137,12 +120,6 @@ def test_a_late_heartbeat_does_not_keep_the_contactor_closed() -> None:
     bench.send(PacketType.HEARTBEAT)
     assert not bench.board.contactor_commanded
     assert bench.board.fault == BoardFault.HEARTBEAT_LOST
-
-
-def test_the_next_event_is_the_heartbeats_deadline() -> None:
-    bench = Bench().closed()
-    bench.send(PacketType.HEARTBEAT)
-    assert 0.0 < bench.board.next_event(bench.now) <= 0.1
 
 
 def test_a_missing_heartbeat_while_open_is_no_fault() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import termios
@@ -11,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import serial
 
@@ -24,10 +24,10 @@ from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.errors import NoAnswer, PortBusy, PortDenied, PortGone, PortMissing
+from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
-from ..waiting import wait_until
+from ..waiting import host, wait_until
 
 
 class Rig:
@@ -40,18 +40,14 @@ class Rig:
         self.powers: list[PowerSample] = []
         self.boots: list[float] = []
         self.losses: list[PortGone] = []
-        self._path = directory / "board"
-        self.cable = PseudoTerminal(self.board, self._path).start()
+        self.cable = PseudoTerminal(self.board, directory / "board").start()
         self.link = BoardLink(
-            str(self._path),
+            self.cable.path,
             on_tactile=self.frames.append,
             on_power=self.powers.append,
             on_boot=lambda: self.boots.append(time.monotonic()),
             on_gone=self.losses.append,
         )
-
-    def replug(self) -> None:
-        self.cable = PseudoTerminal(self.board, self._path).start()
 
     def stop(self) -> None:
         self.link.close()
@@ -75,57 +71,15 @@ def link(rig: Rig) -> BoardLink:
 def test_hello_ping_and_rate(link: BoardLink) -> None:
     hello = link.hello()
     assert (hello.major, hello.rows, hello.columns, hello.rate) == (1, 10, 10, 120.0)
-    assert 0.0 < link.ping() < 0.2
+    assert 0.0 < link.ping() < host(0.2)
     assert link.ping(b"x" * 64) > 0.0
-    with pytest.raises(ValueError, match="at most 64"):
+    with pytest.raises(ValueError, match="64"):
         link.ping(bytes(65))
     link.set_rate(60.0)
     assert link.hello().rate == 60.0
-    with pytest.raises(CommandRefused, match="does not sample at 0 Hz") as refusal:
+    with pytest.raises(CommandRefused) as refusal:
         link.set_rate(0.0)
     assert refusal.value.error == AckError.BAD_PAYLOAD
-
-
-def test_frames_are_sampled_now_and_never_lost(rig: Rig, link: BoardLink) -> None:
-    link.tare()
-    rig.plant.press(8.0)
-    link.start()
-    wait_until(lambda: len(rig.frames) >= 60)
-    link.stop()
-    frame = rig.frames[-1]
-    assert frame.pads.shape == (2, 10, 10)
-    assert frame.pads.dtype == np.float32
-    assert frame.pads[0].sum() == pytest.approx(8.0, abs=2.0)
-    assert frame.tared
-    assert not frame.overrun
-    assert [f.sequence for f in rig.frames] == list(range(len(rig.frames)))
-    instants = np.array([f.time for f in rig.frames])
-    assert np.abs(np.diff(instants[10:]) - 1 / 120).max() < 0.004
-    assert link.counters.lost_tactile == 0
-    assert link.decoder_counters.damaged == 0
-    assert instants[-1] <= time.monotonic()
-
-
-def test_power_arrives_without_a_request(rig: Rig, link: BoardLink) -> None:
-    wait_until(lambda: len(rig.powers) >= 3)
-    power = rig.powers[-1].power
-    assert (power.battery_voltage, power.contactor_closed, power.fault) == (26.0, False, 0)
-    assert power.target_voltage == 24.0
-
-
-def test_a_tare_in_contact_is_refused_with_advice(rig: Rig, link: BoardLink) -> None:
-    rig.plant.press(20.0)
-    with pytest.raises(CommandRefused, match="retract first"):
-        link.tare()
-
-
-def test_probe(rig: Rig, link: BoardLink) -> None:
-    began = time.monotonic()
-    result = link.probe()
-    assert (result.resistance, result.target_voltage) == (2.0, 24.0)
-    assert 0.14 < result.time - began < 0.4
-    rig.plant.resistance = math.inf
-    assert math.isinf(link.probe().resistance)
 
 
 def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> None:
@@ -133,75 +87,47 @@ def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> No
     link.probe()
     with pytest.raises(CommandRefused, match="heartbeat"):
         link.contactor(True)
-    until = time.monotonic() + 0.5
+    until = time.monotonic() + 0.3
     link.keep_alive(until)
     link.contactor(True)
-    wait_until(lambda: rig.powers[-1].power.contactor_closed)
     wait_until(lambda: rig.board.fault)
-    lag = time.monotonic() - until
+    assert time.monotonic() > until
     assert rig.board.fault == BoardFault.HEARTBEAT_LOST
-    assert 0.0 < lag < 0.2
-    assert 15 <= link.counters.heartbeats <= 27
+    assert link.counters.heartbeats <= 17
     link.contactor(False)
     wait_until(lambda: rig.powers[-1].power.fault == 0)
 
 
-def test_stopping_the_heartbeat_opens(rig: Rig, link: BoardLink) -> None:
-    link.probe()
-    link.keep_alive(math.inf)
-    link.contactor(True)
-    wait_until(lambda: rig.plant.read_power()[3])
-    link.stop_heartbeat()
-    stopped = time.monotonic()
-    wait_until(lambda: not rig.plant.read_power()[3])
-    assert time.monotonic() - stopped < 0.2
-
-
-def test_closing_the_link_opens_the_contactor(rig: Rig, link: BoardLink) -> None:
+def test_closing_the_link_opens_the_contactor_and_is_harmless_twice(rig: Rig, link: BoardLink) -> None:
     link.probe()
     link.keep_alive(math.inf)
     link.contactor(True)
     link.close()
+    link.close()
     wait_until(lambda: rig.board.fault == BoardFault.HEARTBEAT_LOST)
+    with pytest.raises(PortGone):
+        link.start()
 
 
-@pytest.mark.parametrize("kind", ["drop", "corrupt", "truncate"])
-def test_a_command_with_a_lost_answer_is_repeated(rig: Rig, link: BoardLink, kind: str) -> None:
-    rig.board.faults.inject(kind, 1, PacketType.ACK)
+def test_a_command_with_a_lost_answer_is_repeated_and_a_repeated_close_succeeds(rig: Rig, link: BoardLink) -> None:
+    rig.board.faults.inject("drop", 1, PacketType.ACK)
     link.start()
-    assert 1 <= link.counters.retries <= 3  # on a busy computer a second answer may be late
-
-
-def test_a_close_with_a_lost_answer_succeeds(rig: Rig, link: BoardLink) -> None:
+    assert link.counters.retries >= 1
     link.probe()
     link.keep_alive(math.inf)
     rig.board.faults.inject("drop", 1, PacketType.ACK)
     link.contactor(True)
     assert rig.board.contactor_commanded
-    with pytest.raises(CommandRefused, match="already closed"):
+    with pytest.raises(CommandRefused):
         link.contactor(True)
 
 
 def test_a_missing_answer_is_an_error_after_a_deadline(rig: Rig, link: BoardLink) -> None:
     rig.board.faults.silent = True
     began = time.monotonic()
-    with pytest.raises(NoAnswer, match="START within 500 ms"):
+    with pytest.raises(NoAnswer, match="START"):
         link.start()
-    assert time.monotonic() - began < 1.0
-    assert isinstance(NoAnswer("", "", 0.0), TimeoutError)
-
-
-def test_a_noisy_wire_loses_only_frames(rig: Rig, link: BoardLink) -> None:
-    rig.board.faults.probability.update(drop=0.05, corrupt=0.05, truncate=0.05, garbage=0.1)
-    link.start()
-    wait_until(lambda: len(rig.frames) >= 120)
-    rig.board.faults.probability.update(drop=0.0, corrupt=0.0, truncate=0.0, garbage=0.0)
-    link.stop()
-    sequences = [f.sequence for f in rig.frames]
-    gaps = sequences[-1] - sequences[0] + 1 - len(sequences)
-    assert sequences == sorted(set(sequences))
-    assert link.counters.lost_tactile == gaps > 0
-    assert link.decoder_counters.damaged > 0
+    assert 0.5 <= time.monotonic() - began < host(1.0)
 
 
 def test_frames_of_a_rebooted_board_keep_rising_and_are_untared(rig: Rig, link: BoardLink) -> None:
@@ -217,17 +143,7 @@ def test_frames_of_a_rebooted_board_keep_rising_and_are_untared(rig: Rig, link: 
     assert new.sequence == old.sequence + 1
     assert new.device_time_us < old.device_time_us
     assert (old.tared, new.tared) == (True, False)
-    assert new.time > old.time
-    assert time.monotonic() - rig.frames[-1].time < 0.1
-    assert link.counters.reboots == 1
-
-
-def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock(rig: Rig, link: BoardLink) -> None:
-    wait_until(lambda: rig.powers and rig.powers[-1].time - rig.powers[0].time > 0.7)
-    rig.board.faults.inject("drop", 1, PacketType.HELLO)
-    rig.board.reboot()
-    wait_until(lambda: rig.boots)
-    link.hello()
+    assert old.time < new.time <= time.monotonic()
     assert link.counters.reboots == 1
 
 
@@ -255,6 +171,18 @@ def test_a_board_that_boots_while_its_port_opens_dates_no_frame_back(announced: 
     assert receiver.counters.reboots == announced
 
 
+def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock() -> None:
+    board, decoder, boots = BoardEmulator(BenchPlant(), seed=3), PacketDecoder(), list[bool]()
+    receiver = BoardReceiver(BoardRequests(), None, None, lambda: boots.append(True))
+    for tick in range(200):
+        if tick == 100:
+            board.faults.inject("drop", 1, PacketType.HELLO)
+            board.reboot()
+        for packet in decoder.feed(board.poll(10.0 + 0.01 * tick)):
+            receiver.take(packet, 10.0 + 0.01 * tick)
+    assert (receiver.counters.reboots, boots) == (1, [True])
+
+
 def test_a_command_interrupted_by_a_reboot_reports_it(rig: Rig, link: BoardLink) -> None:
     timer = threading.Timer(0.05, rig.board.reboot)
     timer.start()
@@ -276,7 +204,7 @@ def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(ri
         link.start()
     link.close()
     last = rig.frames[-1].sequence
-    rig.replug()
+    rig.cable.start()
     link.open()
     link.start()
     before = len(rig.frames)
@@ -285,17 +213,7 @@ def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(ri
     assert rig.boots == []
 
 
-def test_a_failing_callback_does_not_end_the_link(tmp_path: Path) -> None:
-    board = BoardEmulator(BenchPlant())
-    link = BoardLink("", on_power=lambda sample: 1 / 0)  # type: ignore[arg-type, return-value]
-    with PseudoTerminal(board) as cable:
-        link.port = cable.path
-        with link:
-            wait_until(lambda: link.counters.callback_errors >= 2)
-            link.ping()
-
-
-def test_a_command_from_a_callback_is_refused() -> None:
+def test_a_callback_may_fail_but_not_ask(tmp_path: Path) -> None:
     errors: list[str] = []
 
     def ask(sample: PowerSample) -> None:
@@ -303,12 +221,14 @@ def test_a_command_from_a_callback_is_refused() -> None:
             link.start()
         except RuntimeError as error:
             errors.append(str(error))
+            raise
 
     link = BoardLink("", on_power=ask)
     with PseudoTerminal(BoardEmulator(BenchPlant())) as cable:
         link.port = cable.path
         with link:
-            wait_until(lambda: errors)
+            wait_until(lambda: link.counters.callback_errors >= 2)
+            link.ping()
     assert "another thread" in errors[0]
 
 
@@ -332,28 +252,24 @@ class Puppet:
         return math.inf
 
 
+def hello(*head: int) -> Callable[[Packet], bytes]:
+    """Answer with a HELLO that begins with these bytes, and acknowledge."""
+
+    def answer(packet: Packet) -> bytes:
+        ack = Packet(PacketType.ACK, bytes([3, 0]) + packet.sequence.to_bytes(2, "little"))
+        return encode_packet(Packet(PacketType.HELLO, bytes(head) + bytes(8))) + encode_packet(ack)
+
+    return answer
+
+
 @pytest.mark.parametrize(
     ("answer", "error", "words"),
     [
-        (lambda p: encode_packet(Packet(PacketType.HELLO, bytes(12)), version=2), BoardMismatch, "speaks version 2"),
-        (lambda p: b"Welcome to minicom\r\n", BoardMismatch, "wrong baud rate or device"),
-        (lambda p: b"", NoAnswer, "no answer to HELLO"),
-        (
-            lambda p: (
-                encode_packet(Packet(PacketType.HELLO, bytes([2, 1, 10, 10]) + bytes(8)))
-                + encode_packet(Packet(PacketType.ACK, bytes([3, 0]) + p.sequence.to_bytes(2, "little")))
-            ),
-            BoardMismatch,
-            r"version 2\.1",
-        ),
-        (
-            lambda p: (
-                encode_packet(Packet(PacketType.HELLO, bytes([1, 0, 16, 8]) + bytes(8)))
-                + encode_packet(Packet(PacketType.ACK, bytes([3, 0]) + p.sequence.to_bytes(2, "little")))
-            ),
-            BoardMismatch,
-            "16 x 8 taxels",
-        ),
+        (lambda p: encode_packet(Packet(PacketType.HELLO, bytes(12)), version=2), BoardMismatch, "version 2"),
+        (lambda p: b"Welcome to minicom\r\n", BoardMismatch, "baud rate"),
+        (lambda p: b"", NoAnswer, "^(?!.*other packets).*HELLO"),
+        (hello(2, 1, 10, 10), BoardMismatch, r"version 2\.1"),
+        (hello(1, 0, 16, 8), BoardMismatch, "16 x 8"),
     ],
 )
 def test_an_incompatible_device_is_refused_with_the_reason(
@@ -366,51 +282,28 @@ def test_an_incompatible_device_is_refused_with_the_reason(
     assert len(puppet.received) <= 3
 
 
-def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink) -> None:
+def test_unknown_types_and_bad_payloads_are_counted_and_dropped() -> None:
+    receiver = BoardReceiver(BoardRequests(), None, None, lambda: None)
     for type, payload in ((99, b""), (PacketType.START, b""), (PacketType.POWER, b"short"), (PacketType.TACTILE, b"")):
-        link._receiver.take(Packet(type, payload, 0, 10**9), time.monotonic())
-    assert link.counters.unknown_types == 2
-    assert link.counters.bad_payloads == 2
+        receiver.take(Packet(type, payload, 0, 10**9), 1.0)
+    assert (receiver.counters.unknown_types, receiver.counters.bad_payloads) == (2, 2)
 
 
-def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
+def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(rig: Rig) -> None:
     rig.board.faults.deaf = True
-    with pytest.raises(NoAnswer, match="the board sends other packets"):
+    with pytest.raises(NoAnswer, match="other packets"):
         rig.link.open()
-    rig.board.faults.silent = True
-    with pytest.raises(NoAnswer) as silence:
-        rig.link.open()
-    assert "does not answer" not in str(silence.value)
-    rig.stop()
-
-
-def test_a_missing_port_has_its_own_error() -> None:
-    with pytest.raises(PortMissing, match="no such port"):
-        BoardLink("/dev/does-not-exist").open()
-
-
-def test_a_busy_port_has_its_own_error(rig: Rig, link: BoardLink) -> None:
-    with pytest.raises(PortBusy, match="another program"):
-        BoardLink(rig.link.port).open()
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may open anything")
-def test_a_forbidden_port_has_its_own_error(tmp_path: Path) -> None:
-    (tmp_path / "port").touch(mode=0)
-    with pytest.raises(PortDenied, match="dialout"):
-        BoardLink(str(tmp_path / "port")).open()
 
 
 @pytest.mark.parametrize(
     "hang_up",
-    [serial.SerialException("gone"), OSError(5, "Input/output error"), termios.error(5, "gone"), b""],
+    [serial.SerialException("gone"), OSError(errno.EIO, "I/O"), termios.error(errno.EIO, "gone"), b""],
     ids=["SerialException", "OSError", "termios.error", "end of file"],
 )
 def test_every_kind_of_hang_up_is_one_error(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes
+    board_port: str, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes
 ) -> None:
-    port = BoardPort(rig.link.port, 1_000_000)
+    port = BoardPort(board_port, 1_000_000)
 
     def read(descriptor: int, size: int) -> bytes:
         if isinstance(hang_up, bytes):
@@ -418,20 +311,7 @@ def test_every_kind_of_hang_up_is_one_error(
         raise hang_up
 
     with monkeypatch.context() as patch:
-        patch.setattr("deltacharger_driver.board.port.os.read", read)
-        wait_until(lambda: _is_gone(port))
+        patch.setattr(os, "read", read)
+        with pytest.raises(PortGone):
+            wait_until(lambda: port.read(1.0))
     port.close()
-
-
-def _is_gone(port: BoardPort) -> bool:
-    try:
-        return port.read(1.0) != b""
-    except PortGone:
-        return True
-
-
-def test_closing_twice_is_harmless(link: BoardLink) -> None:
-    link.close()
-    link.close()
-    with pytest.raises(PortGone, match="closed"):
-        link.start()

@@ -70,14 +70,6 @@ def test_golden_bytes(packet: Packet, wire: str) -> None:
     assert PacketDecoder().feed(bytes.fromhex(wire)) == [packet]
 
 
-def test_header_layout() -> None:
-    wire = encode_packet(Packet(0xA2, b"xyz", 0xB4B3, 0xC8C7C6C5C4C3C2C1, 0xD1, 0xD2))
-    assert wire[0] == wire[-1] == 0
-    plain = cobs.decode(wire[1:-1])
-    assert plain[:-4].hex() == "01a2b3b4c1c2c3c4c5c6c7c8d1d20000" + b"xyz".hex()
-    assert plain[-4:] == struct.pack("<I", zlib.crc32(plain[:-4]))
-
-
 @given(st.lists(packets, max_size=5), st.integers(1, 64))
 def test_packets_survive_any_splitting(sent: list[Packet], step: int) -> None:
     stream = b"".join(encode_packet(packet) for packet in sent)

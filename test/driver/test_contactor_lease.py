@@ -79,13 +79,6 @@ def test_only_the_token_renews() -> None:
     assert lease.take("dock", 0.25, 0.1, "secret") == 0.35
 
 
-def test_a_lease_without_a_token_is_renewed_by_its_name() -> None:
-    lease = probed()
-    lease.take("dock", 0.25, 0.0)
-    assert lease.take("dock", 0.25, 0.1, "any") == 0.35
-    assert lease.take("dock", 0.25, 0.2) == 0.45
-
-
 def test_an_opening_clears_the_token() -> None:
     lease = probed()
     lease.take("dock", 0.25, 0.0, "secret")
@@ -131,11 +124,3 @@ def test_every_opening_voids_the_probe_and_the_lease() -> None:
         lease.take("dock", 0.25, 0.1)
     lease.probed(25.0, 24.0, 0.2)
     lease.take("other", 0.25, 0.3)
-
-
-def test_remaining() -> None:
-    lease = probed()
-    assert math.isinf(lease.remaining(0.0))
-    lease.take("dock", 0.25, 0.0)
-    assert lease.remaining(0.1) == pytest.approx(0.15)
-    assert lease.remaining(9.0) == 0.0

@@ -13,8 +13,6 @@ from deltacharger_driver.servos.mx64 import (
     TICK,
     angle_to_ticks,
     current_to_counts,
-    describe_hardware_error,
-    describe_status_error,
     indirect_address,
     indirect_data,
     ticks_to_angle,
@@ -30,30 +28,6 @@ def test_no_two_registers_overlap():
         for place in range(address, address + size):
             assert place not in taken, f"{name} overlaps {taken[place]}"
             taken[place] = name
-
-
-@pytest.mark.parametrize(
-    ("name", "address", "size"),
-    [
-        ("operating_mode", 11, 1),
-        ("homing_offset", 20, 4),
-        ("torque_enable", 64, 1),
-        ("hardware_error", 70, 1),
-        ("position_d_gain", 80, 2),
-        ("position_i_gain", 82, 2),
-        ("position_p_gain", 84, 2),
-        ("bus_watchdog", 98, 1),
-        ("goal_current", 102, 2),
-        ("goal_position", 116, 4),
-        ("present_current", 126, 2),
-        ("present_velocity", 128, 4),
-        ("present_position", 132, 4),
-        ("input_voltage", 144, 2),
-        ("temperature", 146, 1),
-    ],
-)
-def test_addresses_of_the_e_manual(name, address, size):
-    assert (REGISTERS[name].address, REGISTERS[name].size) == (address, size)
 
 
 def test_the_vendors_figures_give_the_assumed_stiffness():
@@ -75,12 +49,6 @@ def test_angle_convention():
     assert ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
     assert ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
     assert abs(ticks_to_angle(angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
-
-
-def test_currents_of_the_paper():
-    assert current_to_counts(0.4) == 119
-    assert current_to_counts(0.5) == 148  # never above the request
-    assert current_to_counts(-0.4) == -119
 
 
 def test_a_bound_is_never_rounded_up():
@@ -106,11 +74,3 @@ def test_registers_refuse_too_large_numbers():
     with pytest.raises(RangeError):
         REGISTERS["goal_current"].to_bytes(40_000)
     assert REGISTERS["goal_current"].from_bytes(REGISTERS["goal_current"].to_bytes(-1)) == -1
-
-
-def test_errors_in_words():
-    assert describe_hardware_error(0) == ""
-    assert describe_hardware_error(0b100100) == "overheating, overload"
-    assert "0x02" in describe_hardware_error(2)
-    assert "hardware error" in describe_status_error(0x80)
-    assert "read-only" in describe_status_error(7)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import random
-import re
 import signal
 import sys
 import threading
@@ -30,7 +29,6 @@ from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.errors import HandshakeError
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.serial_open import open_serial
 from deltacharger_driver.servos import servo_node
@@ -41,7 +39,7 @@ from deltacharger_ros.node_support import StartupError
 
 from ..behind_board import BehindEmulator
 from ..nodes import call, options
-from ..waiting import DEADLINE, wait_until
+from ..waiting import DEADLINE, host, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -114,64 +112,41 @@ def test_a_board_without_the_bus_refuses_its_packets(type: PacketType) -> None:
     assert board.unknown_types == 1
 
 
-class Servos:
-    """Emulated servos behind an emulated board, and the bus that a driver opens."""
-
-    def __init__(self) -> None:
-        self.arm = BenchArm(ANGLES)
-        self.emulator = ServoBusEmulator(self.arm)
-        self.terminal = BehindEmulator(self.emulator).start()
-        self.emulator.line_speed = self.terminal.speed
-        self.bus = ServoBus(BusSettings(self.terminal.path, reply_margin=0.1))
-
-    def close(self) -> None:
-        self.bus.close()
-        self.terminal.stop()
-
-
 @pytest.fixture
-def servos() -> Iterator[Servos]:
-    servos = Servos()
-    yield servos
-    servos.close()
+def behind() -> Iterator[tuple[BehindEmulator, ServoBusEmulator, ServoBus]]:
+    """Emulated servos behind an emulated board, and their bus with torque on."""
+    emulator = ServoBusEmulator(BenchArm(ANGLES))
+    with BehindEmulator(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        bus = ServoBus(BusSettings(terminal.path, reply_margin=0.1))
+        bus.open()
+        bus.enable_torque(CURRENTS)
+        yield terminal, emulator, bus
+        bus.close()
 
 
-def test_a_silent_bus_is_reported_servo_by_servo(servos: Servos) -> None:
-    servos.emulator.faults.missing = {1, 2, 3}
-    with pytest.raises(HandshakeError) as caught:
-        servos.bus.open()
-    assert [f"servo {each} does not answer at any speed" in str(caught.value) for each in (1, 2, 3)] == [True] * 3
-
-
-def test_servos_at_different_speeds_are_reported_by_speed(servos: Servos) -> None:
-    servos.emulator.set_speed(2, 1)
-    with pytest.raises(HandshakeError, match="servo 2 answers at 57600") as caught:
-        servos.bus.open()
-    assert len(caught.value.faults) == 1
-
-
-def test_a_late_answer_is_not_taken_for_the_next_request(servos: Servos) -> None:
+@pytest.mark.rest
+def test_a_late_answer_is_not_taken_for_the_next_request(behind: Any) -> None:
     """The delay exceeds the timeout, so that each answer arrives at the next request."""
-    servos.bus.open()
-    servos.bus.enable_torque(CURRENTS)
-    servos.emulator.faults.delay = 0.15
-    seen = [servos.bus.read() for _ in range(20)]
-    servos.emulator.faults.delay = 0.0
+    _, emulator, bus = behind
+    emulator.faults.delay = 0.15
+    seen = [bus.read() for _ in range(10)]
+    emulator.faults.delay = 0.0
     for snapshot in seen:
         for angle, valid, truth in zip(snapshot.angle, snapshot.valid, ANGLES, strict=True):
             assert math.isnan(angle) if not valid else angle == pytest.approx(truth, abs=0.01)
-    wait_until(lambda: servos.bus.read().complete)
+    wait_until(lambda: bus.read().complete)
 
 
-def test_a_board_reset_during_a_packet_loses_some_cycles(servos: Servos) -> None:
-    servos.bus.open()
-    servos.bus.enable_torque(CURRENTS)
-    for _ in range(5):
-        servos.terminal.board.reboot(boot_time=0.3)
-        wait_until(lambda: not servos.bus.exchange(ANGLES, CURRENTS).complete)
-        wait_until(lambda: servos.bus.exchange(ANGLES, CURRENTS).complete)
-    assert not servos.terminal.board.contactor_commanded
-    assert servos.arm.torque_enabled() == [True] * 3, "the servos' own watchdogs protect them"
+@pytest.mark.rest
+def test_a_board_reset_during_a_packet_loses_some_cycles(behind: Any) -> None:
+    terminal, emulator, bus = behind
+    for _ in range(2):
+        terminal.board.reboot(boot_time=0.3)
+        wait_until(lambda: not bus.exchange(ANGLES, CURRENTS).complete)
+        wait_until(lambda: bus.exchange(ANGLES, CURRENTS).complete)
+    assert not terminal.board.contactor_commanded
+    assert [emulator.servo(each).table.get("torque_enable") for each in (1, 2, 3)] == [1, 1, 1]  # watchdogs protect
 
 
 class LivePlant(BenchPlant):
@@ -184,6 +159,7 @@ class LivePlant(BenchPlant):
         super().open_contactor(ramp)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("end", ["the lease", "the heartbeat"])
 def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(tmp_path: Path, end: str) -> None:
     beats: list[float] = []
@@ -209,8 +185,8 @@ def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(tmp_path:
         keeper.guard.probe()
         began = time.monotonic()
         keeper.guard.close("test", 0.25)
-        while time.monotonic() - began < 1.0:
-            time.sleep(0.1)  # the holder's 10 Hz
+        while time.monotonic() - began < 0.6:
+            time.sleep(0.05)  # the holder's pace
             keeper.guard.close("test", 0.25)
         renewed = time.monotonic()
         assert plant.opened_at == math.inf
@@ -221,8 +197,8 @@ def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(tmp_path:
         asking.join()
         keeper.close()
     assert sum(cycles) > 0.9 * len(cycles)
-    assert plant.opened_at - beats[-1] < 0.1
-    assert plant.opened_at - renewed < 0.35
+    assert plant.opened_at - beats[-1] < host(0.1)
+    assert plant.opened_at - renewed < host(0.35)
 
 
 class Charger:
@@ -237,21 +213,22 @@ class Charger:
         self.tactile = spin(TactileNode(**options(context, namespace, port=self.cable.path)))
 
 
+@pytest.mark.witness
 def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any) -> None:
     arm = BenchArm(ANGLES)
     charger = Charger(context, namespace, spin, ServoBusEmulator(arm))
     node = spin(ServoNode(**options(context, namespace, port="board", rate=60.0)))
     states: list[ServoState] = []
     node.create_subscription(ServoState, "servo_state", states.append, 10)
-    wait_until(lambda: len(states) > 120)
-    assert all(list(state.valid) == [True] * 3 for state in states[-60:])
+    wait_until(lambda: len(states) > 60)
+    assert all(list(state.valid) == [True] * 3 for state in states[-30:])
     assert runtime.servos(domain(), namespace).is_symlink()
     charger.cable.stop()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.rest
 def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
-    context: Any, namespace: str, spin: Any, start: Any, number: int
+    context: Any, namespace: str, spin: Any, start: Any
 ) -> None:
     """tactile_node passes on the last packets of servo_node."""
     arm = BenchArm(ANGLES)
@@ -271,7 +248,7 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
         assert torque.wait_for_service(DEADLINE)
         assert call(torque, SetBool.Request(data=True)).success
         for node in nodes:
-            node.process.send_signal(number)
+            node.process.send_signal(signal.SIGTERM)
         assert [node.end() for node in nodes] == [0, 0]
     assert arm.torque_enabled() == [False] * 3
 
@@ -279,8 +256,8 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
 def test_missing_servos_behind_the_board_are_reported(
     context: Any, namespace: str, spin: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(servo_node, "_BOARD_TIMEOUT", 0.5)
+    monkeypatch.setattr(servo_node, "_BOARD_TIMEOUT", 0.1)
     charger = Charger(context, namespace, spin, None)
-    with pytest.raises(StartupError, match=re.escape("no servos behind the board")):
+    with pytest.raises(StartupError, match="no servos"):
         ServoNode(**options(context, namespace, port="board"))
     charger.cable.stop()

@@ -12,7 +12,7 @@ from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import Packet, PacketType, encode_packet
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.errors import HandshakeError, NoAnswer, PortMissing, WrongDevice
+from deltacharger_driver.errors import HandshakeError, NoAnswer, WrongDevice
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
@@ -96,11 +96,6 @@ def test_other_devices_are_reported(answer: bytes, kind: str) -> None:
         found = identify(terminal.path, speeds=(1_000_000, 57600))
     assert found.kind == kind
     assert found.servos == ()
-
-
-def test_a_missing_port_is_an_error() -> None:
-    with pytest.raises(PortMissing):
-        identify("/dev/does-not-exist")
 
 
 @pytest.mark.parametrize("scan", [True, False])

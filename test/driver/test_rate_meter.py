@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,12 +34,6 @@ def test_the_rate_counts_since_the_last_call() -> None:
     assert meter.rate() == pytest.approx(10.0)
 
 
-def test_no_time_no_rate() -> None:
-    meter = RateMeter(Clock())
-    meter.count()
-    assert math.isnan(meter.rate())
-
-
 def test_late_events_are_counted_since_the_start() -> None:
     clock = Clock()
     meter = RateMeter(clock)
@@ -50,12 +42,6 @@ def test_late_events_are_counted_since_the_start() -> None:
     clock.now += 1.0
     meter.rate()
     assert meter.late == 2
-
-
-def test_lateness_is_unknown_before_the_first_value() -> None:
-    lateness = Lateness()
-    assert math.isnan(lateness.largest)
-    assert math.isnan(lateness.percentile(0.99))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=512), st.floats(0.0, 1.0))

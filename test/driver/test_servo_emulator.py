@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.control_table import (
     ACCESS,
     CHECKSUM,
@@ -37,15 +35,6 @@ def test_ping_returns_the_model_and_broadcast_ping_finds_all(host: Host) -> None
     assert host.ask(2, PING) == [(2, 0, bytes((0x37, 0x01, 45)))]
     assert [servo for servo, _, _ in host.ask(BROADCAST, PING)] == [1, 2, 3]
     assert host.ask(9, PING) == []
-
-
-def test_registers_have_factory_values_except_id_and_speed(host: Host) -> None:
-    for name, register in REGISTERS.items():
-        if name in ("id", "baud", "goal_position", "return_delay") or name.startswith(("present", "input", "temper")):
-            continue
-        assert host.read(3, name) == register.default, name
-    assert host.read(3, "id") == 3
-    assert ServoBusEmulator(BenchArm()).servo(1).table.get("return_delay") == 250
 
 
 def test_every_kind_of_rejection_has_its_number(host: Host) -> None:

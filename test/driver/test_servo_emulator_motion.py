@@ -38,12 +38,6 @@ def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     assert host.arm.commands[1][1] == pytest.approx(100 * TICK)
 
 
-def test_modes_without_a_position_loop_give_no_torque(host: Host) -> None:
-    host.write(1, "operating_mode", 0)
-    host.write(1, "torque_enable", 1)
-    assert not host.arm.torque_enabled()[0]
-
-
 def test_nothing_is_commanded_twice(host: Host) -> None:
     calls = []
     host.arm.command_servo = lambda *command: calls.append(command)
@@ -148,15 +142,6 @@ def test_moving_and_moving_status_follow_a_move(
     assert (host.read(1, "moving"), host.read(1, "moving_status") & 0b1011) == (0, 0b0001)
 
 
-def test_a_servo_that_cannot_follow_reports_it(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
-    host.write(1, "goal_current", 10)
-    host.write(1, "torque_enable", 1)
-    host.arm.load[0] = 3.0
-    host.advance(2.0)
-    assert host.read(1, "moving_status") & 0b1001 == 0b1000
-
-
 def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
     host.write(1, "bus_watchdog", 6)
     host.advance(1.0)
@@ -167,12 +152,6 @@ def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
     assert host.read(1, "bus_watchdog") == 6
     host.advance(0.125)
     assert host.read(1, "bus_watchdog") == 255
-
-
-def test_a_servo_without_torque_needs_no_tick_after_a_silence(host: Host) -> None:
-    host.write(1, "bus_watchdog", 6)
-    host.advance(1.0)
-    assert host.bus.next_event(host.now) > 1.0
 
 
 @pytest.mark.parametrize("offset", [0, 500])

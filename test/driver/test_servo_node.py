@@ -173,7 +173,7 @@ def test_the_state_at_start(servos: Servos) -> None:
 
 @pytest.mark.version
 def test_diagnostics_report_health_rate_and_late_cycles(servos: Servos) -> None:
-    bus = wait_until(lambda: [s for s in list(servos.client.statuses) if s.name.endswith("servo bus")][1:])[0]
+    bus = wait_until(lambda: [s for s in list(servos.client.statuses) if s.name.endswith("servo bus")])[0]
     assert {status.level for status in servos.client.statuses} == {DiagnosticStatus.OK}
     values = {value.key: value.value for value in bus.values}
     assert 60.0 / host(1.0) < float(values["rate"].removesuffix(" Hz")) <= 105.0
@@ -186,7 +186,7 @@ def test_torque_trajectory_hold_torque_off_and_reboot(servos: Servos) -> None:
     client = servos.client
     assert client.set_torque(True).success
     assert servos.arm.torque_enabled() == [True] * 3
-    client.send((0.2, HIGHER))
+    client.send((0.05, HIGHER))
     wait_until(lambda: list(client.states[-1].position) == pytest.approx(HIGHER, abs=2 * TICK))
     assert list(client.states[-1].torque_enabled) == [True] * 3
     client.send((0.0, START))
@@ -206,7 +206,6 @@ def test_a_missing_servo_is_unknown(servos: Servos, shared: tuple[Servos, ServoB
         return list(state.valid) == [True, False, True] and math.isnan(state.position[1]) and state
 
     assert math.isnan(wait_until(only_that_one).temperature[1])
-    wait_until(lambda: servos.client.reports("servo 2 does not answer"))
     emulator.faults.missing = set()
     wait_until(lambda: all(servos.client.states[-1].valid))
 
@@ -375,13 +374,11 @@ def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging: Charging)
         ({"ids": [1, 1, 2]}, "no id twice"),
         ({"joint_min": 1.0, "joint_max": 0.5}, "joint_min"),
         ({"baud": 57600}, "'baud_rate'"),
-        ({"baud_rate": 57600}, "answers at 1000000"),
     ],
 )
 def test_a_wrong_configuration_stops_the_start_with_a_reason(
-    context: Any, terminal: PseudoTerminal, emulator: ServoBusEmulator, parameters: dict[str, Any], reason: str
+    context: Any, terminal: PseudoTerminal, parameters: dict[str, Any], reason: str
 ) -> None:
-    emulator.line_speed = terminal.speed
     with pytest.raises(StartupError, match=reason):
         ServoNode(**options(context, **{"port": terminal.path, **parameters}))
 

@@ -121,14 +121,6 @@ def test_faults_of_all_servos_are_reported_at_once_and_good_servos_are_configure
     assert emulator.servo(3).table.get("operating_mode") == 3
 
 
-def test_a_missing_servo_does_not_hide_the_settings_of_another(closed: ServoBus, emulator: ServoBusEmulator) -> None:
-    emulator.faults.missing = {1}
-    emulator.servo(2).table.set("drive_mode", 1)
-    with pytest.raises(HandshakeError) as caught:
-        closed.open(scan=False)
-    assert ["does not answer" in fault for fault in caught.value.faults] == [True, False]
-
-
 def test_one_rejection_does_not_hide_the_next(
     closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

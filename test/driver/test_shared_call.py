@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
@@ -100,14 +99,3 @@ def test_a_block_waits_for_the_running_call_and_precedes_the_next(slow: Slow) ->
         leave.set()
         assert first.result(DEADLINE) == 1
         assert late.result(DEADLINE) == 2
-
-
-def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
-    shared = SharedCall(slow, 0.0)
-    slow.error = ValueError("no")
-    slow.go_on.set()
-    began = time.monotonic()
-    for _ in range(5):
-        with pytest.raises(ValueError, match="no"):
-            shared()
-    assert time.monotonic() - began >= 0.25

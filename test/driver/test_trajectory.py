@@ -27,20 +27,6 @@ def test_linear_between_the_goal_and_the_points():
     assert trajectory.duration == 2.0
 
 
-def test_the_goal_never_leaves_the_hull_of_start_and_points():
-    trajectory = check(NAMES, points((0.0, (0.2, 0.2, 0.2)), (0.3, (-0.5, 0.4, 1.0))), LIMITS)
-    for step in range(-10, 100):
-        for angle, low, high in zip(
-            trajectory.goal_at(step * 0.005, START), (-0.5, 0.1, 0.2), (0.2, 0.4, 1.0), strict=True
-        ):
-            assert low - 1e-12 <= angle <= high + 1e-12
-
-
-def test_a_point_at_time_zero_takes_effect_at_once():
-    trajectory = check(NAMES, points((0.0, (0.2, 0.2, 0.2))), LIMITS)
-    assert trajectory.goal_at(0.0, START) == (0.2, 0.2, 0.2)
-
-
 def test_joints_may_be_in_any_order():
     trajectory = check(("c", "a", "b"), points((1.0, (0.3, 0.1, 0.2), (3.0, 1.0, 2.0))), LIMITS)
     assert trajectory.angles == ((0.1, 0.2, 0.3),)

@@ -123,11 +123,6 @@ def test_it_streams_between_start_and_stop_only(host: BoardHost) -> None:
     host.link.stop()
 
 
-def test_sequence_numbers_continue_over_stop_and_start(host: BoardHost) -> None:
-    first, second = host.stream(20), host.stream(20)
-    assert lost_in_silence([*first, *second]) == []
-
-
 def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite) -> None:
     forces = np.array([frame.pads for frame in host.stream(STRETCH)])
     dead = np.isnan(forces)

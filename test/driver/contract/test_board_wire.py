@@ -12,7 +12,7 @@ import pytest
 
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import Ack, decode_ack, decode_hello, encode_rate
+from deltacharger_driver.board.payloads import Ack, decode_ack, encode_rate
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import (
     LONGEST_PING,
@@ -120,16 +120,6 @@ def test_pings_return_their_bytes(wire: Wire) -> None:
         (back,) = wire.exchange(encode_packet(Packet(PacketType.PING, data)))
         assert (back.type, back.payload) == (PacketType.PING, data)
     assert wire.is_silent_on(encode_packet(Packet(PacketType.PING, bytes(LONGEST_PING + 1))))
-
-
-def test_heartbeats_are_not_answered(wire: Wire) -> None:
-    assert wire.is_silent_on(*[encode_packet(Packet(PacketType.HEARTBEAT))] * 5)
-
-
-def test_hello_is_answered_and_then_acknowledged(wire: Wire) -> None:
-    hello, ack = wire.exchange(encode_packet(Packet(PacketType.HELLO, sequence=65535)))
-    assert decode_hello(hello.payload).major == VERSION
-    assert decode_ack(ack.payload) == Ack(PacketType.HELLO, AckError.DONE, 65535)
 
 
 def test_commands_sent_together_are_answered_in_order(wire: Wire) -> None:

@@ -140,14 +140,6 @@ def torque(site: ServoSite) -> list[int]:
         link.close()
 
 
-def test_torque_is_off_after_it_was_switched_off(held: ServoBus, servo_site: ServoSite) -> None:
-    assert held.read().torque_enabled == (True, True, True)
-    held.disable_torque()
-    assert held.read().torque_enabled == (False, False, False)
-    held.close()
-    assert torque(servo_site) == [0, 0, 0]
-
-
 def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) -> None:
     controller = ServoController(servo_site.settings, BOUND, TORQUE_CONSTANT)
     controller.open()
