@@ -95,6 +95,11 @@ def test_a_middleware_with_another_format_gets_usual_messages(spoil: Any, monkey
     assert is_as_ordered(published(flat=False))
 
 
+def test_a_row_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="different structures"):
+        published(rows=(array("d", [1.0] * 4), *ROWS[1:]))
+
+
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
     node = Node("subject", **options(context, namespace))

@@ -3,24 +3,20 @@
 
 from __future__ import annotations
 
-import json
 import math
-import signal
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from deltacharger.msg import ChargerPower, DockingState
 from rclpy.qos import QoSProfile
 
 from deltacharger_ros.outcomes import DockRequest, Pose, Progress
 from deltacharger_scenes.scene import parse_scene
 
-from ..quick import SCENE, STEPS, quick_simulation
+from ..quick import quick_simulation
 from ..running_charger import GOAL, PATIENT, QUICK, RunningCharger
 
 pytestmark = pytest.mark.ros
@@ -68,22 +64,6 @@ def test_an_impossible_goal_is_aborted_with_its_code_and_nothing_moves(
     assert outcome.error_message
     assert (outcome.details["suggested_base_pose"] is not None) == (code == "UNREACHABLE")
     assert charger.world.events[before:] == []
-
-
-@pytest.mark.rest
-def test_sigint_cancels_and_exits_with_130(
-    start: Callable[..., Any], deltacharger: tuple[str, ...], namespace: str, tmp_path: Path
-) -> None:
-    scene = tmp_path / "quick.yaml"
-    steps = {"docking_node": {**STEPS, "charge_stable_time": 2.0}}  # so that a signal arrives while it energises
-    scene.write_text(yaml.safe_dump({**SCENE, "goal": {"z": HERE.z}, "parameters": steps}), encoding="utf-8")
-    process = start(*deltacharger, "dock", "--json", "--no-picture", "--namespace", namespace, "--scene", str(scene))
-    process.wait_for_line(" s  energise ", process.err)
-    assert process.end(signal.SIGINT) == 130
-    answer = json.loads(process.out[-1])
-    assert answer["error_name"] == "CANCELED"
-    assert answer["simulation"]["energised_shorts"] == 0
-    assert not any("Traceback" in line for line in process.err), process.err
 
 
 @pytest.mark.rest

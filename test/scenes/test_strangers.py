@@ -7,28 +7,24 @@ Their random messages: test_strangers_by_dice.py.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from array import array
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from deltacharger.srv import Probe
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_ros.messages import CODES
-from deltacharger_ros.qos import SERVICE
 from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 from deltacharger_scenes.scene import Scene, parse_scene
 
-from ..chargers import DEADLINE, Spin, new_namespace, wait_until
+from ..chargers import Spin, new_namespace, wait_until
 from ..nodes import TELLS_PUBLISHERS, options
 from ..running_charger import QUICK, RunningCharger, up
 
@@ -71,44 +67,6 @@ def test_a_strangers_points_part_no_live_electrodes_and_do_not_end_the_charge(
     assert math.dist(charger.world.snapshot().position, before) < 0.001
     assert charger.state.charging
     charger.go_home()
-
-
-class Callers:
-    """Calls one service endlessly, from several clients at once."""
-
-    def __init__(self, spin: Spin, context: Any, namespace: str, kind: Any, name: str, count: int) -> None:
-        self.answers = 0
-        self._over = threading.Event()
-        for index in range(count):
-            node = spin(Node(f"{name}_caller_{index}", **options(context, namespace)))
-            client = node.create_client(kind, name, qos_profile=SERVICE)
-            assert client.wait_for_service(DEADLINE)
-            self._call(client)
-
-    def _call(self, client: Any) -> None:
-        if not self._over.is_set():
-            client.call_async(client.srv_type.Request()).add_done_callback(lambda done: self._answered(client))
-
-    def _answered(self, client: Any) -> None:
-        self.answers += 1
-        self._call(client)
-
-    def close(self) -> None:
-        self._over.set()
-
-
-@pytest.mark.rest
-def test_endless_probes_and_tares_prevent_no_docking(charger: RunningCharger, context: Any, spin: Spin) -> None:
-    callers = [
-        Callers(spin, context, charger.namespace, kind, name, count)
-        for kind, name, count in ((Probe, "probe", 3), (Trigger, "tare", 2))
-    ]
-    for _ in range(2):
-        charger.charge()
-        charger.go_home()
-    for each in callers:
-        each.close()
-        assert each.answers > 10
 
 
 @pytest.mark.parametrize("sec", [-(2**31), 2**31 - 1])
