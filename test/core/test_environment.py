@@ -22,10 +22,8 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({}, "every computer of this network"),
         ({RANGE: ""}, "every computer of this network"),
         ({RANGE: "SUBNET", "ROS_STATIC_PEERS": "10.0.0.7"}, "every computer of this network and to 10.0.0.7"),
-        ({RANGE: "LOCALHOST"}, "every program on this computer"),
         ({RANGE: "LOCALHOTS"}, "every program on this computer"),
         ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program on this computer"),
         ({RANGE: "OFF"}, "this process alone"),

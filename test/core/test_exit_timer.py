@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from ..marks import rest
+
 _HANGS = "import ctypes; ctypes.PyDLL(None).pause()"  # blocks for ever with Python's lock
 
 
@@ -16,7 +18,7 @@ def _run(limit: float, code: int, then: str) -> int:
     return subprocess.run([sys.executable, "-c", program], timeout=20.0, check=False).returncode
 
 
-@pytest.mark.parametrize(("limit", "code"), [(0.2, 0), (1.2, 7)])
+@pytest.mark.parametrize(("limit", "code"), [(0.2, 0), rest(1.2, 7)])
 def test_a_process_that_hangs_ends_within_its_limit(limit: float, code: int) -> None:
     assert _run(limit, code, _HANGS) == code
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -51,25 +52,21 @@ def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, op
     assert (file.first, file.last, file.damage) == (1000, 1099, "")
     assert file.metadata == [("about", {"scene": "tape"})]
     assert file.metadata_named("nothing") == []
+    assert file.attachment("note.txt") == b"hello"
 
 
 @pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.MESSAGE])
 def test_a_long_recording_in_small_chunks_is_read_to_its_end(tmp_path: Path, index_types: IndexType) -> None:
-    file = McapFile(write(tmp_path / "a.mcap", 1, 200 * MESSAGES, index_types=index_types))
-    assert (file.damage, file.counts.total()) == ("", 200 * len(MESSAGES))
+    file = McapFile(write(tmp_path / "a.mcap", 1, 20 * MESSAGES, index_types=index_types))
+    assert (file.damage, file.counts.total()) == ("", 20 * len(MESSAGES))
     assert sum(1 for _ in file.messages()) == file.counts.total()
-
-
-def test_attachments_are_found_by_name(tmp_path: Path) -> None:
-    assert McapFile(write(tmp_path / "a.mcap")).attachment("note.txt") == b"hello"
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
 @pytest.mark.parametrize("chunks", [True, False])
 def test_a_truncated_file_is_read_to_its_end(tmp_path: Path, share: float, chunks: bool) -> None:
     path = write(tmp_path / "a.mcap", use_chunking=chunks)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
+    os.truncate(path, int(share * path.stat().st_size))
     file, found = McapFile(path), list[Raw]()
     with pytest.raises(DamagedRecording, match=CUT_SHORT):
         found.extend(file.messages())
@@ -78,25 +75,18 @@ def test_a_truncated_file_is_read_to_its_end(tmp_path: Path, share: float, chunk
     assert (file.damage, file.first, file.last) == (CUT_SHORT, 1000, found[-1].received)
 
 
-def test_damage_inside_ends_the_messages_with_an_error(tmp_path: Path) -> None:
+def test_damage_inside_ends_the_messages_with_an_error_and_other_files_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap")
-    data = bytearray(path.read_bytes())
-    data[data.index(b"message 50") + 3] ^= 0xFF
-    path.write_bytes(bytes(data))
-    file, found = McapFile(path), list[Raw]()
-    with pytest.raises(DamagedRecording, match=r"a\.mcap: the file is damaged from here on"):
-        found.extend(file.messages())
+    data = path.read_bytes().replace(b"message 50", b"messAge 50", 1)
+    path.write_bytes(data)
+    found = list[Raw]()
+    with pytest.raises(DamagedRecording, match=r"a\.mcap.*damaged"):
+        found.extend(McapFile(path).messages())
     assert 30 < len(found) <= 50
     assert found == MESSAGES[: len(found)]
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"), [(b"", "is empty"), (b"no recording at all", "no MCAP"), (b"\x89MCAP0\r\n", "no MCAP")]
-)
-def test_other_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match=problem):
-        McapFile(path)
+    for content in (b"", b"no recording at all", b"\x89MCAP0\r\n"):
+        path.write_bytes(content)
+        with pytest.raises(RecordingError, match=r"MCAP|empty"):
+            McapFile(path)
     with pytest.raises(FileNotFoundError):
         McapFile(tmp_path / "none.mcap")

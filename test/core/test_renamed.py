@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-import re
+from typing import Any
 
 import pytest
 
@@ -14,30 +14,26 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.campaigns.scene import packaged_campaigns, parse_campaign_scene
 
-PARAMETERS = {each.name for each in dataclasses.fields(DockingParameters)}
-
 
 def test_what_replaces_a_name_exists_and_the_name_does_not() -> None:
-    known = PARAMETERS | set(packaged_campaigns()) | {each.split(".")[0] for each in known_keys()}
+    known = {each.name for each in dataclasses.fields(DockingParameters)} | set(packaged_campaigns())
+    known |= {each.split(".")[0] for each in known_keys()}
     for old, new in RENAMED.items():
         assert old not in known
         assert set(new.split(" and ")) <= known
 
 
-@pytest.mark.parametrize("old", sorted(set(RENAMED) - {"unmeasured"}))
-def test_an_old_parameter_is_refused_by_the_new_name(old: str) -> None:
-    new = re.escape(RENAMED[old])
+@pytest.mark.parametrize(
+    ("content", "new"),
+    [
+        *(({"docking": {old: 1.0}}, RENAMED[old]) for old in sorted(set(RENAMED) - {"unmeasured"})),
+        ({"told": {"servo_stiffness": 2.0}}, "assumed"),
+        ({"based_on": "unmeasured"}, "assumed_stiffness"),
+    ],
+)
+def test_an_old_name_is_refused_by_the_new_one(content: dict[str, Any], new: str) -> None:
     with pytest.raises(ParameterError, match=new):
-        from_mapping({old: 1.0}, DockingParameters)
-    with pytest.raises(ParameterError, match=new):
-        parse_campaign_scene({"docking": {old: 1.0}}, "mine")
-
-
-def test_an_old_key_of_a_campaign_is_refused_by_the_new_name() -> None:
-    with pytest.raises(ParameterError, match="it is assumed"):
-        parse_campaign_scene({"told": {"servo_stiffness": 2.0}}, "mine")
-
-
-def test_a_campaign_based_on_an_old_one_is_refused_by_the_new_name() -> None:
-    with pytest.raises(ParameterError, match="assumed_stiffness"):
-        parse_campaign_scene({"based_on": "unmeasured"}, "mine")
+        parse_campaign_scene(content, "mine")
+    for old in content.get("docking", {}):
+        with pytest.raises(ParameterError, match=new):
+            from_mapping({old: 1.0}, DockingParameters)

@@ -14,7 +14,7 @@ import pytest
 
 from deltacharger_core import runtime
 
-from ..chargers import DEADLINE, wait_until
+from ..waiting import DEADLINE
 
 HOLDER = """
 import sys
@@ -34,16 +34,16 @@ class Holder:
     """A process that takes the lock of domain 7 on command, and keeps it until the next command or until killed."""
 
     def __init__(self, namespace: str) -> None:
-        self.process = subprocess.Popen(
-            (sys.executable, "-c", HOLDER, namespace), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
+        self.process = subprocess.Popen((sys.executable, "-c", HOLDER, namespace), **pipes)
 
     def go_on(self) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write("\n")
-        self.process.stdin.flush()
 
-    def answer(self) -> str:
+    def answer(self, go_on: bool = True) -> str:
+        if go_on:
+            self.go_on()
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
@@ -67,66 +67,50 @@ def holder() -> Iterator[Callable[[str], Holder]]:
         each.process.communicate(timeout=DEADLINE)
 
 
+@pytest.mark.rest
 def test_exactly_one_of_simultaneous_processes_gets_the_lock(holder: Callable[[str], Holder]) -> None:
     asking = [holder("left") for _ in range(6)]
     for each in asking:
         each.go_on()
-    answers = [each.answer() for each in asking]
+    answers = [each.answer(go_on=False) for each in asking]
     winner = asking[answers.index("won")]
     assert answers.count("won") == 1
     assert set(answers) <= {"won", f"refused: {winner.process.pid}", "refused:"}  # it may not have written its id yet
 
 
-def test_each_domain_and_namespace_has_its_own_lock(holder: Callable[[str], Holder]) -> None:
+def test_each_domain_and_namespace_has_a_lock_that_a_killed_holder_does_not_keep(
+    holder: Callable[[str], Holder],
+) -> None:
     left = holder("left")
-    left.go_on()
     assert left.answer() == "won"
     with pytest.raises(runtime.Taken, match=f"process {left.process.pid}"), runtime.only_one(7, "left"):
         pass
     with runtime.only_one(7, "/a/left"), runtime.only_one(7, ""), runtime.only_one(8, "left"):
         pass
-
-
-def test_the_file_of_a_killed_holder_blocks_no_process(holder: Callable[[str], Holder]) -> None:
-    killed = holder("left")
-    killed.go_on()
-    assert killed.answer() == "won"
-    killed.process.send_signal(signal.SIGKILL)
-    killed.process.wait(DEADLINE)
-    [file] = runtime.folder().glob("*.lock")
-    assert file.read_text() == f"{killed.process.pid}\n"
+    left.process.send_signal(signal.SIGKILL)
+    left.process.wait(DEADLINE)
+    file = next(path for path in runtime.folder().glob("*.lock") if path.read_text() == f"{left.process.pid}\n")
     with runtime.only_one(7, "left"):
         assert file.read_text() == f"{os.getpid()}\n"
-
-
-def test_another_process_can_take_a_released_lock(holder: Callable[[str], Holder]) -> None:
-    with runtime.only_one(7, ""):
-        refused = holder("")
-        refused.go_on()
-        assert refused.answer() == f"refused: {os.getpid()}"
-    second = holder("")
-    second.go_on()
+        assert holder("left").answer() == f"refused: {os.getpid()}"
+    second = holder("left")
     assert second.answer() == "won"
     second.go_on()
-    wait_until(lambda: second.process.poll() is not None, "its end")
-    with runtime.only_one(7, ""):
+    assert second.process.wait(DEADLINE) == 0
+    with runtime.only_one(7, "left"):
         pass
 
 
-def test_the_folder_is_private_and_another_users_folder_is_refused(tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    runtime.folder().symlink_to(elsewhere)
+def test_the_folder_is_private_and_another_users_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert runtime.folder().parent == tmp_path
+    runtime.folder().symlink_to(tmp_path)
     with pytest.raises(PermissionError, match="not a folder of this user"), runtime.only_one(7, ""):
         pass
     runtime.folder().unlink()
     with runtime.only_one(7, ""):
         assert runtime.folder().stat().st_mode & 0o077 == 0
-
-
-def test_without_a_usable_runtime_folder_it_is_below_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert runtime.folder().parent == tmp_path
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
-    assert runtime.folder().parent == Path("/tmp")
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert runtime.folder().parent == Path("/tmp")
+    for unusable in ("missing", ""):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / unusable) if unusable else "")
+        assert runtime.folder().parent == Path("/tmp")

@@ -17,106 +17,66 @@ import pytest
 from deltacharger_core.runtime import CONTROL, is_simulated
 from deltacharger_sim.charger.fault_channel import ControlServer
 
+from ..waiting import host
 
-@contextlib.contextmanager
-def terminal(port: Path) -> Iterator[str]:
-    """Create a terminal with a link to it, and return its name."""
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """A terminal's link in a deep folder, and the terminal's name."""
+    folder = tmp_path / ("deep" * 30)
+    folder.mkdir()
     master, slave = pty.openpty()
-    port.symlink_to(os.ttyname(slave))
-    try:
-        yield os.ttyname(slave)
-    finally:
-        os.close(master)
-        os.close(slave)
+    (folder / "servo").symlink_to(os.ttyname(slave))
+    yield folder / "servo", os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
 
 
-def test_only_a_terminal_beside_a_listening_simulated_charger_is_its_port(tmp_path: Path) -> None:
-    port = tmp_path / "servo"
-    with terminal(port) as name:
-        assert not is_simulated(str(port)), "a cable passed on by a terminal is as real as any"
-        server = ControlServer(tmp_path / CONTROL, lambda request: {})
-        try:
-            assert not is_simulated(str(port)), "a listener that does not list it"
-        finally:
-            server.close()
-        served = ["/dev/pts/none", name]
-        server = ControlServer(tmp_path / CONTROL, lambda request: {"success": True, "ports": served})
-        try:
-            assert is_simulated(str(port))
+def test_only_a_terminal_beside_a_charger_that_lists_it_is_its_port(port: tuple[Path, str]) -> None:
+    path, name = port
+    device = path.with_name("ttyUSB0")
+    device.touch()
+    assert not is_simulated(str(path)), "a cable passed on by a terminal is as real as any"
+    served = ["/dev/pts/none", name]
+    for listed in ({}, {"success": True, "ports": served}):
+        with contextlib.closing(ControlServer(path.with_name(CONTROL), lambda request, listed=listed: listed)):
+            assert is_simulated(str(path)) == bool(listed)
+            for other in (device, path.with_name("gone"), "", "a\0b", "x" * 5000):
+                assert not is_simulated(str(other)), "no terminal"
             served.pop()
-            assert not is_simulated(str(port)), "its charger serves another one"
+            assert not is_simulated(str(path)), "its charger serves another one"
             served.append(name)
-            device = tmp_path / "ttyUSB0"
-            device.touch()
-            assert not is_simulated(str(device)), "no terminal"
-            assert not is_simulated(str(tmp_path / "gone"))
-            assert not is_simulated("")
-        finally:
-            server.close()
-        assert not is_simulated(str(port)), "its charger has gone"
-
-
-class Answerer:
-    """Listens in place of a charger and answers with one byte every `pause` s."""
-
-    def __init__(self, path: Path, answer: bytes, pause: float = 0.0) -> None:
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.bind(str(path))
-        self._socket.listen()
-        self._answer, self._pause = answer, pause
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        caller, _ = self._socket.accept()
-        with caller, contextlib.suppress(OSError):  # the caller's timeout
-            for index in range(len(self._answer)):
-                time.sleep(self._pause)  # the answerer's pace
-                caller.sendall(self._answer[index : index + 1])
-
-    def close(self) -> None:
-        self._thread.join()
-        self._socket.close()
+    assert not is_simulated(str(path)), "its charger has gone"
 
 
 @pytest.mark.parametrize(
-    "answer",
+    ("answer", "pause"),
     [
-        *(b"", b"\n", b"garbage\n", b"\xff\n", b"[" * 3000 + b"\n", b"null\n", b'{"ports": 5}\n', b'{"ports": true}\n'),
-        *(b'{"ports": "TERMINAL"}\n', b'{"ports": "nothing of TERMINAL"}\n', b'{"ports": {"TERMINAL": 1}}\n'),
+        *((answer, 0.0) for answer in ("", "\n", "garbage\n", "\udcff\n", "[" * 3000 + "\n", "null\n")),
+        *((f'{{"ports": {ports}}}\n', 0.0) for ports in ("5", "true", '"TERMINAL"', '{"TERMINAL": 1}')),
+        ('{"ports": ["TERMINAL"]}\n', 0.1),  # too slow: no byte restarts the timeout
     ],
 )
-def test_an_answer_that_lists_no_ports_proves_nothing(tmp_path: Path, answer: bytes) -> None:
-    with terminal(tmp_path / "servo") as name:
-        answerer = Answerer(tmp_path / CONTROL, answer.replace(b"TERMINAL", name.encode()))
-        try:
-            assert not is_simulated(str(tmp_path / "servo"))
-        finally:
-            answerer.close()
+def test_an_answer_that_lists_no_ports_in_time_proves_nothing(
+    port: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, answer: str, pause: float
+) -> None:
+    path, name = port
+    monkeypatch.chdir(path.parent)  # a socket's path is short
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(CONTROL)
+    listener.listen()
 
+    def serve() -> None:
+        caller, _ = listener.accept()
+        with caller, contextlib.suppress(OSError):  # the caller's timeout
+            for byte in answer.replace("TERMINAL", name).encode(errors="surrogateescape"):
+                time.sleep(pause)  # the answerer's pace
+                caller.sendall(bytes([byte]))
 
-def test_a_slow_answer_times_out(tmp_path: Path) -> None:
-    with terminal(tmp_path / "servo") as name:
-        answerer = Answerer(tmp_path / CONTROL, f'{{"ports": ["{name}"]}}\n'.encode(), 0.1)
-        try:
-            began = time.monotonic()
-            assert not is_simulated(str(tmp_path / "servo"))
-            assert time.monotonic() - began < 1.5, "each byte restarted the timeout"
-        finally:
-            answerer.close()
-
-
-def test_a_charger_in_a_deep_folder_is_found(tmp_path: Path) -> None:
-    folder = tmp_path / ("deep" * 30)
-    folder.mkdir()
-    with terminal(folder / "servo") as name:
-        server = ControlServer(folder / CONTROL, lambda request: {"success": True, "ports": [name]})
-        try:
-            assert is_simulated(str(folder / "servo"))
-        finally:
-            server.close()
-
-
-@pytest.mark.parametrize("port", ["a\0b", "x" * 5000])
-def test_an_impossible_path_is_no_simulated_port(port: str) -> None:
-    assert not is_simulated(port)
+    thread = threading.Thread(target=serve)
+    thread.start()
+    began = time.monotonic()
+    assert not is_simulated(str(path))
+    assert time.monotonic() - began < host(1.5)
+    thread.join()
+    listener.close()
