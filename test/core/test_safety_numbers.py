@@ -19,35 +19,32 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_core.script import NEXT
-from deltacharger_docking import algorithm, charging, energy, wired
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
-from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.context import Context
-from deltacharger_docking.goals import check_goal
-from deltacharger_docking.machine import DockingMachine
+from deltacharger_core.servos_file import MeasuredServo
+from deltacharger_docking import algorithm, charging, codes, context, energy, goals, machine, place, touch, visit, wired
+from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict, clearance_stddev, judge
+from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import contradicts
 from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_docking.touch import Target
-from deltacharger_driver.board import payloads
-from deltacharger_driver.board.contactor_guard import ContactorGuard
-from deltacharger_driver.board.contactor_lease import ContactorLease
-from deltacharger_driver.board.protocol import AckError
-from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
+from deltacharger_docking.target_place import TargetPlace
+from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
+from deltacharger_driver.board.device_clock import DeviceClock, SequenceUnwrapper
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servos import mx64, snapshot, thermal, trajectory
-from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
+from deltacharger_driver.parameters import ServoNodeParameters
+from deltacharger_driver.servos import motion_guard, mx64, snapshot, thermal, trajectory
+from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.bars import Bars
-from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.clearance import Overlap
+from deltacharger_mission.places import BaseMount
+from deltacharger_sim import bars, circuit, clearance
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
-from deltacharger_tactile.estimator import PoseEstimator
-from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
+from deltacharger_tactile import estimator, frame_window
+from deltacharger_tactile.parameters import PadDockingParameters
+from deltacharger_vision.detector.support import SupportSettings, supported
+from deltacharger_vision.mount import Mount
 
 NAN, INF, DEGREE, MM = math.nan, math.inf, math.radians(1.0), 1e-3
 DOCK = (0.0, 0.0, 0.08)
@@ -75,7 +72,7 @@ def passes(call: Callable[..., Any], *values: Any) -> bool:
     """Return whether none of the product's refusals is raised."""
     try:
         call(*values)
-    except (DockingError, DriverError, Refused):
+    except (codes.DockingError, DriverError, frame_window.Refused, ParameterError, ValueError):
         return False
     return True
 
@@ -121,7 +118,7 @@ CLEARANCE = (
     *fields(usable, 0.001, (NAN, INF), *POSES),
     *fields(usable, 0.0, (-1e-9, -1.0), "angle_stddev", "vertical_stddev", "horizontal_stddev"),
     *fields(usable, True, (False,), "contact", "sure", "in_range"),
-    Limit("squared innovations", lambda v: not contradicts(PARAMETERS, v, 2), 33.0, 33.1, ()),
+    Limit("squared innovations", lambda v: not place.contradicts(PARAMETERS, v, 2), 33.0, 33.1, ()),
 )
 
 
@@ -147,19 +144,19 @@ def pressing(current: float = 0.45, z: float = 0.08) -> Observation:
     return Observation(0.0, delta.inverse(0.0, 0.0, z), currents, **fresh, **known, **volts)
 
 
-def context(**changes: Any) -> Context:
-    shared = Context(PARAMETERS, DeltaGeometry())
+def scene(**changes: Any) -> context.Context:
+    shared = context.Context(PARAMETERS, DeltaGeometry())
     shared.observe(replace(pressing(), **changes))
     return shared
 
 
 def may_close(**changes: Any) -> bool:
-    return energy.Watch(context(**changes)).reason_not_to_close() is None
+    return energy.Watch(scene(**changes)).reason_not_to_close() is None
 
 
 def stays_closed(seen: Observation | None = None, **changes: Any) -> bool:
     live = {"contactor_closed": True, "charge_current": 5.0}
-    shared = context(**live)
+    shared = scene(**live)
     watch = energy.Watch(shared)
     assert watch.problem() is None
     shared.observe(replace(seen or pressing(), **{"time": 0.2} | live | changes))
@@ -167,30 +164,30 @@ def stays_closed(seen: Observation | None = None, **changes: Any) -> bool:
 
 
 def touches_live(**changes: Any) -> bool:
-    return energy.Watch(context(**changes)).problem_unmeasured() is None
+    return energy.Watch(scene(**changes)).problem_unmeasured() is None
 
 
 def has_battery(battery_voltage: float) -> bool:
-    return passes(energy.check_battery, context(battery_voltage=battery_voltage))
+    return passes(energy.check_battery, scene(battery_voltage=battery_voltage))
 
 
 def continues(state: State = State.MEASURE, seen: Observation | None = None, **changes: Any) -> bool:
     """Return whether a script goes on in this state."""
 
-    def script(shared: Context) -> Iterator[Any]:
+    def script(shared: context.Context) -> Iterator[Any]:
         shared.enter(state, INF)
         while True:
             yield NEXT
 
-    machine = DockingMachine(PARAMETERS)
-    machine.start(script, pressing())  # type: ignore[arg-type]
-    machine.step(pressing())
-    machine.step(replace(seen or pressing(), **{"time": 0.2} | changes))
-    return machine.status.code is Code.NONE
+    docking = machine.DockingMachine(PARAMETERS)
+    docking.start(script, pressing())  # type: ignore[arg-type]
+    docking.step(pressing())
+    docking.step(replace(seen or pressing(), **{"time": 0.2} | changes))
+    return docking.status.code is Code.NONE
 
 
 def moves_on(state: State = State.CONTACT, **changes: Any) -> bool:
-    shared = context(**changes)
+    shared = scene(**changes)
     shared.enter(state, INF)
     return not shared.is_blind
 
@@ -234,10 +231,19 @@ OBSERVATION = (
 )
 
 
+def test_only_known_currents_count_and_repeated_ones_are_recognized() -> None:
+    shared = scene()
+    shared.observe(replace(pressing(), time=0.01, **unknown("currents", 0)))
+    assert shared.contact.value == pytest.approx(0.45)
+    assert shared.contact.repeats_itself
+    shared.observe(replace(pressing(0.46), time=0.02))
+    assert not shared.contact.repeats_itself
+
+
 # What docking is answered: probe, detection, goal, estimates while charging.
 
 
-def answered(script: Any, shared: Context, **reply: Any) -> Any:
+def answered(script: Any, shared: context.Context, **reply: Any) -> Any:
     """Answer the script's request with this reply; return what the script returns, None if it goes on."""
     next(script)
     number = shared.command().requests[-1].number
@@ -250,14 +256,14 @@ def answered(script: Any, shared: Context, **reply: Any) -> Any:
 
 
 def energises(**probe: Any) -> bool:
-    shared = context()
+    shared = scene()
     ask = lambda: answered(energy.energise(shared), shared, **{"resistance": 25.0, "target_voltage": 24.0} | probe)  # noqa: E731
     return passes(ask) and shared.energise
 
 
 def flows(current: float, seconds: float = 1.05) -> bool:
     """Return whether docking reports charging after this current has flowed for so long."""
-    shared = context()
+    shared = scene()
     script = energy.energise(shared)
     answered(script, shared, resistance=25.0, target_voltage=24.0)
     for at in np.arange(0.0, seconds, 0.05):
@@ -270,7 +276,7 @@ def flows(current: float, seconds: float = 1.05) -> bool:
 
 def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
     """Return whether docking believes that the contactor is open, by reports of this age."""
-    shared = context(**changes)
+    shared = scene(**changes)
     shared.live = True
     script = energy.de_energise(shared)
     for at in np.arange(0.0, seconds, 0.01):
@@ -281,7 +287,7 @@ def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
 
 
 def locates(**detection: Any) -> bool:
-    shared = context()
+    shared = scene()
     found = ElectrodePose(**{"position": DOCK, "roll": 0.0} | detection)
     return passes(lambda: answered(algorithm.locate(shared), shared, detection=found))
 
@@ -292,24 +298,24 @@ def located(name: str, value: float) -> bool:
 
 def rolls(roll: float, sigma: float = 0.0) -> bool:
     seen = ElectrodePose(DOCK, roll * DEGREE, sigma * DEGREE)
-    return passes(algorithm.check_roll, context(), seen, 12.0 * DEGREE)
+    return passes(algorithm.check_roll, scene(), seen, 12.0 * DEGREE)
 
 
 def leans(sigma: float = 0.0, **lean: float) -> bool:
     sizes = {name: value * DEGREE for name, value in lean.items()}
     sigmas = {f"{name}_stddev": sigma * DEGREE for name in lean}
-    return passes(algorithm.check_lean, context(), ElectrodePose(DOCK, 0.0, **sizes, **sigmas))
+    return passes(algorithm.check_lean, scene(), ElectrodePose(DOCK, 0.0, **sizes, **sigmas))
 
 
 def serves(**goal: Any) -> bool:
-    return passes(check_goal, DockGoal(None, **goal), context().planner, PARAMETERS)
+    return passes(goals.check_goal, DockGoal(None, **goal), scene().planner, PARAMETERS)
 
 
 def charges_on(*estimates: MisalignmentEstimate | None) -> bool:
     """Return whether charging goes on after these clearance checks."""
-    shared = context()
+    shared = scene()
     order = charging.Order(DockGoal(None), 12.0 * DEGREE, 0.0)
-    checks = charging.clearance_checks(shared, order, Target(shared, 12.0 * DEGREE))
+    checks = charging.clearance_checks(shared, order, touch.Target(shared, 12.0 * DEGREE))
 
     def check() -> None:
         for found in estimates:
@@ -326,8 +332,34 @@ def blinds(**changes: Any) -> bool:
 
 def looks(**changes: Any) -> bool:
     """Return whether the arm may press live electrodes (power: none) after this first estimate."""
-    shared = context()
-    return answered(wired.look(shared, Target(shared, 12.0 * DEGREE)), shared, estimate=estimate(**changes)) is None
+    shared = scene()
+    script = wired.look(shared, touch.Target(shared, 12.0 * DEGREE))
+    return answered(script, shared, estimate=estimate(**changes)) is None
+
+
+def gives_up_as(angle: float) -> Code:
+    """Return why docking ends after unsure estimates of this angle (°)."""
+    target = touch.Target(scene(), 12.0 * DEGREE)
+    with pytest.raises(codes.DockingError) as end:
+        for _ in range(9):
+            assert not target.allows_rest(estimate(angle=angle * DEGREE, sure=False), False)
+            target.correction()
+    return end.value.code
+
+
+def charges_as_published(angle: float) -> bool:
+    """Return whether current goes on by this class of the angle (°) after a goal with a limit of 3°."""
+    shared = scene()
+    shared.parameters = DockingParameters(approach="published")
+    shared.status.estimate = estimate(classes=MisalignmentClasses(angle * DEGREE, 0.0, 0.0))
+    shared.status.charging = True
+    held = visit.TargetVisit(shared, goals.GoalDesk(shared), DockGoal(None))
+    return held.take(DockGoal(None, critical_angle=3.0 * DEGREE)) is None
+
+
+def test_as_published_no_contact_changes_the_next_estimate() -> None:
+    found, shared = estimate(), scene()
+    assert TargetPlace(PARAMETERS, shared.share).combined(found) is found
 
 
 TILTED = estimate(angle=11.8 * DEGREE)
@@ -355,6 +387,8 @@ ANSWERS = (
     *fields(blinds, 0.001, (NAN, INF), *POSES),
     *fields(blinds, True, (False,), "contact", "sure", "in_range"),
     Limit("unsure first touch, °", lambda v: looks(sure=False, angle=v * DEGREE), 11.9, 12.1, (-12.1,)),
+    Limit("unsure contacts, °", lambda v: gives_up_as(v) is Code.ESTIMATE_UNSURE, 11.9, 12.1, (-12.1,)),
+    Limit("published angle, °", charges_as_published, 2.9, 3.1),
 )
 
 
@@ -362,13 +396,13 @@ ANSWERS = (
 
 
 def allows_close(resistance: float = 25.0, target_voltage: float = 24.0, age: float = 0.0) -> bool:
-    lease = ContactorLease()
+    lease = contactor_lease.ContactorLease()
     lease.probed(resistance, target_voltage, 10.0)
     return passes(lease.take, "docking", 0.25, 10.0 + age)
 
 
 def leases(duration: float, after: float = 0.0) -> bool:
-    lease = ContactorLease()
+    lease = contactor_lease.ContactorLease()
     lease.probed(25.0, 24.0, 0.0)
     return passes(lambda: lease.take("docking", duration, 0.0)) and lease.is_live(after)
 
@@ -376,46 +410,73 @@ def leases(duration: float, after: float = 0.0) -> bool:
 def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_age: float = 0.0, **probe: float) -> bool:
     """Return whether the guard closes the contactor."""
     link = SimpleNamespace(keep_alive=lambda until: None, contactor=lambda close: None, stop_heartbeat=lambda: None)
-    link.probe = lambda: ProbeResult(**{"resistance": 25.0, "target_voltage": 24.0, "time": 10.0} | probe)
-    guard = ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
+    link.probe = lambda: samples.ProbeResult(**{"resistance": 25.0, "target_voltage": 24.0, "time": 10.0} | probe)
+    guard = contactor_guard.ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
     guard.probe()
     pads = np.full((2, 10, 10), NAN, np.float32)
     pads[1, 4, 4] = newton
-    guard.observe_tactile(TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
-    guard.observe_power(PowerSample(10.0 - power_age, payloads.Power(26.0, 24.0, 0.0, False, fault)))
+    guard.observe_tactile(samples.TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
+    guard.observe_power(samples.PowerSample(10.0 - power_age, payloads.Power(26.0, 24.0, 0.0, False, fault)))
     return passes(guard.close, "docking", 0.25)
 
 
-def board(heartbeat: float = 0.0, probe: float = 0.0, resistance: float = 25.0, voltage: float = 24.0) -> bool:
-    """Return whether the emulated board closes at 10 s, so long after heartbeat and probe."""
-    plant = SimpleNamespace(read_power=lambda: (26.0, 24.0, 0.0, False, 0), open_contactor=lambda ramp: None)
-    plant.probe, plant.close_contactor = lambda: (resistance, voltage), lambda: None
-    power = EmulatedPower(plant, 0.0)  # type: ignore[arg-type]
+def stage(resistance: float = 25.0, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
+    found = SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: (26.0, 24.0, 5.0, closed, fault))
+    found.close_contactor, found.open_contactor = lambda: None, lambda ramp: None
+    return found
+
+
+def board(heartbeat: float = 0.0, probe: float = 0.0, **plant: Any) -> EmulatedPower:
+    """Return an emulated board that was to close at 10 s, so long (s) after heartbeat and probe."""
+    power = EmulatedPower(stage(**plant), 0.0)
     power.start_probe(10.0 - probe)
     power.poll_probe(10.0 - probe)
     power.heartbeat(10.0 - heartbeat)
-    return power.close(10.0) is AckError.DONE
+    power.close(10.0)
+    return power
 
 
-def stays_on(silence: float, current: float = 5.0) -> bool:
-    plant = SimpleNamespace(read_power=lambda: (26.0, 24.0, current, True, 0), probe=lambda: (25.0, 24.0))
-    plant.close_contactor, plant.open_contactor = lambda: None, lambda ramp: None
-    power = EmulatedPower(plant, 0.0)  # type: ignore[arg-type]
-    power.closed = True
-    power.heartbeat(10.0)
+def board_closes(**given: Any) -> bool:
+    return board(**given).closed
+
+
+def board_holds(silence: float, fault: int = 0) -> bool:
+    power = board()
+    power._plant = stage(closed=True, fault=fault)
     power.poll(10.0 + silence)
     return power.closed and power.fault == 0
+
+
+def decodes(version: int) -> bool:
+    """Return whether a packet of this version is received byte by byte."""
+    decoder, wire = protocol.PacketDecoder(), protocol.encode_packet(protocol.Packet(protocol.PacketType.STOP), version)
+    return any([decoder.feed(wire[at : at + 1]) for at in range(len(wire))])
+
+
+def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
+    assert sorted(protocol.BoardFault) == list(range(10))
+    assert protocol.BoardFault.STALE == 3
+    found = {number: int(kind.code) for number, (kind, _) in codes.POWER_FAULTS.items()}
+    assert found == {number: 500 + number for number in range(1, 8)} | {8: 503, 9: 303}
+
+
+def test_samples_are_dated_by_the_least_delay_and_repeated_ones_dropped() -> None:
+    clock, numbers = DeviceClock(), SequenceUnwrapper()
+    for at in np.arange(0.0, 10.0, 0.1):  # the host runs faster by 100e-6; every fifth packet is in time
+        clock.update(at, 100.0 + at * 1.0001 + (0.05 if round(at * 10) % 5 != 2 else 0.0))
+    assert clock.to_host(10.0) == pytest.approx(110.001, abs=1e-6)
+    assert [numbers.update(number) for number in (65535, 0, 0, 2)] == [65535, 65536, None, 65538]
 
 
 def feeds(current: float = 18.0, **changes: Any) -> bool:
     """Return whether the simulated stage keeps feeding although its limiter lets this current (A) through."""
     free = {"current_limit": current, "ramp_up": 1e6, "voltage_limit": 40.0}
     parameters: Any = SimpleNamespace(**vars(CircuitParameters()) | free | changes)
-    circuit, overlap = Circuit(parameters), Overlap(TerminalParameters(), 0.0, 0.0, 0.0)
-    circuit.close()
+    stage, overlap = circuit.Circuit(parameters), clearance.Overlap(TerminalParameters(), 0.0, 0.0, 0.0)
+    stage.close()
     for _ in range(300):
-        circuit.step(0.001, overlap, Bars.flat(80.0))
-    return circuit.closed and circuit.fault == 0
+        stage.step(0.001, overlap, bars.Bars.flat(80.0))
+    return stage.closed and stage.fault == 0
 
 
 def reads_power(**changes: float) -> bool:
@@ -436,11 +497,14 @@ BOARD = (
     *fields(guards, 1.01, (0.99, NAN, INF), "resistance"),
     *fields(guards, 0.1, (-0.1, NAN), "target_voltage"),
     *fields(guards, 8.01, (7.99, NAN, -INF), "time"),
-    *fields(board, 0.094, (0.096, INF), "heartbeat"),
-    *fields(board, 1.99, (2.01, INF), "probe"),
-    *fields(board, 1.01, (0.99, NAN, INF), "resistance"),
-    *fields(board, 0.1, (-0.1, NAN), "voltage"),
-    Limit("silence while closed, s", stays_on, 0.094, 0.096, (INF,)),
+    *fields(board_closes, 0.094, (0.096, INF), "heartbeat"),
+    *fields(board_closes, 1.99, (2.01, INF), "probe"),
+    *fields(board_closes, 1.01, (0.99, NAN, INF), "resistance"),
+    *fields(board_closes, 0.1, (-0.1, NAN), "voltage"),
+    *fields(board_closes, False, (True,), "closed"),
+    *fields(board_holds, 0.094, (0.096, INF), "silence"),
+    Limit("detectors, s", lambda v: board_holds(v, fault=9), 0.009, 0.011, ()),
+    *fields(decodes, 1, (0, 2), "version"),
     *fields(feeds, 19.9, (20.1,), "current"),
     *fields(feeds, 10.1, (9.9, -24.0), "target_voltage"),
     *fields(feeds, 29.9, (30.1,), "target_voltage"),
@@ -455,15 +519,15 @@ BOARD = (
 
 def frees(age: float = 0.0, later: float = 0.0, closed: bool = False) -> bool:
     """Return whether a report of this age frees the arm so much later."""
-    guard = MotionGuard()
+    guard = motion_guard.MotionGuard()
     guard.observe(b"board", closed, False, age, 10.0)
-    return guard.state(10.0 + later, True) is ContactorState.OPEN
+    return guard.state(10.0 + later, True) is motion_guard.ContactorState.OPEN
 
 
 def blocks(age: float) -> bool:
-    guard = MotionGuard()
+    guard = motion_guard.MotionGuard()
     guard.observe(b"board", True, False, age, 10.0)
-    return guard.state(10.0, True) is ContactorState.CLOSED
+    return guard.state(10.0, True) is motion_guard.ContactorState.CLOSED
 
 
 def follows(time: float = 1.0, angle: float = 0.0, torque: float = 1.0, points: int = 1, age: float = 0.0) -> bool:
@@ -511,36 +575,103 @@ SERVOS = (
 )
 
 
+def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
+    servo = ServoGoals(1, 0.83, 1.46)
+    servo.begin_at((0.0,))
+    servo.follow(trajectory.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
+    servo.advance(10.5)
+    assert servo.angles == (0.5,)
+
+
 # The pads.
 
 
 def averages(age: float = 0.0, tared: bool = True) -> bool:
-    zero = np.zeros((10, 10))
-    return passes(FrameWindow(lambda: 10.0).average, [Frame(10.0 - age, None, 1, tared, zero, zero)], 0.1)
+    frame = frame_window.Frame(10.0 - age, None, 1, tared, np.zeros((10, 10)), np.zeros((10, 10)))
+    return passes(frame_window.FrameWindow(lambda: 10.0).average, [frame], 0.1)
 
 
-def confirms(
-    received: Sequence[int] = range(10, 20), sampled: float = 5.0, named: Sequence[int] = range(10, 20)
-) -> bool:
+FRAMES = range(10, 20)
+
+
+def confirms(named: Any = FRAMES, received: Any = FRAMES, sampled: float = 5.0, before: Any = ()) -> bool:
     """Return whether docking, which received these frames, believes an estimate of the named ones asked for at 5 s."""
     check = FrameCheck()
-    for sequence in received:
-        check.add(sequence, sampled)
+    for sequence in (*before, *received):
+        check.add(sequence, 4.0 if sequence in before else sampled)
     return check.checked(Reply(1, True, estimate=estimate(), sequences=tuple(named), asked=5.0)).success
 
 
 PADS = (
     *fields(averages, 0.09, (0.11, -0.11, INF, NAN), "age"),
     *fields(averages, True, (False,), "tared"),
-    Limit("frames received", lambda v: confirms(range(10, 10 + v)), 5, 4, (0,)),
+    Limit("frames received", lambda v: confirms(received=range(10, 10 + v)), 5, 4, (0,)),
     *fields(confirms, 4.91, (4.89, -INF, NAN), "sampled"),
     *fields(confirms, (10, 11), ((), (11, 10), (10, 10)), "named"),
+    Limit("frame before the request", lambda v: confirms(range(9, 19), before=v), (), (9,), ()),
+)
+
+
+# The camera, and where things are.
+
+
+def shows(
+    long: float = 1.0, end: float = 1.0, other: float = 1.0, other_long: float = 1.0, scatter: float = 0.5
+) -> bool:
+    """Return whether these visible shares of the clearer and of the other bar's outline support a detection."""
+    shares, fit = [[long, end] * 2, [other_long, other] * 2], SimpleNamespace(scatter=scatter)
+    return supported(np.array(shares), fit, SupportSettings()) > 0.0  # type: ignore[arg-type]
+
+
+def mounts(x: float = 0.0, w: float = 1.0, sigma: float = 0.002) -> bool:
+    return passes(Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w), sigma)
+
+
+def bases(**pose: float) -> bool:
+    return passes(BaseMount, list((dict.fromkeys("xyzabcd", 0.5) | pose).values()))
+
+
+CAMERA = (
+    Limit("both outlines", lambda v: shows(0.8, 0.8, v, v), 0.31, 0.29),
+    Limit("clearer outline", lambda v: shows(v, v, 0.7, 0.7), 0.76, 0.74),
+    *fields(shows, 0.16, (0.14, NAN), "other_long"),
+    *fields(shows, 0.51, (0.49, NAN), "end"),
+    *fields(shows, 0.99, (1.01, NAN), "scatter"),
+    *fields(mounts, 4.99, (5.01, -5.01, NAN, INF), "x"),
+    *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
+    *fields(mounts, 0.0, (-0.01, NAN, INF), "sigma"),
+    *fields(bases, 0.4, (NAN, INF), *"xyzabcd"),
+)
+
+
+# What users may set.
+
+
+def settable(kind: Any, *rows: tuple[str, float, float]) -> Iterator[Limit]:
+    for name, inside, outside in rows:
+        ask = lambda name=name, **value: passes(lambda: kind(**value))  # noqa: E731
+        yield from fields(ask, inside, (outside, NAN, INF, -INF), name)
+
+
+SETTINGS = (
+    *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104), ("hard_current", 4.0, 4.1)),
+    *settable(DockingParameters, ("clearance_sigmas", 3.0, 2.9), ("clearance_sigmas_sure", 6.0, 5.9)),
+    *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("clearance_contacts", 2, 1)),
+    *settable(DockingParameters, ("blind_max", 20, 21), ("unsafe_max", 20, 21), ("charge_current_max", 30.0, 30.1)),
+    *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("servo_age_max", 2.0, 2.1)),
+    *settable(DockingParameters, ("press_age_max", 1.0, 1.1), ("tactile_age_max", 2.0, 2.1)),
+    *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
+    *settable(DockingParameters, ("zero_current", 2.0, 2.1), ("probe_resistance_min", 0.1, 0.09)),
+    *settable(DockingParameters, ("thermal_reserve_min", 0.0, -0.1), ("pause_max", 5.0, 5.1)),
+    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 3.0, 3.1)),
+    *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
+    *settable(PadDockingParameters, ("position_jitter", 5e-3, 6e-3)),
 )
 
 
 CASES = [
     pytest.param(row.accepts, value, position == 0, id=f"{row.what} = {value}")
-    for row in (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS)
+    for row in (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS, *CAMERA, *SETTINGS)
     for position, value in enumerate((row.inside, row.outside, *row.refused))
 ]
 
@@ -551,4 +682,4 @@ def test_limit(accepts: Callable[[Any], Any], value: Any, accepted: bool) -> Non
 
 
 def test_readings_below_a_quarter_newton_are_noise() -> None:
-    assert PoseEstimator().threshold == 0.25
+    assert estimator.PoseEstimator().threshold == 0.25
