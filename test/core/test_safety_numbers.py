@@ -12,7 +12,6 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import chain
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -101,18 +100,14 @@ CLEARANCE = (
     # 3.7 mm (1 + cos) − 35 mm sin = 0.3 mm at 11.58°; a goal's lower limit needs 3 σ: 4° + 3 · 0.333° = 5°.
     Limit("angle, °", lambda v: clears(angle=v * DEGREE), 11.57, 11.59),
     Limit("goal's angle, °", lambda v: clears(5 * DEGREE, angle=v * DEGREE), 4.99, 5.01),
-    Limit(
-        "goal's angle with σ, °", lambda v: clears(5 * DEGREE, angle=4 * DEGREE, angle_stddev=v * DEGREE), 0.33, 0.34
-    ),
+    Limit("σ of 4°, °", lambda v: clears(5 * DEGREE, angle=4 * DEGREE, angle_stddev=v * DEGREE), 0.33, 0.34),
     # 7.4 mm − 0.3 mm; 3 σ and 6 σ of 3 mm; σ of 35 mm · cos · angle's σ.
     # (An offset with unknown error is calculated again, so it is not refused.)
     Limit("across, mm", lambda v: clears(across=v * MM), 7.09, 7.11, ()),
     Limit("σ across, mm", lambda v: clears(across=4.1 * MM, across_stddev=v * MM), 0.99, 1.01, ()),
     Limit("σ across when sure, mm", lambda v: sure(across=4.1 * MM, across_stddev=v * MM), 0.49, 0.51, ()),
     # 0.0086 m/rad · (2° + 2 · 1°) = 0.6 mm.
-    Limit(
-        "across with pitch, mm", lambda v: clears(across=v * MM, pitch=2 * DEGREE, pitch_stddev=DEGREE), 6.49, 6.51, ()
-    ),
+    Limit("pitched, mm", lambda v: clears(across=v * MM, pitch=2 * DEGREE, pitch_stddev=DEGREE), 6.49, 6.51, ()),
     *fields(usable, 0.001, (NAN, INF), *POSES),
     *fields(usable, 0.0, (-1e-9, -1.0), "angle_stddev", "vertical_stddev", "horizontal_stddev"),
     *fields(usable, True, (False,), "contact", "sure", "in_range"),
@@ -190,9 +185,9 @@ def moves_on(state: State = State.CONTACT, **changes: Any) -> bool:
     return not shared.is_blind
 
 
-def unknown(name: str, index: int | None) -> dict[str, Any]:
-    """Return a change of the observation: one servo's value is unknown."""
-    return {name: tuple(NAN if at == index else value for at, value in enumerate(getattr(pressing(), name)))}
+def without(values: Sequence[float], index: int | None) -> Any:
+    """Return values of which one is unknown."""
+    return tuple(NAN if at == index else value for at, value in enumerate(values))
 
 
 OBSERVATION = (
@@ -215,8 +210,8 @@ OBSERVATION = (
     *fields(stays_closed, 0.99, (1.01,), "time"),  # docking itself paused
     Limit("contact while live, A", lambda v: stays_closed(pressing(v)), 0.16, 0.14, ()),
     Limit("retreat while live, mm", lambda v: stays_closed(pressing(z=0.08 - v * MM)), 1.4, 1.6, ()),
-    Limit("unknown angle", lambda v: stays_closed(**unknown("angles", v)), None, 0, (1, 2)),
-    Limit("unknown current", lambda v: stays_closed(**unknown("currents", v)), None, 0, (1, 2)),
+    Limit("unknown angle", lambda v: stays_closed(angles=without(pressing().angles, v)), None, 0, (1, 2)),
+    Limit("unknown current", lambda v: stays_closed(currents=without(pressing().currents, v)), None, 0, (1, 2)),
     Limit("servos_valid", lambda v: stays_closed(servos_valid=v, time=0.21), True, False, ()),
     *fields(touches_live, 0.49, (0.51, INF, NAN), "tactile_age"),
     *fields(touches_live, 5.1, (4.9, NAN), "thermal_reserve"),
@@ -231,7 +226,7 @@ OBSERVATION = (
 
 def test_only_known_currents_count_and_repeated_ones_are_recognized() -> None:
     shared = scene()
-    shared.observe(replace(pressing(), time=0.01, **unknown("currents", 0)))
+    shared.observe(replace(pressing(), time=0.01, currents=without(pressing().currents, 0)))
     assert shared.contact.value == pytest.approx(0.45)
     assert shared.contact.repeats_itself
     shared.observe(replace(pressing(0.46), time=0.02))
@@ -255,8 +250,8 @@ def answered(script: Any, shared: context.Context, **reply: Any) -> Any:
 
 def energises(**probe: Any) -> bool:
     shared = scene()
-    ask = lambda: answered(energy.energise(shared), shared, **{"resistance": 25.0, "target_voltage": 24.0} | probe)  # noqa: E731
-    return passes(ask) and shared.energise
+    found = {"resistance": 25.0, "target_voltage": 24.0} | probe
+    return passes(lambda: answered(energy.energise(shared), shared, **found)) and shared.energise
 
 
 def flows(current: float, seconds: float = 1.05) -> bool:
@@ -288,10 +283,6 @@ def locates(**detection: Any) -> bool:
     shared = scene()
     found = ElectrodePose(**{"position": DOCK, "roll": 0.0} | detection)
     return passes(lambda: answered(algorithm.locate(shared), shared, detection=found))
-
-
-def located(name: str, value: float) -> bool:
-    return locates(position=tuple(value if axis == name else at for axis, at in zip("xyz", DOCK, strict=True)))
 
 
 def rolls(roll: float, sigma: float = 0.0) -> bool:
@@ -374,7 +365,7 @@ ANSWERS = (
     *fields(locates, 0.99, (1.01, INF, NAN), "age"),
     *fields(locates, 0.1, (NAN, INF), "roll"),
     *fields(locates, NAN, (INF, -INF), "yaw", "pitch"),
-    *chain(*(fields(lambda axis=axis, **v: located(axis, v[axis]), 0.07, (NAN, INF), axis) for axis in "z")),
+    Limit("unknown place", lambda v: locates(position=without(DOCK, v)), None, 0, (1, 2)),
     Limit("roll, °", rolls, 11.9, 12.1, (-12.1, NAN, INF)),
     Limit("roll's σ, °", lambda v: rolls(10.0, v), 0.99, 1.01, (NAN, INF)),
     Limit("yaw, °", lambda v: leans(1.0, yaw=v), 6.9, 7.1, (-7.1, INF)),
