@@ -12,8 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
+from deltacharger_core.rotation import Pose, composed, inverted, rotation
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import (
@@ -41,23 +40,9 @@ Answer = Callable[["World", TaskRequest], tuple[float, TaskReply] | None]
 """Duration of a request and its reply; None = there is never an answer, not even to a cancel."""
 
 
-def matrix(pose: tuple[float, ...]) -> np.ndarray:
-    """Return base_T_charger (4, 4) of x, y, z and a quaternion, by Rodrigues' formula."""
-    axis, w = np.asarray(pose[3:6]), pose[6]
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    result = np.eye(4)
-    result[:3, :3] = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-    result[:3, 3] = pose[:3]
-    return result
-
-
-def on_ground(place: Place) -> np.ndarray:
-    """Return map_T_place (4, 4)."""
-    result = np.eye(4)
-    cosine, sine = math.cos(place.yaw), math.sin(place.yaw)
-    result[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    result[:2, 3] = place.x, place.y
-    return result
+def on_ground(place: Place, height: float = 0.0) -> Pose:
+    """Return the pose of a place on the map."""
+    return place.x, place.y, height, 0.0, 0.0, math.sin(0.5 * place.yaw), math.cos(0.5 * place.yaw)
 
 
 @dataclass(frozen=True)
@@ -70,7 +55,7 @@ class Truth:
     electrodes: Place = TARGET
     height: float = 0.0
     miss: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mount: tuple[float, ...] = FORWARD
+    mount: Pose = FORWARD
     lean_stddev: float = math.nan
 
 
@@ -115,10 +100,10 @@ class World:
     def seen(self) -> ElectrodePose:
         """True pose of the electrodes in charger_base, as the camera reports it."""
         truth = self.truth
-        away = on_ground(truth.electrodes)[:3, 0]  # direction that they face; their z axis points the other way
-        here = np.linalg.inv(on_ground(self.base) @ matrix(truth.mount))
-        x, y, z = map(float, (here @ [truth.electrodes.x, truth.electrodes.y, truth.height, 1.0])[:3])
-        right, up, forward = map(float, -here[:3, :3] @ away)
+        here = composed(on_ground(self.base), truth.mount)
+        pose = composed(inverted(here), on_ground(truth.electrodes, truth.height))
+        x, y, z = pose[:3]
+        right, up, forward = (-row[0] for row in rotation(*pose[3:]))  # they face along x; their z axis points back
         yaw, pitch, stddev = math.atan2(right, forward), math.atan2(-up, forward), truth.lean_stddev
         return ElectrodePose((x, y, z), 0.0, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
 

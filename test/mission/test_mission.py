@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.rotation import Pose, composed
 from deltacharger_docking.codes import Busy, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
@@ -58,12 +59,9 @@ def quick(answers: dict[Task, Answer] | None = None, truth: Truth | None = None,
     return World(truth, QUICK, drives, answers)
 
 
-def level_mount(heading: float, x: float, y: float, z: float) -> tuple[float, ...]:
+def level_mount(heading: float, x: float, y: float, z: float) -> Pose:
     """Return base_pose of a charger_base whose z axis points to `heading`, its y axis up."""
-    c, s = math.cos(0.5 * heading), math.sin(0.5 * heading)
-    qx = qy = qz = qw = 0.5
-    turned = (c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz)
-    return (x, y, z, *turned)
+    return composed((x, y, z, 0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading)), FORWARD)
 
 
 def test_a_mission_drives_searches_docks_charges_undocks_and_returns() -> None:
@@ -173,7 +171,7 @@ ON_ITS_SIDE = (0.0, 0.0, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 @pytest.mark.parametrize(
     ("mount", "yaw"), [(FORWARD, FIVE), (SIDEWAYS, -FIVE), (level_mount(2.0, 0.0, 0.1, 0.0), FIVE), (ON_ITS_SIDE, FIVE)]
 )
-def test_a_target_detected_askew_is_faced_squarely_after_one_move(mount: tuple[float, ...], yaw: float) -> None:
+def test_a_target_detected_askew_is_faced_squarely_after_one_move(mount: Pose, yaw: float) -> None:
     """The mission's own search finds it: docking is called once, after the usual move."""
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, yaw), mount=mount, lean_stddev=0.01))
     outcome = world.run()
@@ -187,9 +185,7 @@ def test_a_target_detected_askew_is_faced_squarely_after_one_move(mount: tuple[f
 @pytest.mark.parametrize(
     ("mount", "yaw", "code"), [(FORWARD, 2.0 * FIVE, Code.LEANING), (SIDEWAYS, -2.0 * FIVE, Code.UNREACHABLE)]
 )
-def test_the_robot_takes_a_suggested_base_pose_with_its_heading(
-    yaw: float, mount: tuple[float, ...], code: Code
-) -> None:
+def test_the_robot_takes_a_suggested_base_pose_with_its_heading(yaw: float, mount: Pose, code: Code) -> None:
     """The search reports no lean, so the robot faces the target as given until docking reports the error."""
     world = quick({Task.DOCK: squarely(FIVE, code)}, Truth(TARGET.at(0.0, 0.0, yaw), mount=mount))
     outcome = world.run()

@@ -9,19 +9,15 @@ from __future__ import annotations
 import importlib
 import math
 import random
-import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 from deltacharger.action import Dock
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from deltacharger.srv import PredictMisalignment, Probe, SetContactor
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -39,7 +35,12 @@ from ..running_charger import PATIENT, RunningCharger
 pytestmark = [pytest.mark.ros, pytest.mark.night]
 
 ACTS = 100  # of a foreign node while electrodes are live
-STEPS = {**PATIENT, "duplicate_source_timeout": 0.5}
+PACE = 0.01  # s between two of them
+_NUMBERS = (0.0, -1.0, 1.0, 0.08, math.pi, 1e9, -3e38, 1e-300, math.nan, math.inf, -math.inf)
+_TEXTS = ("", "docking_node", "charger_base", "x" * 100_000, "\n\x1b[2J", "é€")
+_LISTS = ([], list(JOINTS), list(JOINTS), list(reversed(JOINTS)), [""] * 3)
+
+
 TOPICS = {
     "servo_state": ServoState,
     "tactile_frame": TactileFrame,
@@ -53,58 +54,6 @@ SERVICES = {
     "set_torque": SetBool,
     "tare": Trigger,
 }
-CASES = [
-    *(("speaks", kind, name) for name, kind in TOPICS.items()),
-    *(("answers", kind, name) for name, kind in SERVICES.items()),
-]
-
-
-@pytest.fixture(scope="module")
-def charger(context: Any) -> Iterator[RunningCharger]:
-    with RunningCharger(quick_simulation("simulated", STEPS), context) as charger:
-        yield charger
-
-
-@contextmanager
-def stranger(context: Any, charger: RunningCharger, act: str, kind: Any, name: str) -> Iterator[Stranger]:
-    """Add a foreign node with a case's behaviour until the end of the block."""
-    spinner = Spinner(Stranger(context, charger.namespace))
-    node: Any = spinner.node
-    getattr(node, act)(kind, name)
-    yield node
-    spinner.close()
-    charger.assert_unharmed()
-    charger.wait_until_single()
-
-
-@pytest.mark.parametrize(("act", "kind", "name"), CASES, ids=str)
-def test_no_contactor_closes_beside_a_second_source_and_live_electrodes_stay_unharmed(
-    charger: RunningCharger, context: Any, act: str, kind: Any, name: str
-) -> None:
-    """Dock beside a foreign node, then without it, and add it again while current flows."""
-    energised = charger.world.record.energised
-    with stranger(context, charger, act, kind, name):
-        outcome = charger.dock()
-        assert not outcome.success
-        assert outcome.error_name != "INTERNAL", outcome
-        assert charger.world.record.energised == energised
-    charger.go_home()
-    charger.charge()
-    with stranger(context, charger, act, kind, name) as visitor:
-        wait_until(lambda: visitor.acts >= ACTS, "the stranger's acts")
-    charger.go_home()
-    assert Dock.Result.INTERNAL not in {state.error_code for state in charger.states}
-    assert charger.composition is not None
-    assert charger.composition.failed() == []
-
-
-PACE = 0.01  # s between two actions
-BURST = 50  # messages of a flood
-LATE = 0.7  # s, older than anything that docking accepts
-_KEPT = 200  # genuine messages of the last seconds
-_NUMBERS = (0.0, -1.0, 1.0, 0.08, math.pi, 1e9, -3e38, 1e-300, math.nan, math.inf, -math.inf)
-_TEXTS = ("", "docking_node", "charger_base", "x" * 100_000, "\n\x1b[2J", "é€")
-_LISTS = ([], list(JOINTS), list(JOINTS), list(reversed(JOINTS)), [""] * 3)
 
 
 def lie(kind: type[Any], dice: random.Random) -> Any:
@@ -147,73 +96,77 @@ def _whole(of: str, dice: random.Random) -> int:
     return dice.choice((0, 1, low, high, 120))
 
 
-def broken(data: bytes, dice: random.Random) -> bytes:
-    """Return a serialised message with some bytes changed and perhaps its end cut off."""
-    changed = bytearray(data)
-    for _ in range(dice.randrange(1, 20)):
-        changed[dice.randrange(len(changed))] = dice.randrange(256)
-    return bytes(changed[: dice.choice((len(changed), dice.randrange(len(changed) + 1)))])
-
-
 class Stranger(Node):
-    """Acts a hundred times a second until it leaves: random, damaged, repeated, late, doubled or flooding messages.
+    """Publishes or serves a name of other nodes with random, damaged, repeated, old or flooding messages."""
 
-    Args:
-        context: a running rclpy context.
-        namespace: of the charger.
-        seed: of its random numbers.
-    """
-
-    def __init__(self, context: Any, namespace: str, seed: int = 0) -> None:
+    def __init__(self, context: Any, namespace: str, name: str) -> None:
         super().__init__("stranger", **options(context, namespace))
-        self.dice = random.Random(seed)
+        self.dice = random.Random(name)
         self.acts = 0
-        self._acting: list[Callable[[], None]] = []
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._act, name="stranger", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop acting; its executor calls it before it leaves the graph."""
-        self._end.set()
-        self._thread.join()
-
-    def speaks(self, kind: type[Any], topic: str) -> None:
-        """Publish a topic of other nodes with arbitrary messages."""
-        publisher = self.create_publisher(kind, topic, QoSProfile(depth=10))
-        genuine: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
+        if name in SERVICES:
+            self.create_service(SERVICES[name], name, self._serve)
+            return
+        kind = TOPICS[name]
+        publisher = self.create_publisher(kind, name, QoSProfile(depth=10))
+        genuine: deque[Any] = deque([kind()], maxlen=100)
         best = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(kind, topic, lambda message: genuine.append((time.monotonic(), message)), best)
+        self.create_subscription(kind, name, genuine.append, best)
+        messages: list[Callable[[], Any]] = [
+            lambda: lie(kind, self.dice),
+            lambda: self._broken(serialize_message(genuine[-1])),
+            lambda: genuine[-1],
+            lambda: genuine[0],
+        ]
 
         def act() -> None:
-            heard = list(genuine)
-            late = [message for when, message in heard if time.monotonic() - when > LATE]
-            act = self.dice.choice(("lie", "broken", "repeat", "late", "twice", "flood"))
-            message = lie(kind, self.dice)
-            if act == "broken" and heard:
-                message = broken(serialize_message(heard[-1][1]), self.dice)
-            elif act != "lie" and heard:
-                message = late[-1] if act == "late" and late else heard[-1][1]
-            for _ in range({"twice": 2, "flood": BURST}.get(act, 1)):
+            message = self.dice.choice(messages)()
+            for _ in range(self.dice.choice((1, 1, 2, 50))):
                 publisher.publish(message)
-
-        self._acting.append(act)
-
-    def answers(self, kind: type[Any], service: str) -> None:
-        """Serve a service of other nodes, with arbitrary responses, at once or late."""
-
-        def serve(request: Any, response: Any) -> Any:
-            if self.dice.random() < 0.3:
-                self._end.wait(LATE)
-            answer = lie(kind.Response, self.dice)
-            if hasattr(answer, "success"):
-                answer.success = self.dice.random() < 0.8
-            return answer
-
-        self.create_service(kind, service, serve, callback_group=ReentrantCallbackGroup())
-
-    def _act(self) -> None:
-        while not self._end.wait(PACE):
-            if self._acting:
-                self.dice.choice(self._acting)()
             self.acts += 1
+
+        self.create_timer(PACE, act)
+
+    def _broken(self, data: bytes) -> bytes:
+        """Return bytes of which some are changed, and the end perhaps cut off."""
+        changed = bytearray(data)
+        for _ in range(self.dice.randrange(1, 20)):
+            changed[self.dice.randrange(len(changed))] = self.dice.randrange(256)
+        return bytes(changed[: self.dice.choice((len(changed), self.dice.randrange(len(changed) + 1)))])
+
+    def _serve(self, request: Any, response: Any) -> Any:
+        self.acts += 1
+        return lie(type(response), self.dice)
+
+
+@pytest.fixture(scope="module")
+def charger(context: Any) -> Iterator[RunningCharger]:
+    scene = quick_simulation("simulated", {**PATIENT, "duplicate_source_timeout": 0.5})
+    with RunningCharger(scene, context) as charger:
+        yield charger
+
+
+@pytest.mark.parametrize("name", [*TOPICS, *SERVICES])
+def test_no_contactor_closes_beside_a_second_source_and_live_electrodes_stay_unharmed(
+    charger: RunningCharger, context: Any, name: str
+) -> None:
+    """Dock beside a foreign node, then without it, and add it again while current flows."""
+    for live in (False, True):
+        if live:
+            charger.charge()
+        energised = charger.world.record.energised
+        spinner = Spinner(Stranger(context, charger.namespace, name))
+        stranger: Any = spinner.node
+        if not live:
+            outcome = charger.dock()
+            assert not outcome.success
+            assert outcome.error_name != "INTERNAL", outcome
+            assert charger.world.record.energised == energised
+        elif name in TOPICS:
+            wait_until(lambda stranger=stranger: stranger.acts >= ACTS, "the stranger's acts")
+        spinner.close()
+        charger.assert_unharmed()
+        charger.wait_until_single()
+        charger.go_home()
+    assert Dock.Result.INTERNAL not in {state.error_code for state in charger.states}
+    assert charger.composition is not None
+    assert charger.composition.failed() == []
