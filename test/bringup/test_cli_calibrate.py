@@ -49,6 +49,7 @@ def data(recorded: Path, tmp_path: Path) -> Path:
     return Path(shutil.copy(recorded, tmp_path))
 
 
+@pytest.mark.rest
 def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: Capture, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "arm.yaml"
     out.write_text("mine", encoding="utf-8")
@@ -71,6 +72,7 @@ def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: Capture, data: 
     assert (code, "improve" in err, (tmp_path / "again.yaml").exists()) == (1, True, False)
 
 
+@pytest.mark.rest
 def test_one_object_in_si_units(capsys: Capture, data: Path) -> None:
     code, found = answer(capsys, *FIT, data)
     assert (code, found["success"], found["written"]) == (0, True, None)
@@ -85,6 +87,7 @@ def test_one_object_in_si_units(capsys: Capture, data: Path) -> None:
     assert from_mapping(found["geometry"], DeltaGeometry).limbs != NOMINAL.limbs
 
 
+@pytest.mark.rest
 def test_an_outlier_is_named_and_the_geometry_is_not_written(capsys: Capture, tmp_path: Path) -> None:
     data, out = record(tmp_path / "measured.csv", wrong=10), tmp_path / "arm.yaml"
     code, found = answer(capsys, *FIT, data, "--out", out)
@@ -101,6 +104,7 @@ def test_a_bad_row_is_reported_with_file_and_line(capsys: Capture, data: Path) -
     assert (found["file"], found["lines"]) == (str(data), [7])
 
 
+@pytest.mark.rest
 def test_zero_ticks_shift_the_angles(capsys: Capture, data: Path) -> None:
     refuses(capsys, f"calibrate kinematics {data} --zero-ticks 2050 2048 2048", "zero_ticks")
     refuses(capsys, f"calibrate kinematics {data} --direction 1 1 -1", "direction")

@@ -34,6 +34,7 @@ def data(recorded: Dataset, tmp_path: Path) -> Path:
     return tmp_path / "data.npz"
 
 
+@pytest.mark.rest
 def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, recorded: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "pads.yaml"
     out.write_text("mine", encoding="utf-8")
@@ -53,6 +54,7 @@ def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, rec
     assert "data.npz" in out.read_text(encoding="utf-8")
 
 
+@pytest.mark.rest
 def test_one_object_in_si_units(capsys: Capture, data: Path, tmp_path: Path) -> None:
     code, found = answer(capsys, *CALIBRATE, "--data", data, "--out", tmp_path / "pads.yaml")
     assert (code, found["success"], found["written"]) == (0, True, str(tmp_path / "pads.yaml"))
@@ -66,6 +68,7 @@ def test_one_object_in_si_units(capsys: Capture, data: Path, tmp_path: Path) -> 
     assert found["doubts"] == []
 
 
+@pytest.mark.rest
 def test_doubts_are_reported(capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path) -> None:
     broken = {name: np.array(getattr(recorded, name)) for name in ("right", "tare", "vertical")}
     broken["right"][:, 9, 0] = 1.5
@@ -95,6 +98,7 @@ def test_data_of_several_rigs_need_the_option_rig(capsys: Capture, tmp_path: Pat
     assert TactileCalibration.load(out).rig == 6
 
 
+@pytest.mark.rest
 def test_a_calibration_that_makes_estimates_worse_is_not_written(
     capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path
 ) -> None:

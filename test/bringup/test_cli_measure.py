@@ -172,7 +172,7 @@ def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
     assert len(read_measurements(measured)) == 1
 
 
-@pytest.mark.rest
+@pytest.mark.night
 def test_a_docking_takes_the_arm_over(operator: Callable[..., Operator], charger: Any) -> None:
     user = operator()
     user.wait_for_question()

@@ -50,7 +50,7 @@ SCENE = {
     "parameters": {
         "mock_servo_node": {"damping": 0.3},
         "docking_node": {"servo_damping": 0.3, "servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0},
-        "simulated_camera_node": {"board": "apriltag:36h11:0", "rate": 8.0},
+        "simulated_camera_node": {"board": "apriltag:36h11:0", "rate": 4.0},
     },
 }
 
@@ -94,7 +94,7 @@ def test_an_interrupted_command_leaves_the_arm_safe_and_keeps_its_views(
     assert len(read_rows(folder)) == result["views"]
 
 
-@pytest.mark.rest
+@pytest.mark.night
 def test_a_partly_filled_folder_is_completed_and_solved(taking: Callable[..., Process], tmp_path: Path) -> None:
     rig = Rig(1, joints=0.0, offset=0.0)
     rig.mount, rig.place = Mount.default().pose, bracket()  # as in the scene
@@ -127,7 +127,7 @@ def test_without_a_camera_or_a_visible_board_it_ends_with_1(
 
 
 class _Arm:
-    """An arm that reaches each goal at once; if `restless`, it moves during every third image."""
+    """An arm that reaches each goal at once; if `restless`, it moves during every second image."""
 
     def __init__(self, restless: bool = False) -> None:
         self.angle: Vector = (0.0, 0.0, 0.0)
@@ -145,7 +145,7 @@ class _Arm:
 
     def angles(self) -> Vector:
         self._asked += 1
-        moved = 0.02 if self._restless and self._asked % 6 == 0 else 0.0
+        moved = 0.02 if self._restless and self._asked % 4 == 0 else 0.0
         return self.angle[0] + moved, self.angle[1], self.angle[2]
 
     def go_home(self) -> None:
@@ -167,12 +167,13 @@ def visited(rig: Rig, arm: _Arm, shown: AprilTag, folder: ViewsFolder, wanted: i
 
 def test_an_image_during_which_the_arm_moved_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arm, folder = _Arm(restless=True), ViewsFolder(tmp_path / "views", OAK_D)
-    visited(Rig(1), arm, AprilTag(), folder, 3)
-    assert len(folder.angles) == 3
+    visited(Rig(1), arm, AprilTag(), folder, 2)
+    assert len(folder.angles) == 2
     assert capsys.readouterr().err.count("moved while") == 1
     assert arm.home
 
 
+@pytest.mark.rest
 def test_a_board_that_is_never_visible_ends_it_early_with_the_visible_markers(tmp_path: Path) -> None:
     folder = ViewsFolder(tmp_path / "views", OAK_D)
     with pytest.raises(CommandError, match="apriltag:36h11:0; it shows apriltag 36h11 4"):

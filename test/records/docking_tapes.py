@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,7 +23,6 @@ from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.own import ABOUT
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_ros.unknown import unknown_misalignment
-from deltacharger_scenes.scene import Scene
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}
@@ -77,9 +76,10 @@ def measured(
     return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **kept)
 
 
-def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0) -> list[Raw]:
+@cache
+def readings(start: float, end: float, current: float = 0.0, rate: float = 25.0) -> tuple[Raw, ...]:
     """Return servo_state, tactile_frame, charger_power and feedback of an interval."""
-    found = []
+    found: list[Raw] = []
     for step in range(round((end - start) * rate)):
         now = start + step / rate
         servo = ServoState(name=["limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint"])
@@ -93,7 +93,7 @@ def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0
             feedback.feedback.misalignment = unknown_misalignment()
             feedback.goal_id.uuid = [7] * 16
             found += [raw(now, "charger_power", power), raw(now, "dock/_action/feedback", feedback)]
-    return found
+    return tuple(found)
 
 
 def docking(*after: Raw, until: float = 3.0, current: float = 0.0) -> list[Raw]:
@@ -146,15 +146,3 @@ def write(
         for each in results:
             writer.add_metadata(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
     return path
-
-
-def patient(scene: Scene) -> Scene:
-    """Return the scene with timeouts that tolerate pauses of a loaded computer: these tests cover other things."""
-    docking_node = {
-        **scene.parameters["docking_node"],
-        "servo_age_max": 2.0,
-        "tactile_age_max": 2.0,
-        "press_age_max": 1.0,
-    }
-    more = {"docking_node": docking_node, "misalignment_node": {"max_age": 2.0}}
-    return replace(scene, parameters={**scene.parameters, **more})

@@ -14,19 +14,7 @@ from typing import Any
 
 import pytest
 
-from .docking_tapes import (
-    BEGAN,
-    KINDS,
-    NAMES,
-    docking,
-    in_order,
-    measured,
-    raw,
-    readings,
-    refused,
-    result,
-    state,
-)
+from .docking_tapes import BEGAN, KINDS, NAMES, docking, in_order, measured, raw, readings, refused, result, state
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
@@ -82,39 +70,30 @@ def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal
     assert only(tmp_path).name == "20261118T110641Z-r_1-CRITICAL_ANGLE.mcap"
     found = replay(only(tmp_path))
     assert found.is_complete
-    assert found.outcome() == {
-        "success": False,
-        "code": 403,
-        "name": "CRITICAL_ANGLE",
-        "message": message,
-    }
+    assert found.outcome() == {"success": False, "code": 403, "name": "CRITICAL_ANGLE", "message": message}
     assert found.run.motion.arrays()["time"][0] == pytest.approx(-1.0, abs=0.02), "the tape began 1 s before the goal"
     assert [phase.state for phase in found.phases] == ["idle", "approach", "contact", "measure", "retract", "idle"]
     about = {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"}
     assert found.about == about | {"began": str(BEGAN + 10**9)}
 
 
-def charging(hours: float) -> Iterable[Raw]:
-    """Dock, charge with slow messages, and undock."""
-    long = 3600.0 * hours
-    yield from docking(state(3.0, State.CHARGING, charging=True, docked=True))
-    yield from in_order([*readings(3.0, 3.0 + long, 5.0, rate=4.0)])
-    yield from (state(3.5 + long, State.RETRACT, docked=True), state(4.5 + long, State.IDLE))
-
-
-def test_hours_of_charging_need_little_space_and_their_ends_are_complete(tmp_path: Path) -> None:
-    recording = recorder(tmp_path)
-    finish(recording, play(recording, charging(1.0)))
+def test_long_charging_needs_little_space_and_its_ends_are_complete(tmp_path: Path) -> None:
+    recording, long = recorder(tmp_path), 600.0
+    tape = (
+        *docking(state(3.0, State.CHARGING, charging=True, docked=True)),
+        *in_order(readings(3.0, 3.0 + long, 5.0, rate=4.0)),
+        *(state(3.5 + long, State.RETRACT, docked=True), state(4.5 + long, State.IDLE)),
+    )
+    finish(recording, play(recording, tape))
     path = only(tmp_path)
     assert path.name.endswith("-OK.mcap")
-    assert path.stat().st_size < 2_000_000
+    assert path.stat().st_size < 500_000
     found = replay(path)
-    assert found.charged == pytest.approx(3600.0, abs=1.0)
+    assert found.charged == pytest.approx(long, abs=1.0)
+    assert found.recording.counts["servo_state"] < 75 + long + 50
     times = found.run.power.arrays()["time"]
-    assert found.recording.counts["servo_state"] < 300 + 3600 + 50
-    assert times[-1] - times[0] == pytest.approx(3603.0, abs=2.0)
-    thinned = found.as_dict()["dropped"]["thinned"]
-    assert thinned[NAMES["tactile_frame"]] > 10_000
+    assert times[-1] - times[0] == pytest.approx(3.0 + long, abs=2.0)
+    assert found.as_dict()["dropped"]["thinned"][NAMES["tactile_frame"]] > 1500
 
 
 def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
@@ -163,7 +142,7 @@ def test_a_record_ends_with_docking_node_and_states_the_phase(tmp_path: Path) ->
     recording.tick(now, alive=False)
     recording.tick(now + LOST_AFTER, alive=False)
     assert only(tmp_path).name.endswith("-UNFINISHED.mcap")
-    assert "ends in MEASURE after 2.0 s without an outcome" in why(replay(only(tmp_path)))
+    assert "MEASURE after 2.0 s without an outcome" in why(replay(only(tmp_path)))
 
 
 def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: Path) -> None:
@@ -180,13 +159,13 @@ def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: P
     assert recording.path is not None
 
 
+def full(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def test_a_full_disk_ends_recording_and_keeps_written_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = recorder(tmp_path)
     play(recording, docking())
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     monkeypatch.setattr(McapStream, "add", full)
     now = play(recording, [state(3.1, State.ALIGN), *readings(3.1, 3.5), state(3.6, State.RETRACT)])
     assert "No space left" in recording.problem
@@ -194,16 +173,10 @@ def test_a_full_disk_ends_recording_and_keeps_written_data(tmp_path: Path, monke
     finish(recording, play(recording, [state(now + 0.1, State.IDLE)]))
     assert only(tmp_path).name.endswith(PARTIAL)
     found = replay(only(tmp_path))
-    assert found.recording.damage
-    assert found.phases[-1].state == "measure"
+    assert (bool(found.recording.damage), found.phases[-1].state) == (True, "measure")
 
 
-def test_a_disk_that_is_full_at_the_start_of_a_docking_keeps_no_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+def test_a_disk_that_is_full_at_the_start_keeps_no_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deltacharger_records.recording.docking_recorder.flush", full)
     recording = recorder(tmp_path)
     play(recording, docking())
@@ -223,6 +196,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.rest
 def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[1]
     command = [sys.executable, "-c", _KILLED, str(tmp_path)]
@@ -233,30 +207,24 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path
     path = only(tmp_path)
     assert path.name.endswith(PARTIAL)
     found: Replay = replay(path)
-    assert found.recording.damage == "the file ends early: its recorder was stopped"
+    assert "ends early" in found.recording.damage
     assert found.outcome()["success"] is None
     assert found.end > 3.9 - 1.1, "1 s at most is lost"
-    assert "without an outcome: the file ends early" in why(found)
+    assert "without an outcome" in why(found)
     folder = RecordFolder(tmp_path, 1, 10**8)
     assert not folder.entries()[0].under_way
 
 
 def test_unreadable_messages_are_skipped_and_long_texts_are_cut(tmp_path: Path) -> None:
-    """Foreign bytes on the recorded topics, and an id of five megabytes."""
+    """Foreign bytes on the recorded topics, and an id of a megabyte."""
     recording = recorder(tmp_path)
+    long = DockingState(state=int(State.APPROACH), request_id="x" * 1_000_000, error_message="y" * 1_000_000)
     tape: list[Raw] = []
-    for message in docking(state(3.0, State.IDLE)):
+    for message in (raw(0.0, "docking_state", long), *docking(state(3.0, State.IDLE))):
         tape.append(message)
         if message.topic in (NAMES["docking_state"], NAMES["docking_decision"]):
             tape.extend(message._replace(data=data) for data in (b"", b"\x00\x01", b"\xff" * 300))
     finish(recording, play(recording, tape))
     assert recording.problem == ""
-    assert replay(only(tmp_path)).is_complete
-    (tmp_path / only(tmp_path).name).unlink()
-    message = DockingState(state=int(State.APPROACH), request_id="x" * 5_000_000, error_message="y" * 5_000_000)
-    again = recorder(tmp_path)
-    again.take(0.0, raw(0.0, "docking_state", message))
-    again.take(0.1, state(0.1, State.IDLE))
-    finish(again, 0.1)
     found = replay(only(tmp_path))
-    assert len(found.about["request_id"]) == REQUEST_ID_MAX
+    assert (found.is_complete, len(found.about["request_id"])) == (True, REQUEST_ID_MAX)

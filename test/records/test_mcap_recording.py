@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
+import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def frame(number: int) -> TactileFrame:
 
 def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(300)]
+    written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(60)]
     state = DockingState(state=DockingState.STATE_CONTACT, request_id="é")
     with McapWriter(path, KINDS) as writer:
         for message in written:
@@ -67,7 +68,7 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
         assert {schema.encoding for schema, _, _ in found if schema} == {"ros2msg"}
         frames = [message for _, channel, message in found if channel.topic == "/a/tactile_frame"]
         assert [(each.log_time, each.publish_time, each.data) for each in frames] == [each[1:] for each in written]
-        for number in (0, 299):
+        for number in (0, 59):
             assert repr(deserialize_message(frames[number].data, TactileFrame)) == repr(frame(number))
         assert [each.metadata for each in reader.iter_metadata()] == [{"attempt": "3"}]
         assert [each.data for each in reader.iter_attachments()] == [b"hello"]
@@ -78,16 +79,16 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
 
 def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(300)]
+    written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(60)]
     with path.open("wb") as stream:
         writer = McapStream(stream, KINDS, live=True)
-        for message in written[:200]:
+        for message in written[:40]:
             writer.add(message)
         writer.add_metadata("docking", {"attempt": "3"})
-        for message in written[200:]:
+        for message in written[40:]:
             writer.add(message)
         writer.flush()
-        assert McapFile(path).counts["/a/tactile_frame"] == 300, "a kill loses no flushed data"
+        assert McapFile(path).counts["/a/tactile_frame"] == 60, "a kill loses no flushed data"
         with pytest.raises(DamagedRecording, match=CUT_SHORT):
             pack(path, io.BytesIO(), KINDS)
         writer.finish()
@@ -143,14 +144,9 @@ def test_the_messages_of_a_topic_are_recorded(context: Any, namespace: str, spin
 def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"before")
-
-    def fail() -> None:
-        with McapWriter(path, KINDS) as writer:
-            writer.add(Raw("/a/tactile_frame", 1, 1, serialize_message(frame(1))))
-            raise ValueError("stop")
-
-    with pytest.raises(ValueError, match="stop"):
-        fail()
+    with contextlib.suppress(ZeroDivisionError), McapWriter(path, KINDS) as writer:
+        writer.add(Raw("/a/tactile_frame", 1, 1, serialize_message(frame(1))))
+        raise ZeroDivisionError
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
     assert path.read_bytes() == b"before"
     with pytest.raises(OSError, match="nowhere"):
@@ -160,17 +156,12 @@ def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
 def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"before")
-    code = (
-        "import os, signal, sys, pathlib\n"
-        "from deltacharger_core.files import atomic_write\n"
-        "with atomic_write(pathlib.Path(sys.argv[1])) as beside:\n"
-        "    beside.write_bytes(b'half')\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    child = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
-    assert child.returncode == -signal.SIGKILL
-    assert path.read_bytes() == b"before"
-    assert len(list(tmp_path.iterdir())) == 2
+    if (child := os.fork()) == 0:
+        with atomic_write(path) as beside:
+            beside.write_bytes(b"half")
+            os.kill(os.getpid(), signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert (path.read_bytes(), len(list(tmp_path.iterdir()))) == (b"before", 2)
     remove_unfinished(tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
     with atomic_write(path) as beside:
@@ -180,7 +171,7 @@ def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path)
 
 def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(RecordingError, match=r"install deltacharger\[record\]"):
+    with pytest.raises(RecordingError, match=r"deltacharger\[record\]"):
         require_mcap()
     with pytest.raises(RecordingError, match="install"):
         McapWriter(tmp_path / "run.mcap", KINDS)

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import State
@@ -50,62 +50,49 @@ def test_the_next_record_has_its_seconds_before_even_if_the_last_one_has_them() 
     assert len(numbers(tap.open())) > 100
 
 
-@given(
-    st.lists(
-        st.tuples(
-            st.floats(0.0, 3.0),
-            st.sampled_from(["state", "servo", "pads"]),
-            st.sampled_from(["", "rest", "wake", "stir"]),
-        ),
-        max_size=80,
-    )
-)
-def test_messages_pass_in_order_and_every_state_passes(events: list[tuple[float, str, str]]) -> None:
-    tap, kept, now = gate(), list[Raw](), 0.0
-    tap.open()
-    for number, (step, topic, act) in enumerate(events):
-        now += step
-        if act == "rest":
-            tap.rest(now)
-        elif act == "wake":
-            tap.wake()
-        elif act == "stir":
-            tap.stir(now)
-        kept += tap.offer(now, raw(topic, number))
-    kept += tap.close()
-    assert numbers(kept) == sorted(set(numbers(kept)))
-    assert [message.received for message in kept if message.topic == "state"] == [
-        number for number, (_, topic, _) in enumerate(events) if topic == "state"
-    ]
-    assert len(kept) + tap.dropped.total() == len(events)
+def test_messages_pass_in_order_and_every_state_passes() -> None:
+    random = Random(1)
+    for _ in range(30):
+        tap, kept, states, now = gate(), list[Raw](), list[int](), 0.0
+        tap.open()
+        for number in range(80):
+            now += random.uniform(0.0, 3.0)
+            act, topic = random.choice(("", "rest", "wake", "stir")), random.choice(("state", "servo", "pads"))
+            if act:
+                getattr(tap, act)(*(() if act == "wake" else (now,)))
+            kept += tap.offer(now, raw(topic, number))
+            states += [number] if topic == "state" else []
+        kept += tap.close()
+        assert numbers(kept) == sorted(set(numbers(kept)))
+        assert [message.received for message in kept if message.topic == "state"] == states
+        assert len(kept) + tap.dropped.total() == 80
 
 
 def charge(hours: float, budget: int = MANY) -> tuple[list[Raw], Gate]:
-    """Charge for some hours at 10 messages a second, to keep the test fast; the gate assumes no rate."""
-    tap, kept = gate(budget=budget), list[Raw]()
+    """Charge for some hours at 5 messages a second, to keep the test fast; the gate assumes no rate."""
+    tap, kept, message = gate(budget=budget), list[Raw](), raw("servo", 0)
     tap.open()
     tap.rest(0.0)
-    for number in range(round(hours * 36_000)):
-        kept += tap.offer(0.1 * number, raw("servo", number))
+    for number in range(round(hours * 18_000)):
+        kept += tap.offer(0.2 * number, message._replace(received=number))
     return kept, tap
 
 
-def test_an_hour_of_charging_is_kept_once_a_second_and_longer_charging_is_thinned_further() -> None:
-    hour, three, twelve = (len(charge(hours)[0]) for hours in (1.0, 3.0, 12.0))
+def test_the_first_minutes_of_charging_are_kept_once_a_second_and_longer_charging_is_thinned() -> None:
+    hour, two = (len(charge(hours)[0]) for hours in (1.0, 2.0))
     assert hour == pytest.approx(3600, rel=0.1)
-    assert three - hour < 1.2 * 3600 * 1.1  # 3600 ln 3
-    assert twelve - three < 1.2 * 3600 * 1.4  # 3600 ln 4
+    assert two - hour < 1.2 * 3600 * 0.7  # 3600 ln 2
 
 
 def test_the_seconds_around_an_event_while_charging_are_complete() -> None:
     kept, tap = charge(0.1)
     now = 0.1 * 3600
     tap.stir(now)
-    for number in range(3600, 3800):
-        kept += tap.offer(0.1 * number, raw("servo", number))
-    around = [number for number in numbers(kept) if abs(0.1 * number - now) < BEFORE - 0.2]
+    for number in range(1800, 1900):
+        kept += tap.offer(0.2 * number, raw("servo", number))
+    around = [number for number in numbers(kept) if abs(0.2 * number - now) < BEFORE - 0.2]
     assert around == list(range(around[0], around[-1] + 1))
-    assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.1, abs=2)
+    assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.2, abs=2)
 
 
 def test_a_record_at_its_limit_keeps_only_the_states() -> None:

@@ -12,8 +12,6 @@ import pytest
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
-from deltacharger_bringup.cli.main import main
-from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal, Mismatch
@@ -67,49 +65,11 @@ def test_a_folder_accepts_one_process_at_a_time_and_no_other_settings(tmp_path: 
         with pytest.raises(Mismatch, match=r"--z-mm 80\.0 \(not 75\.0\)"):
             journal.check(dataclasses.replace(PART, z_mm=75.0), SETTINGS)
         journal.check(dataclasses.replace(PART, set="angle", z_mm=75.0), SETTINGS)
-    path = tmp_path / "F.recording" / "docking-000000.mcap"
+    path, header = (tmp_path / "F.recording" / name for name in ("docking-000000.mcap", "recording.json"))
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(RecordingError, match=r"docking-000000\.mcap"):
+    with pytest.raises(RecordingError, match=path.name):
         Journal(out)
-    (tmp_path / "F.recording" / "recording.json").write_text("{")
-    with pytest.raises(RecordingError, match=r"recording\.json is damaged"):
-        Journal(out)
-
-
-def test_a_folder_of_another_version_is_refused_by_its_version(tmp_path: Path) -> None:
-    out = tmp_path / "F.npz"
-    with Journal(out) as journal:
-        journal.store(docking(0), PART, SETTINGS, {}, [])
-    header = tmp_path / "F.recording" / "recording.json"
-    header.write_text(json.dumps(json.loads(header.read_text()) | {"version": 0}))
-    with pytest.raises(RecordingError, match=r"recording\.json has version 0: give another --out"):
-        Journal(out)
-
-
-@pytest.mark.parametrize(
-    ("words", "error"),
-    [
-        ((), "give --set"),
-        (("--set", "angle"), "needs --angle-deg"),
-        (("--set", "sweep"), "needs --angle-deg"),
-        (("--set", "angle", "--angle-deg", "6"), "outside -5 to 5"),
-        (("--set", "position", "--angle-deg", "1"), "is level"),
-        (("--set", "reference", "--offsets-mm", "1"), "no --offsets-mm"),
-        (("--set", "reference", "--out", "F.csv"), "must end in .npz"),
-        (("--set", "reference", "--out", "nowhere/F.npz"), "does not exist"),
-        (("--set", "reference", "--out", "other.npz"), "give another --out"),
-        (("--compose",), "contains no dockings"),
-    ],
-)
-def test_wrong_input_is_reported(
-    words: tuple[str, ...],
-    error: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("other.npz").write_bytes(b"of somebody else")
-    assert main(["tactile", "record", "--out", "F.npz", "--json", *words]) == WRONG_INPUT
-    assert error in json.loads(capsys.readouterr().out)["error"]
-    assert [path.name for path in tmp_path.iterdir()] == ["other.npz"]
+    for content, noun in ((json.dumps(json.loads(header.read_text()) | {"version": 0}), "version 0"), ("{", "damaged")):
+        header.write_text(content)
+        with pytest.raises(RecordingError, match=rf"recording\.json.*{noun}"):
+            Journal(out)
