@@ -38,6 +38,7 @@ pytestmark = pytest.mark.ros
 USUAL = DockingNodeParameters().base_pose
 MOUNT: Pose = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
 EXACT = 1e-9
+PATIENCE = 10.0  # s, the longest transform_timeout
 Make = Callable[..., Frames]
 
 
@@ -163,7 +164,7 @@ def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make
 
 
 def test_a_late_transform_is_awaited_unless_the_goal_must_not_wait(robot: Robot, make: Make) -> None:
-    frames = make(timeout=DEADLINE)
+    frames = make(timeout=PATIENCE)
     with pytest.raises(TransformError):
         frames.charger_base_in("map", timeout=0.0)
     with asking(frames, "map") as found:
@@ -172,7 +173,7 @@ def test_a_late_transform_is_awaited_unless_the_goal_must_not_wait(robot: Robot,
 
 
 def test_only_one_goal_waits_so_that_unknown_frames_block_no_other(robot: Robot, make: Make) -> None:
-    frames = make(timeout=30.0)
+    frames = make(timeout=PATIENCE)
     await_frames(frames, "charger_base")
     assert frames._tf is not None
     began = time.monotonic()
@@ -225,7 +226,7 @@ def test_a_stamp_matters_only_if_a_transform_moves(robot: Robot, make: Make) -> 
 
 def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: Make) -> None:
     """Not even by a second caller that does not wait; a retry is allowed."""
-    frames = make(timeout=DEADLINE, mounted=False)
+    frames = make(timeout=PATIENCE, mounted=False)
     with asking(frames, "base_link") as found:
         with pytest.raises(TransformError, match="just started") as refusal:
             frames.charger_base_in("base_link")
@@ -242,7 +243,7 @@ def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
     monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.2)
     remapped = ["--ros-args", "-r", f"/tf:=/{namespace}/tf", "-r", f"/tf_static:=/{namespace}/tf_static"]
     node = Node("asker", **options(context, namespace), cli_args=remapped)
-    frames = Frames(node, TransformParameters(transform_timeout=DEADLINE), "base_link", USUAL)
+    frames = Frames(node, TransformParameters(transform_timeout=PATIENCE), "base_link", USUAL)
     node.create_publisher(kind, "/elsewhere/tf_static", 10)
     began = time.monotonic()
     assert [frames.charger_base_in("base_link") for _ in range(3)] == [USUAL] * 3
@@ -254,7 +255,7 @@ def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
 
 
 def test_waiting_ends_when_the_node_closes(robot: Robot, make: Make) -> None:
-    frames = make(timeout=DEADLINE)
+    frames = make(timeout=PATIENCE)
     with asking(frames, "map") as found:
         frames.close()
     assert "shutting down" in str(found[0])

@@ -18,15 +18,13 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
 from deltacharger_ros.outcomes import DockRequest
-from deltacharger_scenes.scene import Scene, load_scene
 
 from ..chargers import Spin, wait_until
-from ..marks import night, rest
 from ..nodes import options
 from ..quick import quick_simulation
 from ..running_charger import PATIENT, RunningCharger
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.rest]
 
 NAME = re.compile(r"(\w+/)*\w+: \S.*")
 NOT_KNOWN = re.compile(r"\b(None|nan|NaN|inf)\b")
@@ -96,31 +94,19 @@ class Listener(Node):
         self.statuses += [each for each in message.status if each.name.lstrip("/").startswith(f"{ours}/")]
 
 
-def camera() -> Scene:
+@pytest.fixture
+def listener(context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Listener:
+    """A charger of all nodes but the mission's, with all its messages from the first to the end of a goal."""
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     scene = quick_simulation("camera", PATIENT)
-    return replace(scene, nodes=(*scene.nodes, "camera_node", "docking_recorder_node"))
-
-
-def mission() -> Scene:
-    pytest.importorskip("nav2_msgs", reason="comes with Nav2, or `make navigation` builds a stand-in")
-    return load_scene(Path(__file__).parents[1] / "mission" / "mission.yaml")
-
-
-def mocks() -> Scene:
-    return load_scene(Path(__file__).parent / "quick.yaml")
-
-
-@pytest.fixture(params=[night(camera), night(mission), rest(mocks)], ids=lambda each: each.__name__)
-def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Listener:
-    """A charger of each kind, with all its messages from the first to the end of a goal."""
-    scene = request.param()
-    if "docking_recorder_node" in scene.nodes:
-        parameters = {**scene.parameters, "docking_recorder_node": {"folder": str(tmp_path)}}
-        scene = replace(scene, parameters=parameters)
+    recorder = {"docking_recorder_node": {"folder": str(tmp_path)}}
+    nodes = (*scene.nodes, "camera_node", "docking_recorder_node")
+    scene = replace(scene, nodes=nodes, parameters={**scene.parameters, **recorder})
     heard: Listener = spin(Listener(context, namespace))
+    silent = ("simulated_camera", "kinematics", "misalignment")
+    told = {name for name in nodes if not name.startswith(silent)}
     with RunningCharger(scene, context, namespace=namespace) as charger:
-        wait_until(lambda: diagnosed(heard) >= nodes_with_diagnostics(scene), "diagnostics of every node before a goal")
+        wait_until(lambda: diagnosed(heard) >= told, "diagnostics of every node before a goal")
         wait_until(lambda: names(heard.heard) >= OF_A_GOAL, "a subscription to every topic of a goal")
         assert charger.dock(DockRequest(None)).success
         assert charger.undock().success
@@ -133,12 +119,6 @@ def names(topics: Iterable[str]) -> set[str]:
 
 def diagnosed(listener: Listener) -> set[str]:
     return {each.name.partition(":")[0].rpartition("/")[2] for each in listener.statuses}
-
-
-def nodes_with_diagnostics(scene: Scene) -> set[str]:
-    """Return a scene's nodes with diagnostics; the servos' mock has them only when it refuses a request."""
-    silent = ("mock_", "simulated_camera", "kinematics", "misalignment")
-    return {name for name in scene.nodes if not name.startswith(silent)}
 
 
 def test_every_header_has_a_frame_and_every_diagnostic_known_values_only(listener: Listener) -> None:
