@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import subprocess
 import threading
@@ -17,7 +18,6 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
-from deltacharger_driver.pseudo_terminal import ByteDevice
 
 from ..borrowed import anew, borrowed_tests
 
@@ -32,28 +32,19 @@ class BoardHost:
     """
 
     def __init__(self, program: Path, now: int = 0, seed: int = 1) -> None:
-        self._process = subprocess.Popen(
-            [program, "--seed", str(seed), "--step", str(now)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        command = [program, "--seed", str(seed), "--step", str(now)]
+        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        self._process = subprocess.Popen(command, text=True, bufsize=1, **pipes)
         self._lock = threading.Lock()
         self.idle = 0  # us until the next poll is due, from the last answer that advanced time
 
     def command(self, line: str) -> str:
         """Send a line and return the answer."""
         with self._lock:
-            assert self._process.stdin is not None
-            assert self._process.stdout is not None
-            try:
+            with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.write(line + "\n")
-                self._process.stdin.flush()
-            except BrokenPipeError:
-                pass
             answer = self._process.stdout.readline()
-        assert answer, f"the board died of '{line[:80]}':\n{self._ended()}"
+        assert answer, f"the board died of '{line[:80]}':\n{self._process.stderr.read()}"
         assert not answer.startswith("error"), f"{line[:80]}: {answer}"
         return answer.rstrip("\n")
 
@@ -70,17 +61,8 @@ class BoardHost:
 
     def close(self) -> None:
         """End the process; any output on its standard error, such as a sanitizer's, is a failure."""
-        if self._process.poll() is None:
-            self._process.communicate("quit\n", timeout=10.0)
-        errors = self._ended()
-        assert self._process.returncode == 0, errors
-        assert not errors, errors
-
-    def _ended(self) -> str:
-        self._process.wait(timeout=10.0)
-        if self._process.stderr is None or self._process.stderr.closed:
-            return ""
-        return self._process.stderr.read()
+        _, errors = self._process.communicate("quit\n" if self._process.poll() is None else None, timeout=10.0)
+        assert (self._process.returncode, errors) == (0, "")
 
 
 class FirmwarePlant:
@@ -132,10 +114,7 @@ class FirmwarePlant:
 class FirmwareBoard:
     """The firmware with `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
 
-    Thread-safe. Time is the caller's, in s.
-
-    Attributes:
-        servos: the bus behind the board.
+    Thread-safe. Time is the caller's, in s. It has no servos' bus.
     """
 
     program: ClassVar[Path]
@@ -147,13 +126,11 @@ class FirmwareBoard:
         sample_format: SampleFormat = SampleFormat.U12,
         probe_time: float = 0.150,
         seed: int | None = None,
-        servos: ByteDevice | None = None,
     ) -> None:
         plant.board = self
         self.host = BoardHost(self.program, seed=1 if seed is None else seed)
         self.started.append(self)
         self.faults = WireFaults(seed)
-        self.servos = FirmwareBus(self.host, servos)
         self._plant = plant
         self._known: dict[str, str] = {}
         self._lock = threading.RLock()
@@ -203,7 +180,6 @@ class FirmwareBoard:
             sent = self.poll(now)
             if not self.faults.deaf:
                 sent += self._damaged(self.host.sent(f"wire {data.hex()}"))
-                self.servos.serve(now)
             return sent
 
     def poll(self, now: float) -> bytes:
@@ -213,16 +189,14 @@ class FirmwareBoard:
             self._polled = round(now * 1e6)
             line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
             self._boot_wanted = False
-            sent = self._damaged(self.host.sent(line))
-            self.servos.serve(now)
-            return sent
+            return self._damaged(self.host.sent(line))
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `poll` is due."""
         with self._lock:
             if self._boot_wanted:
                 return 0.0
-            return max(min((self._polled + self.host.idle) * 1e-6 - now, self.servos.next_event(now)), 0.0)
+            return max((self._polled + self.host.idle) * 1e-6 - now, 0.0)
 
     def _tell_plant(self) -> None:
         for name, value in self._plant.settings().items():
@@ -234,41 +208,6 @@ class FirmwareBoard:
         """Apply the wire's faults packet by packet; the firmware sends complete ones."""
         pieces = [piece for piece in data.split(b"\0") if piece]
         return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs.decode(piece)[1]) for piece in pieces)
-
-
-class FirmwareBus:
-    """The servos' bus of the host program.
-
-    Args:
-        host: the host program, not booted yet.
-        device: the device on the bus; None = the board has no bus.
-    """
-
-    def __init__(self, host: BoardHost, device: ByteDevice | None) -> None:
-        self._host = host
-        self._device = device
-        host.command(f"servos {int(device is not None)}")
-
-    @property
-    def speed(self) -> int:
-        """The speed of the bus, bit/s."""
-        return int(self._host.state()["servo_speed"])
-
-    def serve(self, now: float) -> None:
-        """Pass bytes both ways at `now`, s; the board takes those from the servos at its next poll."""
-        if self._device is None:
-            return
-        from_bus = self._device.poll(now)
-        to_bus = bytes.fromhex(self._host.command(f"bus {from_bus.hex()}").removeprefix("bus").strip())
-        answer = self._device.receive(to_bus, now) if to_bus else b""
-        if answer:
-            self._host.command(f"bus {answer.hex()}")
-        if from_bus or answer:
-            self._host.idle = 0
-
-    def next_event(self, now: float) -> float:
-        """Return the seconds until the servos send; inf for never."""
-        return math.inf if self._device is None else self._device.next_event(now)
 
 
 def on_firmware(name: str, without: set[str] | None = None, mark: Any = None) -> dict[str, object]:

@@ -20,19 +20,17 @@ class CodecProcess:
     """Encodes and decodes in C."""
 
     def __init__(self, program: Path) -> None:
-        self._process = subprocess.Popen(
-            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
+        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        self._process = subprocess.Popen([program], **pipes)
+        self._in, self._out = self._process.stdin, self._process.stdout
 
     def ask(self, operation: str, body: bytes = b"") -> bytes:
         """Send a request and return the answer."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(_HEAD.pack(operation.encode(), len(body)) + body)
-        self._process.stdin.flush()
-        head = self._process.stdout.read(_SIZE.size)
-        assert len(head) == _SIZE.size, f"the codec died:\n{self._errors()}"
-        return self._process.stdout.read(_SIZE.unpack(head)[0])
+        self._in.write(_HEAD.pack(operation.encode(), len(body)) + body)
+        self._in.flush()
+        head = self._out.read(_SIZE.size)
+        assert len(head) == _SIZE.size, self._process.stderr.read()
+        return self._out.read(_SIZE.unpack(head)[0])
 
     def new_decoder(self, longest: int = 1024) -> None:
         """Start a new stream."""
@@ -60,17 +58,5 @@ class CodecProcess:
 
     def close(self) -> None:
         """End the process; a sanitizer's finding is a failure."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        errors = self._errors()
-        assert self._process.returncode == 0, errors
-        assert not errors, errors
-
-    def _errors(self) -> str:
-        assert self._process.stderr is not None
-        errors = self._process.stderr.read().decode()
-        self._process.wait(timeout=10.0)
-        for pipe in (self._process.stdout, self._process.stderr):
-            assert pipe is not None
-            pipe.close()
-        return errors
+        _, errors = self._process.communicate(timeout=10.0)
+        assert (self._process.returncode, errors) == (0, b"")
