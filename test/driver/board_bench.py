@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power
@@ -16,10 +18,12 @@ STEP = 0.005
 class Bench:
     """A board, its plant and a host that sends only on command; `run` advances time."""
 
-    def __init__(self, sample_format: SampleFormat = SampleFormat.U12, **plant: float) -> None:
+    def __init__(
+        self, sample_format: SampleFormat = SampleFormat.U12, hooks: dict[str, Any] | None = None, **plant: float
+    ) -> None:
         self.now = 100.0
         self.plant = BenchPlant(clock=lambda: self.now, **plant)  # type: ignore[arg-type]
-        self.board = BoardEmulator(self.plant, sample_format, seed=7)
+        self.board = BoardEmulator(self.plant, sample_format, seed=7, **(hooks or {}))
         self.decoder = PacketDecoder()
         self.packets: list[Packet] = []
         self.sequence = 0

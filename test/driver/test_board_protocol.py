@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 import struct
 import zlib
@@ -70,6 +72,7 @@ def test_golden_bytes(packet: Packet, wire: str) -> None:
     assert PacketDecoder().feed(bytes.fromhex(wire)) == [packet]
 
 
+@settings(max_examples=40)
 @given(st.lists(packets, max_size=5), st.integers(1, 64))
 def test_packets_survive_any_splitting(sent: list[Packet], step: int) -> None:
     stream = b"".join(encode_packet(packet) for packet in sent)
@@ -100,7 +103,7 @@ def test_a_truncated_packet_loses_only_itself(packet: Packet, data: st.DataObjec
     assert decoder.feed(wire[:cut] + encode_packet(follower)) == [follower]
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(packets, st.data())
 def test_a_flipped_bit_is_detected(packet: Packet, data: st.DataObject) -> None:
     wire = bytearray(encode_packet(packet))
@@ -134,29 +137,23 @@ def test_memory_is_bounded_without_a_delimiter() -> None:
 def test_another_major_version_is_refused_named_and_counted(version: int) -> None:
     decoder = PacketDecoder()
     assert decoder.feed(encode_packet(Packet(PacketType.POWER, b"x" * 16), version)) == []
-    assert decoder.counters.version_errors == 1
-    assert decoder.counters.refused_version == version
+    assert (decoder.counters.version_errors, decoder.counters.refused_version) == (1, version)
 
 
 @pytest.mark.parametrize("at", [14, 15])
 def test_reserved_bytes_of_the_header_must_be_zero(at: int) -> None:
     body = bytearray(cobs.decode(encode_packet(Packet(PacketType.POWER, bytes(16)))[1:-1])[:-4])
     body[at] = 1
-    wire = b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
     decoder = PacketDecoder()
-    assert decoder.feed(wire) == []
+    assert decoder.feed(b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
     assert (decoder.counters.header_errors, decoder.counters.packets, decoder.counters.damaged) == (1, 0, 0)
 
 
 @pytest.mark.parametrize("type", list(PacketType))
-@pytest.mark.parametrize("sample_format", range(6))
-@pytest.mark.parametrize("flags", [0, 1, 2, 3, 4, 128])
-def test_only_tactile_has_format_and_flags(type: PacketType, sample_format: int, flags: int) -> None:
-    packet = Packet(type, flags=flags, format=sample_format)
-    tactile = type is PacketType.TACTILE
-    allowed = (sample_format in (1, 2, 3) and flags <= 3) if tactile else sample_format == flags == 0
-    if allowed:
-        check_header(packet)
-    else:
-        with pytest.raises(PacketError, match="invalid for this type"):
-            check_header(packet)
+def test_only_tactile_has_format_and_flags(type: PacketType) -> None:
+    for sample_format, flags in itertools.product(range(6), (0, 1, 2, 3, 4, 128)):
+        allowed = sample_format == flags == 0
+        if type is PacketType.TACTILE:
+            allowed = sample_format in (1, 2, 3) and flags <= 3
+        with contextlib.nullcontext() if allowed else pytest.raises(PacketError):
+            check_header(Packet(type, flags=flags, format=sample_format))

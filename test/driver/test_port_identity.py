@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from deltacharger_driver.board.link import BoardLink
@@ -16,33 +14,30 @@ from deltacharger_driver.errors import HandshakeError, NoAnswer, WrongDevice
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.mx64 import SPEEDS
 from deltacharger_driver.servos.packets import status
 from deltacharger_driver.servos.snapshot import BusSettings
 
 from ..emulated_ports import Babbler, written
+from ..marks import rest
 
 
-def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.set_speed(2, 1)
-    found = identify(servo_port)
-    assert found.kind == "servos"
-    assert sorted((s.servo, s.speed, s.protocol, s.model) for s in found.servos) == [
-        (1, 1_000_000, 2, 311),
-        (2, 57600, 2, 311),
-        (3, 1_000_000, 2, 311),
-    ]
-    assert "id 2 at 57600 bit/s" in found.details
-    assert found.hello is None
-
-
-@pytest.mark.parametrize("speeds", [(0, 1, 2), (3, 4, 5), (6, 6, 6)])
-def test_every_speed_is_tried(servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("speeds", [(3, 1, 3), rest((0, 1, 2)), rest((4, 5, 6))])
+def test_servos_are_found_at_the_speed_of_each(
+    servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]
+) -> None:
     for servo, speed in enumerate(speeds, 1):
         servos.set_speed(servo, speed)
+    servos.faults.next_reply("drop", 1)  # a lost reply loses no servo
+    before = written(servos)
     found = identify(servo_port)
-    assert {s.servo for s in found.servos} == {1, 2, 3}
-    assert len({s.speed for s in found.servos}) == len(set(speeds))
-    assert len(SERVO_SPEEDS) == 7
+    assert (found.kind, found.hello) == ("servos", None)
+    assert {(s.servo, s.speed, s.protocol, s.model, s.garbled) for s in found.servos} == {
+        (servo, SPEEDS[speed], 2, 311, False) for servo, speed in enumerate(speeds, 1)
+    }
+    assert all(f"id {servo}" in found.details for servo in (1, 2, 3))
+    assert written(servos) == before
+    assert set(SERVO_SPEEDS) == set(SPEEDS.values())
 
 
 def test_old_firmware_is_found(servos: ServoBusEmulator, servo_port: str) -> None:
@@ -60,19 +55,6 @@ def test_two_servos_with_one_id_are_reported_as_garbled() -> None:
     assert len(twins) > 1 or twins[0].garbled
 
 
-def test_a_lost_reply_loses_no_servo(servos: ServoBusEmulator, servo_port: str) -> None:
-    for servo in (1, 2, 3):
-        servos.faults.next_reply("drop", servo)
-    assert {(s.servo, s.garbled) for s in identify(servo_port).servos} == {(1, False), (2, False), (3, False)}
-
-
-def test_identifying_writes_nothing(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.set_speed(2, 1)
-    before = written(servos)
-    assert len(identify(servo_port).servos) == 3
-    assert written(servos) == before
-
-
 def test_a_board_is_identified_without_changing_its_state(board_port: str) -> None:
     found = identify(board_port)
     assert (found.kind, found.version, found.servos) == ("board", 1, ())
@@ -83,53 +65,39 @@ def test_a_board_is_identified_without_changing_its_state(board_port: str) -> No
         link.tare()
 
 
-def test_a_board_of_another_version_is_a_board() -> None:
-    packet = encode_packet(Packet(PacketType.POWER, bytes(16)), version=3)
-    with PseudoTerminal(Babbler(packet)) as terminal:
-        found = identify(terminal.path)
-    assert (found.kind, found.version, found.hello) == ("board", 3, None)
-
-
-@pytest.mark.parametrize(("answer", "kind"), [(b"", "silent"), (b"login: ", "other")])
-def test_other_devices_are_reported(answer: bytes, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("answer", "kind", "version"),
+    [
+        (encode_packet(Packet(PacketType.POWER, bytes(16)), version=3), "board", 3),
+        (b"", "silent", None),
+        (b"login: ", "other", None),
+    ],
+    ids=["a board of another version", "silence", "another device"],
+)
+def test_other_devices_are_reported(answer: bytes, kind: str, version: int | None) -> None:
     with PseudoTerminal(Babbler(answer)) as terminal:
-        found = identify(terminal.path, speeds=(1_000_000, 57600))
-    assert found.kind == kind
-    assert found.servos == ()
+        found = identify(terminal.path, speeds=(1_000_000,))
+    assert (found.kind, found.version or None, found.hello, found.servos) == (kind, version, None, ())
 
 
-@pytest.mark.parametrize("scan", [True, False])
-def test_the_servo_driver_on_the_board_reports_swapped_cables(board_port: str, scan: bool) -> None:
-    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
-        ServoBus(BusSettings(port=board_port)).open(scan)
+def test_swapped_cables_are_reported_by_both_drivers(board_port: str, servo_port: str) -> None:
+    with pytest.raises(WrongDevice, match="swap") as caught:
+        ServoBus(BusSettings(port=board_port)).open(scan=False)
     assert (caught.value.expected, caught.value.port) == ("the servos", board_port)
-    assert isinstance(caught.value, ConnectionError)
     with BoardLink(board_port) as link:  # the port is free again
         link.ping()
-
-
-@pytest.mark.parametrize("speed", [1, 3])
-def test_the_board_driver_on_the_servos_reports_swapped_cables(
-    servos: ServoBusEmulator, servo_port: str, speed: int
-) -> None:
-    for servo in (1, 2, 3):
-        servos.set_speed(servo, speed)
-    with pytest.raises(WrongDevice, match="swap the two cables") as caught:
+    with pytest.raises(WrongDevice, match="swap") as caught:
         BoardLink(servo_port).open()
     assert caught.value.found == "the servos"
-    assert identify(servo_port).kind == "servos"
 
 
-@pytest.mark.parametrize(
-    ("opened", "error"),
-    [
-        (lambda port: BoardLink(port).open(), NoAnswer),
-        (lambda port: ServoBus(BusSettings(port=port)).open(scan=False), HandshakeError),
-    ],
-)
-def test_silence_is_not_taken_for_swapped_cables(opened: Callable[[str], None], error: type[Exception]) -> None:
-    with PseudoTerminal(Babbler(b"")) as terminal, pytest.raises(error):
-        opened(terminal.path)
+@pytest.mark.rest
+def test_silence_is_not_taken_for_swapped_cables() -> None:
+    with PseudoTerminal(Babbler(b"")) as terminal:
+        with pytest.raises(NoAnswer):
+            BoardLink(terminal.path).open()
+        with pytest.raises(HandshakeError):
+            ServoBus(BusSettings(port=terminal.path)).open(scan=False)
 
 
 class Noisy(Babbler):

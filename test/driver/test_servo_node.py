@@ -9,17 +9,14 @@ from __future__ import annotations
 import math
 import signal
 import sys
-import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from builtin_interfaces.msg import Duration
 from deltacharger.msg import ChargerPower, ServoState
-from deltacharger.srv import Probe, SetContactor
+from deltacharger.srv import SetContactor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -28,10 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.motion_guard import ContactorState
@@ -47,7 +41,6 @@ from .servo_rig import START
 
 pytestmark = pytest.mark.ros
 
-VOLTAGE = 1 << 0  # an error that does not switch the torque off
 RELIABLE = QoSProfile(depth=1)
 HIGHER = [angle + 0.1 for angle in START]
 
@@ -97,18 +90,24 @@ class Client(Node):
 
 
 class PowerStage(Node):
-    """Publishes charger_power 20 times a second."""
+    """Publishes charger_power 20 times a second; set_contactor opens, and records the arm's torque then."""
 
-    def __init__(self, context: Any, namespace: str) -> None:
+    def __init__(self, context: Any, namespace: str, arm: BenchArm) -> None:
         super().__init__("power_stage", **options(context, namespace))
-        self.closed = False
+        self.closed, self.arm = False, arm
+        self.torque_when_opened: list[bool] = []
         self.powers = self.create_publisher(ChargerPower, "charger_power", RELIABLE)
         self.create_timer(0.05, self._publish)
+        self.create_service(SetContactor, "set_contactor", self._on_contactor)
 
     def _publish(self) -> None:
         power = ChargerPower(contactor_closed=self.closed, probe_age=math.inf)
         power.header.stamp = self.get_clock().now().to_msg()
         self.powers.publish(power)
+
+    def _on_contactor(self, request: Any, response: Any) -> Any:
+        self.torque_when_opened, self.closed, response.success = self.arm.torque_enabled(), request.close, True
+        return response
 
 
 class Servos:
@@ -227,12 +226,12 @@ def test_frequent_refusals_are_reported_at_a_bounded_rate(servos: Servos) -> Non
 
 @pytest.mark.witness
 @pytest.mark.version
-def test_the_arm_stands_still_and_refuses_all_while_the_contactor_is_closed(context: Any, spin: Spin) -> None:
+def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque(context: Any, spin: Spin) -> None:
     """A running line becomes a hold; the diagnostics name a refused sender."""
     arm = BenchArm(START)
     with PseudoTerminal(ServoBusEmulator(arm)) as port:
         servos = Servos(context, port.path, arm, spin)
-        stage = spin(PowerStage(context, servos.namespace))
+        stage = spin(PowerStage(context, servos.namespace, arm))
         stranger = spin(Client(context, servos.namespace, "stranger"))
         wait_until(lambda: stage.powers.get_subscription_count() and stranger.trajectories.get_subscription_count())
 
@@ -256,114 +255,12 @@ def test_the_arm_stands_still_and_refuses_all_while_the_contactor_is_closed(cont
         assert not servos.node._controller._goals.are_moving  # nor does it continue
         stranger.send((0.0, START))
         servos.are_at(START)
-
-
-class LiveArm(BenchArm):
-    """An arm that records whether current could flow when its torque went off."""
-
-    def __init__(self, plant: BenchPlant) -> None:
-        super().__init__(START)
-        self.plant = plant
-        self.live_at_torque_off: list[bool] = []
-
-    def command_servo(
-        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
-    ) -> None:
-        command = self.commands[index]
-        if command is not None and command[0] and not torque_enabled:
-            self.live_at_torque_off.append(self.plant.read_power()[3])
-        super().command_servo(index, torque_enabled, reference, current_limit, gain)
-
-
-class Charging:
-    """Both drivers on emulated hardware, and a client that charges without end."""
-
-    def __init__(self, context: Any, folder: Path) -> None:
-        self.plant = BenchPlant()
-        self.arm = LiveArm(self.plant)
-        self.emulator = ServoBusEmulator(self.arm)
-        self.servo = PseudoTerminal(self.emulator, folder / "live_servo").start()
-        self.board = PseudoTerminal(BoardEmulator(self.plant), folder / "live_board").start()
-        namespace = new_namespace()
-        nodes = (
-            TactileNode(**options(context, namespace, port=self.board.path)),
-            ServoNode(**options(context, namespace, port=self.servo.path)),
-            Client(context, namespace),
-        )
-        self.spinners = [Spinner(node) for node in nodes]
-        self.client: Any = self.spinners[2].node
-        self.contactor, self.probe, self.tare = (
-            self.client.create_client(kind, name)
-            for kind, name in ((SetContactor, "set_contactor"), (Probe, "probe"), (Trigger, "tare"))
-        )
-        self.over = threading.Event()
-        self.thread = threading.Thread(target=self.renew)
-
-    def begin(self) -> None:
-        """Torque on, contact, probe, close."""
-        assert self.client.set_torque(True).success
-        assert self.probe.wait_for_service(DEADLINE)
-        assert self.tare.wait_for_service(DEADLINE)
-        assert call(self.tare, Trigger.Request()).success
-        self.plant.press(20.0)
-        assert call(self.probe, Probe.Request()).success
-        self.thread.start()
-        wait_until(lambda: self.plant.read_power()[3])
-
-    def renew(self) -> None:
-        lease = Duration(nanosec=250_000_000)
-        while not self.over.wait(0.05):
-            self.contactor.call_async(SetContactor.Request(close=True, holder="dock", lease=lease))
-
-    def close(self) -> None:
-        self.over.set()
-        if self.thread.ident is not None:
-            self.thread.join()
-        for spinner in reversed(self.spinners):
-            spinner.close()
-        self.servo.stop()
-        self.board.stop()
-
-
-@pytest.fixture
-def charging(context: Any, tmp_path: Path) -> Iterator[Charging]:
-    charging = Charging(context, tmp_path)
-    yield charging
-    charging.close()
-
-
-@pytest.mark.witness
-def test_the_contactor_opens_before_the_torque_goes(charging: Charging) -> None:
-    charging.begin()
-    assert charging.client.set_torque(False).success
-    assert charging.arm.live_at_torque_off == [False] * 3
-    assert not charging.plant.read_power()[3]  # although the client continues
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    "end",
-    [
-        lambda charging: charging.emulator.raise_hardware_error(1, VOLTAGE),
-        lambda charging: charging.spinners.pop(1).close(),
-    ],
-    ids=["a latched error", "the node is closed"],
-)
-def test_the_contactor_opens_before_any_other_end_of_the_torque(
-    charging: Charging, end: Callable[[Charging], object]
-) -> None:
-    charging.begin()
-    end(charging)
-    wait_until(lambda: len(charging.arm.live_at_torque_off) == 3)
-    assert charging.arm.live_at_torque_off == [False] * 3
-    assert not charging.plant.read_power()[3]
-
-
-@pytest.mark.rest
-def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging: Charging) -> None:
-    charging.begin()
-    charging.servo.stop()
-    wait_until(lambda: not charging.plant.read_power()[3])  # although the client continues
+        stage.closed = True
+        becomes(ContactorState.CLOSED)
+        assert servos.client.set_torque(False).success
+        assert stage.torque_when_opened == [True] * 3  # it opens before the torque goes
+        assert not stage.closed
+        assert arm.torque_enabled() == [False] * 3
 
 
 @pytest.mark.version

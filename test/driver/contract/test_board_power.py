@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import pytest
 
-from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.protocol import POWER_RATE, BoardFault
 
 from .host import BoardHost
@@ -56,17 +55,3 @@ def test_a_probe_in_free_air_finds_an_open_circuit(
     if board_site.real and load_connected:
         pytest.skip("with --close-contactor a load is connected to the electrodes")
     assert math.isinf(host.link.probe().resistance), "the electrodes must touch nothing"
-
-
-def test_the_guard_refuses_a_close_without_contact(host: BoardHost) -> None:
-    host.next_powers(1)
-    with pytest.raises(LeaseRefused, match="probe"):
-        host.guard.close("contract", 0.2)
-    host.link.tare()
-    host.link.start()
-    host.guard.probe()
-    with pytest.raises(LeaseRefused, match=r"no contact|open circuit|short|polarity"):
-        host.guard.close("contract", 0.2)
-    host.link.stop()
-    assert host.link.counters.heartbeats == 0
-    assert not any(sample.power.contactor_closed for sample in host.next_powers(3))

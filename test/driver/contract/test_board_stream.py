@@ -21,8 +21,8 @@ from ...waiting import wait_until
 from .host import BoardHost
 from .sites import BoardSite
 
-STRETCH = 60  # frames
-SETTLED = 40  # frames whose stamps must follow the board's clock
+STRETCH = 40  # frames
+SETTLED = 30  # frames whose stamps must follow the board's clock
 STAMP_STEP = 0.002  # s
 RESTING = 0.05  # N, median of a tared pad
 OPEN_AGAIN = "import sys; from deltacharger_driver.board.link import BoardLink; BoardLink(sys.argv[1]).open()"
@@ -46,8 +46,7 @@ def test_hello_is_the_same_each_time(host: BoardHost) -> None:
 
 
 def test_pings_are_returned(host: BoardHost, board_site: BoardSite) -> None:
-    trips = [host.link.ping(bytes(range(length))) for length in range(64 + 1)]
-    assert min(trips) > 0.0
+    assert min(host.link.ping(bytes(range(length))) for length in range(64 + 1)) > 0.0
     assert not board_site.real or host.link.counters.retries == 0  # this computer may pause
 
 
@@ -59,12 +58,12 @@ def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rat
     assert (frames[-1].sequence - frames[0].sequence) / seconds(frames) == pytest.approx(rate, rel=0.02)
 
 
-@pytest.mark.parametrize("rate", [0.0, -60.0, 1e6])
-def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost, rate: float) -> None:
+def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost) -> None:
     host.link.set_rate(60.0)
-    with pytest.raises(CommandRefused) as refusal:
-        host.link.set_rate(rate)
-    assert refusal.value.error == AckError.BAD_PAYLOAD
+    for rate in (0.0, -60.0, 1e6):
+        with pytest.raises(CommandRefused) as refusal:
+            host.link.set_rate(rate)
+        assert refusal.value.error == AckError.BAD_PAYLOAD
     assert host.link.hello().rate == 60.0
 
 
@@ -113,7 +112,7 @@ def test_it_streams_between_start_and_stop_only(host: BoardHost) -> None:
     assert host.frames == []
 
     first = host.stream(20)
-    host.next_powers(4)
+    host.next_powers(2)
     assert len(host.frames) == len(first)
     host.link.start()
     host.link.start()  # harmless while it streams
@@ -157,6 +156,7 @@ def test_a_second_host_finds_the_board_in_the_state_left_by_the_first(host: Boar
     assert not same or after.device_time_us > before.device_time_us
 
 
+@pytest.mark.rest
 def test_another_program_cannot_open_the_port(host: BoardHost, board_site: BoardSite) -> None:
     command = [sys.executable, "-c", OPEN_AGAIN, board_site.path]
     began = time.monotonic()

@@ -6,12 +6,11 @@ from __future__ import annotations
 import itertools
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from deltacharger_driver.board import cobs
-from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import Ack, decode_ack, encode_rate
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import (
@@ -28,13 +27,13 @@ from .sites import BoardSite
 
 UNKNOWN_TYPE = 200
 STOP = encode_packet(Packet(PacketType.STOP, sequence=9))
-DAMAGES: list[tuple[str, Callable[[bytes], bytes]]] = [
-    ("a bit flipped", lambda wire: wire[:5] + bytes((wire[5] ^ 1,)) + wire[6:]),
-    ("the end missing", lambda wire: wire[:-6]),
-    ("the beginning missing", lambda wire: wire[6:]),
-    ("noise before it", lambda wire: bytes(range(1, 256)) * 2 + wire[1:]),
-    ("longer than any packet", lambda wire: wire[:-1] + b"\1" * 2000 + b"\0"),
-]
+DAMAGES = {
+    "a bit flipped": STOP[:5] + bytes((STOP[5] ^ 1,)) + STOP[6:],
+    "the end missing": STOP[:-6],
+    "the beginning missing": STOP[6:],
+    "noise before it": bytes(range(1, 256)) * 2 + STOP[1:],
+    "longer than any packet": STOP[:-1] + b"\1" * 2000 + b"\0",
+}
 
 
 class Wire:
@@ -82,34 +81,25 @@ def wire(board_site: BoardSite) -> Iterator[Wire]:
 def test_an_unknown_command_is_answered_as_unknown(wire: Wire) -> None:
     (ack,) = wire.acks(encode_packet(Packet(UNKNOWN_TYPE, b"whatever", sequence=4711)))
     assert ack == Ack(UNKNOWN_TYPE, AckError.UNKNOWN, 4711)
-    assert "unknown command" in str(CommandRefused(ack.type, ack.error))
 
 
-@pytest.mark.parametrize(
-    "packet",
-    [
-        Packet(PacketType.RATE, b"\0\0\xf0", 5),
-        Packet(PacketType.RATE, b"\0\0\xc0\x7f", 5),  # NaN
-        Packet(PacketType.START, b"\1", 5),
-        Packet(PacketType.STOP, b"\0", 5),
-        Packet(PacketType.HELLO, b"hello", 5),
-        Packet(PacketType.TARE, b"\0", 5),
-        Packet(PacketType.PROBE, bytes(8), 5),
-        Packet(PacketType.CONTACTOR, b"", 5),
-        Packet(PacketType.CONTACTOR, b"\0\0", 5),
-    ],
-    ids=lambda packet: f"{PacketType(packet.type).name} {packet.payload.hex()}",
-)
-def test_a_command_with_a_wrong_payload_is_refused(wire: Wire, packet: Packet) -> None:
-    assert wire.acks(encode_packet(packet)) == [Ack(packet.type, AckError.BAD_PAYLOAD, 5)]
+def test_a_command_with_a_wrong_payload_is_refused(wire: Wire) -> None:
+    for type, payload in (
+        (PacketType.RATE, b"\0\0\xf0"),
+        (PacketType.RATE, b"\0\0\xc0\x7f"),  # NaN
+        (PacketType.START, b"\1"),
+        (PacketType.STOP, b"\0"),
+        (PacketType.HELLO, b"hello"),
+        (PacketType.TARE, b"\0"),
+        (PacketType.PROBE, bytes(8)),
+        (PacketType.CONTACTOR, b""),
+        (PacketType.CONTACTOR, b"\0\0"),
+    ):
+        assert wire.acks(encode_packet(Packet(type, payload, 5))) == [Ack(type, AckError.BAD_PAYLOAD, 5)]
 
 
-def test_another_version_gets_no_answer(wire: Wire) -> None:
-    packet = encode_packet(Packet(PacketType.HELLO), version=VERSION + 1)
-    assert wire.is_silent_on(packet)
-
-
-def test_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
+def test_another_version_and_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
+    assert wire.is_silent_on(encode_packet(Packet(PacketType.HELLO), version=VERSION + 1))
     packet = cobs.decode(STOP.strip(b"\0"))
     body = packet[:14] + b"\1\0" + packet[16:-4]
     assert wire.is_silent_on(b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
@@ -123,22 +113,15 @@ def test_pings_return_their_bytes(wire: Wire) -> None:
 
 
 def test_commands_sent_together_are_answered_in_order(wire: Wire) -> None:
-    rates = [30.0, 60.0, 120.0]
-    packets = [encode_packet(Packet(PacketType.RATE, encode_rate(rate), n)) for n, rate in enumerate(rates)]
-    packets.append(encode_packet(Packet(PacketType.STOP, sequence=3)))
-    assert [(ack.type, ack.sequence) for ack in wire.acks(*packets)] == [
-        (PacketType.RATE, 0),
-        (PacketType.RATE, 1),
-        (PacketType.RATE, 2),
-        (PacketType.STOP, 3),
-    ]
+    packets = [encode_packet(Packet(PacketType.RATE, encode_rate(rate), n)) for n, rate in enumerate((30.0, 60.0))]
+    acks = wire.acks(*packets, STOP)
+    assert [(a.type, a.sequence) for a in acks] == [(PacketType.RATE, 0), (PacketType.RATE, 1), (PacketType.STOP, 9)]
 
 
-@pytest.mark.parametrize("damage", [damage for _, damage in DAMAGES], ids=[name for name, _ in DAMAGES])
-def test_a_damaged_packet_loses_only_itself(wire: Wire, damage: Callable[[bytes], bytes]) -> None:
-    assert wire.acks(damage(STOP), encode_packet(Packet(PacketType.STOP, sequence=10))) == [
-        Ack(PacketType.STOP, AckError.DONE, 10)
-    ]
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_packet_loses_only_itself(wire: Wire, damage: str) -> None:
+    acks = wire.acks(DAMAGES[damage], encode_packet(Packet(PacketType.STOP, sequence=10)))
+    assert acks == [Ack(PacketType.STOP, AckError.DONE, 10)]
 
 
 def test_a_packet_may_arrive_byte_by_byte(wire: Wire) -> None:

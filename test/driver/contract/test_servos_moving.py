@@ -90,7 +90,7 @@ def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool]
 def test_torque_goes_on_at_the_present_angle_whatever_the_goal(bus: ServoBus, start: Angles, step: float) -> None:
     bus.write_goals(toward(start, step), BOUNDS)
     bus.enable_torque(BOUNDS)
-    for snapshot, _ in zip(cycles(bus, None, restart=False), range(50), strict=False):
+    for snapshot, _ in zip(cycles(bus, None, restart=False), range(20), strict=False):
         assert snapshot.torque_enabled == (True, True, True)
         assert max(map(abs, moved(snapshot, start, step))) < 0.5, "the arm moved toward an old goal"
 
@@ -111,7 +111,7 @@ def test_silence_locks_the_goals_until_the_watchdogs_are_restarted(held: ServoBu
     time.sleep(2.0 * WATCHDOG * WATCHDOG_UNIT)  # no packets
     assert wait_until(lambda: (s := held.read()).complete and s, "a snapshot").watchdog_tripped == (True, True, True)
     goal = toward(start, step)
-    for snapshot, _ in zip(cycles(held, goal, restart=False), range(50), strict=False):
+    for snapshot, _ in zip(cycles(held, goal, restart=False), range(20), strict=False):
         assert max(moved(snapshot, start, step)) < 0.5, "a servo accepted a goal although its watchdog had tripped"
     held.restart_watchdogs()
     follow(held, goal, lambda snapshot: min(moved(snapshot, start, step)) > 0.5, "the goals to be accepted again")
