@@ -1,24 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking publishes on joint_trajectory and reads from poses: goals and detections with and without a lean."""
+"""What docking publishes and reads, and its calls: it waits for a late service, and no call overtakes another."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time
 from deltacharger.msg import ElectrodeDetection
+from deltacharger.srv import DetectElectrodes
 from geometry_msgs.msg import PoseStamped, Quaternion
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.rotation import IDENTITY, product, rotation
+from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import BasePose, ElectrodePose
+from deltacharger_docking.observation import BasePose, ElectrodePose, Reply, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io
+from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros.messages import seconds
+
+from ..chargers import Spin, wait_until
+from ..nodes import options
 
 
 def test_a_line_is_sent_with_positions_velocities_and_efforts_and_ends_at_rest() -> None:
@@ -64,17 +74,13 @@ def roll_of(numbers: tuple[float, ...]) -> float:
     return math.atan2(rows[1][0], rows[0][0])
 
 
-def pose(numbers: tuple[float, ...], frame: str = "charger_base") -> PoseStamped:
-    message = PoseStamped()
-    message.header.frame_id = frame
-    message.pose.position.z, message.pose.orientation = 0.08, quaternion(numbers)
-    return message
-
-
 def goal(
     numbers: tuple[float, ...], mount: DockingNodeParameters = MOUNT, charger: tuple[float, ...] = IDENTITY
 ) -> ElectrodePose:
-    found = io.electrodes(pose(numbers), mount, charger)
+    message = PoseStamped()
+    message.header.frame_id = "charger_base"
+    message.pose.position.z, message.pose.orientation = 0.08, quaternion(numbers)
+    found = io.electrodes(message, mount, charger)
     assert found is not None
     return found
 
@@ -166,3 +172,89 @@ def test_a_suggested_base_pose_includes_its_heading() -> None:
     assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
     assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx(turned(0.4))
     assert io.pose_stamped(None, Time(sec=7), "charger_base").header.frame_id == ""
+
+
+@pytest.fixture
+def node(context: Any, namespace: str, spin: Spin) -> Node:
+    return spin(Node("docking", **options(context, namespace)))
+
+
+@pytest.fixture
+def services(node: Node) -> Services:
+    return Services(node)
+
+
+def reply(services: Services) -> Reply:
+    found: list[Reply] = []
+    wait_until(lambda: found.extend(services.take()[0]) or found, "a reply")
+    return found[0]
+
+
+@pytest.mark.ros
+def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Services) -> None:
+    services.call(Request(7, Service.TARE))
+    assert services.take() == ((), "")
+
+    def tare(request: Any, response: Any) -> Any:
+        response.success, response.message = True, "tared" + 1_000_000 * "!"
+        return response
+
+    node.create_service(Trigger, "tare", tare, callback_group=ReentrantCallbackGroup())
+    answer = reply(services)
+    assert (answer.number, answer.success, answer.message[:5]) == (7, True, "tared")
+    assert len(answer.message) < 2 * MESSAGE_MAX
+
+
+@pytest.mark.ros
+def test_a_service_that_never_appears_is_named(services: Services) -> None:
+    services.call(Request(8, Service.PROBE, timeout=0.2))
+    answer = reply(services)
+    assert (answer.number, answer.success) == (8, False)
+    assert answer.message.startswith("no node serves")
+    assert "probe" in answer.message
+
+
+def serve_torque(node: Node) -> list[bool]:
+    """Serve set_torque; return what was asked for so far."""
+    received = list[bool]()
+
+    def set_torque(request: Any, response: Any) -> Any:
+        received.append(request.data)
+        response.success = True
+        return response
+
+    node.create_service(SetBool, "set_torque", set_torque)
+    return received
+
+
+@pytest.mark.ros
+def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node: Node, services: Services) -> None:
+    services.call(Request(1, Service.TORQUE_ON))
+    received = serve_torque(node)
+    wait_until(services._clients[Service.TORQUE_ON].service_is_ready, "the service")
+    services.call(Request(2, Service.TORQUE_OFF))
+    wait_until(lambda: services.take() and len(received) == 2, "both calls")
+    assert received == [True, False]
+
+
+@pytest.mark.ros
+def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node, services: Services) -> None:
+    services.call(Request(1, Service.TORQUE_ON))
+    services.call(Request(2, Service.TORQUE_OFF))
+    services.forget()
+    received = serve_torque(node)
+    wait_until(lambda: services.take() and received, "the call that makes safe")
+    assert received == [False]
+
+
+@pytest.mark.ros
+def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
+    def lie(request: Any, response: Any) -> Any:
+        response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
+        return response
+
+    node.create_service(DetectElectrodes, "detect_electrodes", lie, callback_group=ReentrantCallbackGroup())
+    services.call(Request(1, Service.DETECT, timeout=5.0))
+    answer = reply(services)
+    assert (answer.success, answer.detection) == (False, None)
+    assert "contradicts itself" in answer.message

@@ -22,6 +22,7 @@ from typing import Any
 import pytest
 from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock, Undock
+from deltacharger.msg import DockingState
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -44,13 +45,15 @@ pytestmark = pytest.mark.ros
 
 NAN, INF, HUGE = math.nan, math.inf, 1e308
 OPENS = 0.35  # s for the contactor to open after docking's thread has failed
-MOCKS = ("mock_servo_node", "mock_tactile_node", "mock_detector_node")
+MOCKS = ("mock_tactile_node", "mock_detector_node")
 CONTACT_ONLY = replace(GOAL, start_charging=False)
 
 
 @pytest.fixture(scope="module")
 def shared(quick_scene: Scene, context: Any) -> Iterator[RunningCharger]:
-    with RunningCharger(quick_scene, context) as charger:
+    docking = {**quick_scene.parameters["docking_node"], "transform_timeout": 0.1}
+    scene = replace(quick_scene, parameters={**quick_scene.parameters, "docking_node": docking})
+    with RunningCharger(scene, context) as charger:
         yield charger
 
 
@@ -64,7 +67,7 @@ def charger(shared: RunningCharger) -> RunningCharger:
     """A charger at rest; its mocks behave."""
     for node in MOCKS:
         shared.set(node, fault="none")
-    shared.node("mock_servo_node").reboot()
+    wait_until(lambda: shared.state.state != DockingState.STATE_RETRACT, "the end of the way back")
     if shared.state.docked or shared.state.error_code:
         shared.go_home()
     return shared
@@ -424,18 +427,13 @@ def simulator(context: Any) -> Iterator[Simulator]:
     simulator.close()
 
 
-def follows(scene: Scene, *names: str) -> Scene:
-    """Return the scene with these nodes following /clock, all by default."""
-    given = {name: {**scene.parameters.get(name, {}), "use_sim_time": True} for name in names or scene.nodes}
-    return replace(scene, parameters={**scene.parameters, **given})
-
-
 @pytest.mark.witness
 @pytest.mark.version
 def test_goals_are_refused_before_the_first_clock_message_and_served_until_the_clock_stops(
     quick_scene: Scene, context: Any, simulator: Simulator
 ) -> None:
-    with RunningCharger(follows(quick_scene), context) as charger:
+    given = {name: {**quick_scene.parameters.get(name, {}), "use_sim_time": True} for name in quick_scene.nodes}
+    with RunningCharger(replace(quick_scene, parameters=given), context) as charger:
         for outcome in (charger.dock(), charger.undock()):
             assert (outcome.error_name, outcome.retriable) == ("REJECTED", True), outcome
             assert "/clock" in outcome.error_message
@@ -451,13 +449,3 @@ def test_goals_are_refused_before_the_first_clock_message_and_served_until_the_c
         wait_until(lambda: charger.state.error_code, "a code")
         assert CODES[charger.state.error_code] in ("SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
         assert "/clock" in charger.state.error_message
-
-
-@pytest.mark.rest
-def test_nodes_with_different_clocks_are_named(quick_scene: Scene, context: Any, simulator: Simulator) -> None:
-    simulator.start()
-    with RunningCharger(follows(quick_scene, "mock_servo_node"), context) as charger:
-        outcome = charger.dock()
-        assert outcome.error_name == "SERVO_FAULT", outcome
-        assert "use_sim_time" in outcome.error_message
-        assert not charger.is_closed

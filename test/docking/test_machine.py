@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking scenarios in virtual time: what happens and how it ends."""
+"""Docking scenarios in virtual time, also at targets whose faces lean: what happens and how it ends."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import BasePose, DockGoal, ElectrodePose, Reply, Service
+from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.virtual_charger import GOAL
-from deltacharger_sim.parameters import ServoParameters, TargetParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.parameters import ContactParameters, PlatformParameters, ServoParameters, TargetParameters
 
 from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, feel, quick_charger, reach, spoil
@@ -25,7 +25,7 @@ CHARGED, EITHER = {Code.NONE}, {Code.NONE, Code.CRITICAL_ANGLE, Code.MISALIGNED}
 
 
 def test_it_finds_docks_charges_and_undocks() -> None:
-    run = quick_charger(parameters={"overlap_loss_max": 0.004, "landing_limit": 0.0025})
+    run = quick_charger(parameters={"overlap_loss_max": 0.004, "landing_limit": 0.0025}, coarse=True)
     outcome = run.dock(DockGoal(None))
     assert outcome.success, outcome.message
     assert (outcome.code, outcome.aligned) == (Code.NONE, True)
@@ -234,3 +234,157 @@ def test_the_bounds_themselves_are_in_range(volts: float, parameters: dict[str, 
 def test_bounds_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(ParameterError, match="battery_voltage_min"):
         DockingParameters(battery_voltage_min=26.0, battery_voltage_max=24.0)
+
+
+STIFF = 1e6  # N/m; softer bars both press in spite of 2° of pitch
+
+
+def leaning(
+    place: tuple[float, float, float],
+    yaw: float = 0.0,
+    pitch: float = 0.0,
+    compliance: float = 0.02,
+    stiffness: float = 1e5,
+    seed: int = 1,
+) -> VirtualCharger:
+    """A charger whose target differs from the goal's by (mm, mm, degrees) and leans, in degrees."""
+    x, y, roll = place
+    tilt = {"tilt_x": math.radians(pitch), "tilt_y": math.radians(yaw)}
+    target = TargetParameters(x=x * MILLIMETRE, y=y * MILLIMETRE, roll=math.radians(roll), **tilt)
+    contact, platform = ContactParameters(stiffness=stiffness), PlatformParameters(compliance=compliance)
+    return charger(seed=seed, coarse=True, target=target, contact=contact, platform=platform)
+
+
+def dock(run: VirtualCharger, pitch: float = math.nan) -> DockingOutcome:
+    """Dock at the goal's place; `pitch` (degrees) as a camera measures it within 0.5°."""
+    stddev = math.radians(0.5) if math.isfinite(pitch) else math.nan
+    return run.dock(DockGoal(replace(GOAL, pitch=math.radians(pitch), pitch_stddev=stddev)))
+
+
+@pytest.mark.parametrize(("yaw", "seed"), [(2.0, 1), *(rest(yaw, seed) for yaw in (2.0, -2.0) for seed in (2, 3))])
+def test_faces_yawed_by_two_degrees_are_charged_and_aligned_only_within_the_overlap(yaw: float, seed: int) -> None:
+    run = leaning((2.0, -1.0, 2.0), yaw=yaw, seed=seed)
+    outcome = dock(run)
+    assert outcome.success, outcome.message
+    truth = run.world.misalignment
+    assert truth is not None
+    if outcome.aligned:
+        assert abs(truth[0]) < run.parameters.overlap_loss_max
+    assert abs(truth[1] * math.cos(truth[2]) - truth[0] * math.sin(truth[2])) < run.parameters.landing_limit
+    felt = outcome.estimate
+    assert felt is not None
+    assert math.copysign(1.0, felt.yaw) == math.copysign(1.0, yaw)
+    assert abs(felt.yaw - math.radians(yaw)) < 3.0 * felt.yaw_stddev
+    assert abs(felt.horizontal - truth[0]) < 3.0 * felt.horizontal_stddev
+    assert run.world.record.energised_shorts == run.world.record.lifted_live == 0
+
+
+@pytest.mark.parametrize(("place", "yaw"), [((2.0, -1.0, 2.0), 5.0), rest((-2.0, 1.0, -3.0), -5.0)])
+def test_a_yaw_that_empties_a_pad_ends_with_its_angle_and_a_suggested_base_pose(
+    place: tuple[float, float, float], yaw: float
+) -> None:
+    run = leaning(place, yaw=yaw, compliance=0.01)
+    outcome = dock(run)
+    assert (outcome.code, outcome.retriable) == (Code.LEANING, False)
+    base = outcome.suggested_base
+    assert base is not None
+    assert math.copysign(1.0, base.yaw) == math.copysign(1.0, yaw)
+    assert math.radians(2.0) < abs(base.yaw) < math.radians(6.0)
+    assert run.world.record.energised == 0.0
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize(("pitch", "compliance"), [(2.0, 0.0), rest(-2.0, 0.005)])
+@pytest.mark.parametrize(("camera", "code"), [(False, Code.NO_CHARGE_CURRENT), (True, Code.LEANING)])
+def test_a_pitch_that_lifts_a_bar_is_never_energised_and_reported_if_a_camera_saw_it(
+    camera: bool, code: Code, pitch: float, compliance: float
+) -> None:
+    run = leaning((1.0, 0.0, 1.0), pitch=pitch, compliance=compliance, stiffness=STIFF)
+    outcome = dock(run, pitch if camera else math.nan)
+    assert outcome.code is code, outcome.message
+    assert ("pitched" in outcome.message) is camera
+    assert outcome.suggested_base is None, "no stand mends a pitch"
+    assert run.world.record.contacts > 0
+    assert run.world.record.energised == 0.0
+    assert run.world.record.lifted_live == 0
+    assert_safe_at_home(run)
+
+
+def test_a_known_pitch_also_counts_while_charging() -> None:
+    run = leaning((1.0, 0.0, 1.0), pitch=0.5)
+    outcome = dock(run, 0.5)
+    assert outcome.success, outcome.message
+    seen = math.radians(0.5)
+    for seconds in (0.0, run.parameters.clearance_period + 1.0):
+        run.run(seconds)
+        felt = run.machine.status.estimate
+        assert run.machine.status.charging
+        assert felt is not None
+        assert (felt.pitch, felt.pitch_stddev) == (seen, math.radians(0.5))
+
+
+DEGREE = math.radians(1.0)
+UNKNOWN = math.nan
+
+
+def leaning_at(yaw: float, pitch: float, stddev: float = 0.5, age: float = 0.0) -> ElectrodePose:
+    """Electrodes before the arm whose faces lean, in degrees."""
+    return ElectrodePose(
+        (0.002, 0.001, 0.080), 0.0, 0.004, age, yaw * DEGREE, pitch * DEGREE, stddev * DEGREE, stddev * DEGREE
+    )
+
+
+def dock_at(pose: ElectrodePose, seen: bool) -> tuple[VirtualCharger, DockingOutcome]:
+    """Dock at electrodes that the goal gives, or that the camera sees."""
+    run = quick_charger(coarse=True)
+    run.answer[Service.DETECT] = lambda reply: replace(reply, detection=pose)
+    return run, run.dock(DockGoal(None if seen else pose))
+
+
+def assert_nothing_was_moved(run: VirtualCharger) -> None:
+    assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
+    assert State.APPROACH not in run.states
+    assert run.world.record.contacts == 0
+    assert run.world.record.energised == 0.0
+
+
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize(("yaw", "side"), [(6.5, "left"), (-6.5, "right")])
+def test_a_large_yaw_is_refused_before_moving_with_a_suggested_base_pose(yaw: float, side: str, seen: bool) -> None:
+    pose = leaning_at(yaw, 0.0)
+    run, outcome = dock_at(pose, seen)
+    assert (outcome.code, outcome.retriable) == (Code.LEANING, False)
+    assert f"to the {side}" in outcome.message
+    assert_nothing_was_moved(run)
+    base = outcome.suggested_base
+    assert base is not None
+    assert base.yaw == pose.yaw
+    # From there the electrodes are straight ahead: R_y(yaw)ᵀ (electrodes − base).
+    x, y, z = (a - b for a, b in zip(pose.position, (base.x, base.y, base.z), strict=True))
+    sine, cosine = math.sin(base.yaw), math.cos(base.yaw)
+    assert (cosine * x - sine * z, y, sine * x + cosine * z) == pytest.approx((0.0, 0.0, 0.080))
+
+
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize("yaw", [0.0, 9.0])
+def test_a_large_pitch_is_refused_before_anything_moves_without_a_suggested_base_pose(yaw: float, seen: bool) -> None:
+    run, outcome = dock_at(leaning_at(yaw, -6.5), seen)
+    assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
+    assert "pitched" in outcome.message
+    assert_nothing_was_moved(run)
+
+
+@pytest.mark.parametrize("stddev", [UNKNOWN, math.inf, 4.0])
+def test_a_lean_that_is_not_sure_is_left_to_the_pads(stddev: float) -> None:
+    outcome = dock_at(leaning_at(12.0, 12.0, stddev=stddev), seen=True)[1]
+    assert outcome.success, outcome
+
+
+def test_the_suggested_base_pose_faces_electrodes_of_known_yaw_squarely() -> None:
+    far = replace(leaning_at(8.0, 0.0), position=(0.0, 0.02, 0.5))
+    _, outcome = dock_at(far, seen=True)
+    assert outcome.code is Code.UNREACHABLE
+    assert outcome.suggested_base == BasePose.before(far.position, far.yaw)
+    assert outcome.suggested_base.electrodes == pytest.approx(far.position)
+    _, outcome = dock_at(replace(far, yaw_stddev=math.nan), seen=True)
+    assert outcome.suggested_base == BasePose(0.0, 0.02, 0.42, 0.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the docking machine under any observations: no current without all of its conditions, and no endless goal.
 
-A small cooperative model drives the machine, so that a docking takes a few hundred steps. An adversary spoils its
-observations: not measured, too old, contradictory, twice, of another kind, with goals at any time.
+A charger in virtual time drives the machine. An adversary spoils its observations: not measured, too old,
+contradictory, twice, of another kind, with goals at any time.
 """
 
 from __future__ import annotations
@@ -10,36 +10,23 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
+from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import (
-    Command,
-    DockGoal,
-    ElectrodePose,
-    Observation,
-    Reply,
-    Request,
-    Service,
-)
+from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_lab.campaigns.quick_motion import QuickPlanner
+from deltacharger_lab.campaigns.virtual_charger import GOAL
 
-TICK = 0.05  # s; coarse, as the model has no dynamics
-DEPTH = 0.080  # m, where the target's faces are
-LIMITS = DockingParameters(
-    gravity_y=0.0, goal_timeout=25.0, locate_timeout=2.0, energise_timeout=4.0, retract_timeout=8.0, restarts_max=1
-)
+from .. import quick
+from .dockings import quick_charger
+
+TIMES = {"goal_timeout": 25.0, "locate_timeout": 2.0, "energise_timeout": 4.0, "retract_timeout": 8.0}
+LIMITS = DockingParameters(**{**quick.STEPS, **TIMES, "restarts_max": 1})
 NAN3 = (math.nan, math.nan, math.nan)
 
 # What may follow each state: docs/dock-goals.md.
@@ -56,84 +43,6 @@ LEGAL: dict[State, set[State]] = {
     State.CHARGING: {State.IDLE, *BACK},
     State.RETRACT: {State.IDLE, State.LOCATE, State.APPROACH},
 }
-
-
-@dataclass
-class Model:
-    """A charger without dynamics: the platform is at its command, and pushes by its distance beyond the target."""
-
-    geometry: ScalarDelta = field(default_factory=lambda: ScalarDelta(DeltaGeometry()))
-    now: float = 0.0
-    goal: Vector = (0.0, 0.0, 0.0)
-    way: tuple[Waypoint, ...] = ()
-    commanded_at: float = 0.0
-    torque: bool = False
-    tared: bool = False
-    closed: bool = False
-    wanted: bool = False
-    estimate: MisalignmentEstimate = field(
-        default_factory=lambda: MisalignmentEstimate(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004)
-    )
-    pending: list[tuple[float, Request]] = field(default_factory=list)
-    replies: list[Reply] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.goal = self.geometry.inverse(0.0, 0.0, 0.0)
-
-    def follow(self, command: Command) -> None:
-        """Carry out a command."""
-        if command.trajectory is not None and self.torque:
-            self.way, self.commanded_at = command.trajectory, self.now
-        for request in command.requests:
-            self.pending.append((self.now + 0.1, request))
-        self.wanted = command.energise
-
-    def observe(self) -> Observation:
-        """Advance by a tick and return the observation."""
-        self.now += TICK
-        for item in [item for item in self.pending if item[0] <= self.now]:
-            self.pending.remove(item)
-            self.replies.append(self._serve(item[1]))
-        self.closed = self.wanted
-        while self.way and self.torque and self.way[0].time <= self.now - self.commanded_at:
-            self.goal, self.way = self.way[0].angles, self.way[1:]
-        x, y, z = self.geometry.forward(*self.goal)
-        touches = z >= DEPTH
-        angles = self.geometry.inverse(x, y, DEPTH) if touches else self.goal
-        lead = [LIMITS.servo_stiffness * (goal - angle) for goal, angle in zip(self.goal, angles, strict=True)]
-        a, b, c = (torque / TORQUE_CONSTANT for torque in lead)
-        replies, self.replies = tuple(self.replies), []
-        return Observation(
-            time=self.now,
-            angles=angles,
-            currents=(a, b, c) if self.torque else (0.0, 0.0, 0.0),
-            servo_age=0.005,
-            servos_valid=True,
-            torque_enabled=self.torque,
-            tactile_age=0.008,
-            tactile_contact=touches and self.torque,
-            tared=self.tared,
-            power_age=0.02,
-            contactor_closed=self.closed,
-            charge_current=8.0 if self.closed else 0.0,
-            target_voltage=24.0,
-            battery_voltage=26.0,
-            replies=replies,
-        )
-
-    def _serve(self, request: Request) -> Reply:
-        number, service = request.number, request.service
-        if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
-            self.torque = service is Service.TORQUE_ON
-        if service is Service.TARE:
-            self.tared = True
-        if service is Service.PROBE:
-            return Reply(number, True, resistance=2000.0, target_voltage=24.0)
-        if service is Service.ESTIMATE:
-            return Reply(number, True, estimate=self.estimate)
-        if service is Service.DETECT:
-            return Reply(number, True, detection=ElectrodePose((0.0, 0.0, DEPTH), 0.02, 0.01, 0.1))
-        return Reply(number, True)
 
 
 class Judge:
@@ -259,35 +168,38 @@ SPOILS: dict[str, Spoil] = {
 
 
 class Run:
-    """A machine, the model, the adversary and the judge."""
+    """A charger, the adversary and the judge."""
 
     def __init__(self, seed: int, spoiled: tuple[str, ...], rate: float) -> None:
-        self.model, self.judge = Model(), Judge()
-        geometry = DeltaGeometry()
-        self.machine = DockingMachine(LIMITS, geometry, QuickPlanner(LIMITS, geometry))
+        self.charger = quick_charger(parameters={**TIMES, "restarts_max": 1}, coarse=True)
+        self.machine, self.judge = self.charger.machine, Judge()
         self._source = random.Random(seed)
         self._spoiled, self._rate, self._left = spoiled, rate, 0
         self._how: Spoil = lambda seen, source: seen
+        self._follow = self.charger._follow
+        self.charger.distort, self.charger._follow = self._show, self._check  # type: ignore[method-assign]
         self.codes: list[Code] = []
 
-    def _observe(self) -> Observation:
-        seen, source = self.model.observe(), self._source
+    def _show(self, seen: Observation) -> Observation:
+        source = self._source
         if self._left <= 0 and self._spoiled and source.random() < self._rate:
             self._left = source.choice((1, 1, 2, 5, 40))
             self._how = SPOILS[source.choice(self._spoiled)]
         if self._left > 0:
             self._left -= 1
             seen = self._how(seen, source)
+        self._seen = seen
+        self.judge.observe(seen)
         return seen
 
+    def _check(self, command: Command) -> None:
+        self.judge.check_command(self._seen, command, self.machine.status.contact_current)
+        self._follow(command)
+
     def step(self) -> None:
-        """One tick of everything."""
-        observation = self._observe()
-        self.judge.observe(observation)
-        command = self.machine.step(observation)
-        self.judge.check_command(observation, command, self.machine.status.contact_current)
-        self.model.follow(command)
-        outcome, self.machine.outcome = self.machine.outcome, None
+        """One step of everything."""
+        self.charger.tick()
+        outcome, self.charger.outcome = self.charger.outcome, None
         if outcome is not None:
             assert outcome.success == (outcome.code is Code.NONE)
             assert outcome.message
@@ -296,33 +208,32 @@ class Run:
     def goal(self, goal: DockGoal | None) -> None:
         """Send a goal, None = undock; refusals have codes too."""
         try:
-            seen = replace(self.model.observe(), replies=())
             if goal is None:
-                self.machine.start_undock("", seen)
+                self.machine.start_undock("", self.charger.observe())
             else:
-                self.machine.start_dock(goal, seen)
+                self.charger.begin(goal)
         except DockingError as error:
             self.codes.append(error.code)
 
-    def finish(self, limit: float) -> None:
+    def finish(self) -> None:
         """Step until the goal has its outcome."""
-        count, end = len(self.codes), self.model.now + limit
+        count, end = len(self.codes), self.charger.now + ENOUGH
         while len(self.codes) == count:
-            assert self.model.now < end, f"no outcome within {limit} s in {self.machine.status.state.name}"
+            assert self.charger.now < end, f"no outcome within {ENOUGH} s in {self.machine.status.state.name}"
             self.step()
 
     def settle(self) -> None:
         """Let the machine end its own actions without the adversary."""
         self._spoiled, self._left = (), 0
-        quiet, end = 0, self.model.now + ENOUGH
+        quiet, end = 0, self.charger.now + ENOUGH
         while quiet < 20:
-            assert self.model.now < end, f"not at rest within {ENOUGH} s, {self.machine.status.state.name}"
+            assert self.charger.now < end, f"not at rest within {ENOUGH} s, {self.machine.status.state.name}"
             self.step()
             rests = self.machine.status.state in (State.IDLE, State.CHARGING)
             quiet = quiet + 1 if rests and not self.machine.busy else 0
 
 
-# The goal's deadline twice, since docking restarts once, plus retracting and the time by which the clock was set back.
+# The goal's deadline twice, since docking restarts once, plus retracting.
 ENOUGH = 2.0 * (LIMITS.goal_timeout + LIMITS.retract_timeout + 5.0)
 ADVERSARIES = st.tuples(
     st.integers(0, 2**32),
@@ -331,27 +242,27 @@ ADVERSARIES = st.tuples(
 )
 GOALS = st.builds(
     DockGoal,
-    st.sampled_from((ElectrodePose((0.0, 0.0, DEPTH), 0.0), None)),
+    st.sampled_from((GOAL, None)),
     critical_angle=st.sampled_from((0.0, 0.0, 0.15)),
     start_charging=st.sampled_from((True, True, False)),
     stop_after=st.sampled_from((0.0, 1.0)),
     hold=st.just(False),
 )
 SETTINGS = settings(
-    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+    max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
 
 
-def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
+def test_without_an_adversary_it_docks_charges_and_undocks() -> None:
     run = Run(1, (), 0.0)
     run.goal(DockGoal(None))
-    run.finish(ENOUGH)
+    run.finish()
     assert run.codes == [Code.NONE]
     assert run.judge.closings == 1
     run.goal(None)
-    run.finish(ENOUGH)
+    run.finish()
     assert run.codes == [Code.NONE, Code.NONE]
-    assert not run.model.torque
+    assert not run.charger.observe().torque_enabled
 
 
 @pytest.mark.rest
@@ -365,11 +276,11 @@ def test_the_contactor_closes_only_under_its_conditions_and_every_goal_ends(
         known = len(run.codes)
         run.goal(goal)
         if len(run.codes) == known:  # it was not refused at once, as one is while the arm is on its way back
-            run.finish(ENOUGH)
+            run.finish()
         for _ in range(40):
             run.step()
     if undock:
         run.goal(None)
     run.settle()
     assert run.machine.busy is False
-    assert run.machine.status.state is (State.CHARGING if run.model.wanted else State.IDLE)
+    assert run.machine.status.state is (State.CHARGING if run.charger._energised else State.IDLE)
