@@ -45,6 +45,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.messages import seconds
+from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
@@ -87,7 +88,7 @@ class MockTactileNode(Node):
         self._batteries = BatteryPublishers(self, frames)
         steady_timer(self, PERIOD, self._publish_batteries)
         group = ReentrantCallbackGroup()
-        self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
+        self._servos = LatestMessage(self, ServoState, "servo_state", qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
         self.create_service(Probe, "probe", self._on_probe, callback_group=group, qos_profile=SERVICE)
         self.create_service(
@@ -122,6 +123,9 @@ class MockTactileNode(Node):
         due = next_power = time.monotonic()
         while not self._stop.wait(max(due - time.monotonic(), 0.0)):
             now = time.monotonic()
+            # Polled: a frame stamped now shows the arm where it is now, even if the node's executor is delayed.
+            if (servos := self._servos.take()) is not None:
+                self._feel(servos)
             with self._lock:
                 fault = self._fault.active()
                 self._power.misbehaviour = fault if fault in POWER_FAULTS else ""
@@ -181,7 +185,8 @@ class MockTactileNode(Node):
         power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault)
         return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now)
 
-    def _on_servo_state(self, message: ServoState) -> None:
+    def _feel(self, message: ServoState) -> None:
+        """Follow the arm to its place and push."""
         position = self._delta.forward(*message.position)
         if not math.isfinite(position[0]):
             return
