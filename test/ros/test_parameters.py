@@ -1,21 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node has exactly the parameters that its package declares, with their bounds and texts."""
+"""A node has exactly the parameters that its package declares, from parameters or files, and changes them together."""
 
 from __future__ import annotations
 
+import math
+import threading
 import weakref
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from deltacharger_core.parameters import Bounded, choice, flag, number, numbers, words
+from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.parameters import (
+    Bounded,
+    ParameterError,
+    choice,
+    declared,
+    flag,
+    number,
+    numbers,
+    tunable,
+    words,
+)
+from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.ros.docking_node import DockingNode
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servos.servo_node import ServoNode
+from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.regularly import Regularly
+from deltacharger_ros.tuning import Tuning
 
 from ..nodes import options
+from ..waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -96,3 +122,195 @@ def test_a_node_that_fails_after_its_parameters_is_freed_at_once(context: Any, n
     left = weakref.ref(node)
     del node
     assert left() is None
+
+
+@dataclass(frozen=True)
+class Band(Bounded):
+    low: float = tunable(0.4, 0.1, 2.0, "A", "lower end")
+    high: float = tunable(0.5, 0.1, 2.0, "A", "upper end")
+    tries: int = tunable(3, 1, 9, "", "how often")
+    files: tuple[str, ...] = words(("",), "to read", tunable=True)
+    port: str = words("/dev/ttyUSB0", "of the servos")
+    rate: float = number(100.0, 20.0, 200.0, "Hz", "of the bus")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.low > self.high:
+            raise ParameterError("low", self.low, "low must not lie above high")
+
+
+class Subject(Node):
+    """Keeps the accepted values."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("subject", **kwargs)
+        self.refusal = ""
+        self.taken: list[Band] = []
+        given = declare_all(self, Band)
+        reject_unknown(self)
+        Tuning(self, given, self._take)
+
+    def _take(self, given: Band) -> str:
+        if not self.refusal:
+            self.taken.append(given)
+        return self.refusal
+
+    def each(self, **values: Any) -> list[str]:
+        """Set values one after the other and return the reasons of refusals."""
+        results = self.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        assert all(result.successful == (not result.reason) for result in results)
+        return [result.reason for result in results]
+
+    def together(self, **values: Any) -> str:
+        """Set values at once and return the reason of a refusal."""
+        result = self.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+    def values_now(self) -> dict[str, Any]:
+        return {name: self.get_parameter(name).value for name in Band.__dataclass_fields__}
+
+
+@pytest.fixture
+def subject(context: Any, namespace: str) -> Iterator[Subject]:
+    subject = Subject(**options(context, namespace))
+    yield subject
+    subject.destroy_node()
+
+
+@pytest.mark.version
+def test_new_values_are_applied_and_logged(subject: Subject) -> None:
+    assert subject.each(low=0.45, tries=5) == ["", ""]
+    assert subject.taken == [Band(low=0.45), Band(low=0.45, tries=5)]
+    assert subject.together(files=["a", "b"], high=0.6) == ""
+    assert subject.taken[2:] == [Band(low=0.45, high=0.6, tries=5, files=("a", "b"))]
+    assert (subject.values_now()["low"], subject.values_now()["high"]) == (0.45, 0.6)
+    assert subject.together(high=0.6) == ""
+    assert len(subject.taken) == 3, "nothing to take"
+
+
+def test_an_integer_is_accepted_for_a_float(subject: Subject) -> None:
+    assert subject.each(high=1) == [""], "so does `ros2 param set` send it"
+    assert subject.taken == [Band(high=1.0)]
+    assert "high" in subject.each(high=3)[0]
+    assert "Wrong parameter type" in subject.each(high=True)[0]
+
+
+def test_coupled_values_must_be_set_together(subject: Subject) -> None:
+    assert "low must not lie above high" in subject.each(low=0.7)[0]
+    assert subject.values_now()["low"] == 0.4
+    assert subject.together(low=0.9, high=1.0) == ""
+    assert "low must not lie above high" in subject.together(low=1.0, high=0.9)
+    assert subject.taken[-1] == Band(low=0.9, high=1.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"low": 0.45, "tries": 10}, "tries"),
+        ({"low": 0.45, "high": math.nan}, "high"),
+        ({"low": 0.45, "tries": 2.5}, "Wrong parameter type"),
+        ({"low": 0.45, "port": "/dev/ttyUSB1"}, "read-only parameter: port"),
+    ],
+)
+def test_one_wrong_value_refuses_all_of_the_call(subject: Subject, values: dict[str, Any], reason: str) -> None:
+    before = subject.values_now()
+    assert reason in subject.together(**values)
+    assert subject.values_now() == before
+    assert subject.taken == []
+
+
+def test_values_that_the_node_refuses_stay_unchanged(subject: Subject) -> None:
+    subject.refusal = "a goal is running"
+    assert subject.each(low=0.45) == ["low not set: a goal is running"]
+    assert subject.together(low=0.45, high=0.6) == "low, high not set: a goal is running"
+    assert subject.values_now()["low"] == 0.4
+    subject.refusal = ""
+    assert subject.together(low=0.45) == ""
+
+
+def test_a_rate_can_change_and_a_stop_is_final() -> None:
+    working: list[tuple[float, threading.Event]] = []
+
+    def work(period: float, stopping: threading.Event) -> None:
+        working.append((period, stopping))
+        assert stopping.wait(DEADLINE)
+
+    regularly = Regularly(work, "subject")
+    regularly.start(0.0)
+    assert not working
+    regularly.start(10.0)
+    regularly.start(20.0)
+    wait_until(lambda: len(working) == 2)
+    (first, ended), (second, goes_on) = working
+    assert (first, second) == (0.1, 0.05)
+    assert ended.is_set()
+    assert not goes_on.is_set()
+    regularly.stop()
+    regularly.start(30.0)
+    assert goes_on.is_set()
+    assert len(working) == 2
+
+
+CONTENT = "{stiffness: 9.5, torque_constant: 1.31, position_p_gain: 300, position_d_gain: 4}"
+
+
+def parameters(node: Any, *names: str) -> list[Any]:
+    try:
+        return [node.get_parameter(name).value for name in names]
+    finally:
+        node.close()
+        node.destroy_node()
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_every_node_uses_the_values_of_the_file_or_the_defaults(
+    context: Any, namespace: str, tmp_path: Path, given: bool
+) -> None:
+    path = tmp_path / "servos.yaml"
+    path.write_text(CONTENT)
+    file = {"servos_file": str(path)} if given else {}
+    constant, stiffness, gain = (1.31, 9.5, 300) if given else (TORQUE_CONSTANT, SERVO_STIFFNESS, POSITION_P_GAIN)
+    emulator = ServoBusEmulator(BenchArm())
+    with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
+        node = ServoNode(**options(context, namespace, port=terminal.path, **file))
+        values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
+    assert values == [constant, gain, 0, 4 if given else 0]
+    assert [emulator.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [gain] * 3
+    docking = DockingNode(**options(context, namespace, **file))
+    assert docking._settings.servo_stiffness == stiffness
+    assert parameters(docking, "servo_stiffness", "torque_constant") == [stiffness, constant]
+    kinematics = KinematicsNode(**options(context, namespace, torque_constant=constant, **file))
+    assert parameters(kinematics, "torque_constant") == [constant]
+
+
+def test_a_file_may_have_any_stiffness_that_docking_accepts() -> None:
+    bounds = {each.name: (each.low, each.high) for each in declared(DockingParameters)}["servo_stiffness"]
+    assert bounds == (STIFFNESS_MIN, STIFFNESS_MAX)
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "beside", "reason"),
+    [
+        (ServoNode, CONTENT, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* has 300"),
+        (KinematicsNode, CONTENT, {"torque_constant": 1.4}, r"'torque_constant' is 1.4, .*'servos_file'"),
+        (DockingNode, CONTENT, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15.0, .*'servos_file'.* has 9.5"),
+        (KinematicsNode, "stifness: 9.0", {}, "did you mean 'stiffness'"),
+        (DockingNode, "stiffness: 180.0", {}, "0.5 to 160"),
+        (ServoNode, None, {}, "cannot be read"),
+    ],
+)
+def test_a_contradicting_parameter_or_a_wrong_file_stops_the_node(
+    context: Any,
+    namespace: str,
+    tmp_path: Path,
+    kind: type[Node],
+    content: str | None,
+    beside: dict[str, Any],
+    reason: str,
+) -> None:
+    path = tmp_path / "mine.yaml"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(StartupError, match=reason):
+        kind(**options(context, namespace, servos_file=str(path), **beside))

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every packaged scene starts existing nodes, explains itself, and names missing devices."""
+"""Every packaged scene starts existing nodes, lists what it starts, loads and leaves out, and names missing devices."""
 
 from __future__ import annotations
 
 import configparser
 import dataclasses
 import json
-from collections.abc import Callable
+import re
+import subprocess
+import sys
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,9 @@ from deltacharger_bringup.cli.main import build_parser, main
 from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
-
-from ..chargers import Process
+from deltacharger_scenes.node_table import CHARGER, NODES, NodeSpec
+from deltacharger_scenes.parts import describe_parts, parts_text
+from deltacharger_scenes.scene import Scene, load_scene, packaged_scenes, parse_scene
 
 pytestmark = pytest.mark.ros
 
@@ -126,14 +128,63 @@ def test_a_command_that_a_scene_cannot_serve_is_refused_before_anything_starts(
     assert reason in capsys.readouterr().err
 
 
+def effects(scene: Scene) -> dict[str, str]:
+    return {entry["name"]: entry["why"] for entry in describe_parts(scene)["left_out"] if entry["kind"] == "effect"}
+
+
+def test_a_zero_effect_is_left_out_and_others_are_computed() -> None:
+    key = "simulation.world.magnets.force"
+    off = parse_scene({"simulation": {"world": {"magnets": {"force": 0.0}, "servo": {"backlash": 0.01}}}}, "x")
+    assert "is 0" in effects(off)[key]
+    assert "simulation.world.servo.backlash" not in effects(off)
+    assert key not in effects(parse_scene({"simulation": {}}, "x"))
+    alone = parse_scene({"simulation": {"world": {"target": {"present": False}}}}, "x")
+    assert "present is false" in effects(alone)["simulation.world.target"]
+
+
+def test_mocks_need_no_driver_and_hardware_no_simulated_charger() -> None:
+    mocks = describe_parts(load_scene("mocks"))
+    assert not {"serial", "dynamixel_sdk"} & set(mocks["imports"])
+    bench = describe_parts(load_scene("bench"))
+    assert bench["computes"] == []
+    assert "simulated charger" in {entry["name"] for entry in bench["left_out"]}
+    assert "leaves out:" in parts_text(bench)
+
+
+# Imports what every node has, then each module in a separate child, and prints what that loaded in addition.
+NEEDED = """
+import importlib, json, os, sys
+from deltacharger_core import environment
+environment.prepare()
+import numpy, rclpy.node, rclpy.serialization  # Jazzy's loads numpy with the first message alone
+roots = lambda: {name.split(".")[0] for name in sys.modules}
+before = roots()
+for module in sys.argv[1:]:
+    if (child := os.fork()) == 0:
+        importlib.import_module(module)
+        print(json.dumps([module, sorted(roots() - before - sys.stdlib_module_names)]), flush=True)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0, module
+"""
+WITH_RCLPY = ["ament_index_python", "numpy", "yaml"]
+MESSAGES = re.compile(r"deltacharger.*|(?!nav2).*_(msgs|srvs|interfaces)")
+
+
+def is_library(name: str) -> bool:
+    return name not in sys.stdlib_module_names and not MESSAGES.fullmatch(name) and not name.startswith("_")
+
+
 @pytest.mark.rest
-def test_a_goal_for_a_missing_camera_names_the_scenes_with_a_camera(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
-) -> None:
-    blind = tmp_path / "blind.yaml"
-    blind.write_text(quick_file.read_text(encoding="utf-8").replace("mock_detector_node, ", ""), encoding="utf-8")
-    words = ("dock", "--camera", "--scene", str(blind), "--namespace", namespace, "--json", "--no-picture")
-    dock = start(*deltacharger, *words)
-    assert dock.end() == 1
-    assert json.loads("\n".join(dock.out))["error_name"] == "ELECTRODES_NOT_FOUND"
-    assert any("--scene camera" in line for line in dock.err), dock.err
+def test_a_nodes_import_loads_the_libraries_in_the_table() -> None:
+    table = {spec.module: set(spec.needs) for spec in (CHARGER, *NODES.values())}
+    ran = subprocess.run([sys.executable, "-c", NEEDED, *table], capture_output=True, text=True, check=True)
+    loaded = {module: set(filter(is_library, found)) for module, found in map(json.loads, ran.stdout.splitlines())}
+    assert loaded == table
+
+
+@pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.path.rpartition(".")[2])
+def test_a_nodes_sources_import_the_libraries_in_the_table(spec: NodeSpec) -> None:
+    finder = ModuleFinder(path=[str(ROOT)], excludes=WITH_RCLPY)
+    finder.load_file(str(ROOT.joinpath(*spec.module.split(".")).with_suffix(".py")))
+    found = {name.split(".")[0] for name in finder.badmodules} - {"rclpy", *WITH_RCLPY}
+    assert set(filter(is_library, found)) == {*spec.needs, *spec.needs_when_used}

@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Invalid scenes are refused with the exact problem."""
+"""Invalid scenes, arguments and parameters are refused with the exact problem; nodes agree with the simulated world."""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.scene import describe
 from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.overrides import RECORDER, Overrides, override
+from deltacharger_scenes.parameter_check import problems, tables
 from deltacharger_scenes.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
 from deltacharger_sim.parameters import WorldParameters
 
@@ -125,3 +133,227 @@ def test_explain_shows_every_key_of_the_world_with_its_unit_and_range() -> None:
         found = shown[each.name]
         assert (found["minimum"], found["maximum"], found["unit"]) == (*bounds, each.unit)
     assert {f"simulation.{item.name}" for item in fields(Simulation)} - {"simulation.world"} <= shown.keys()
+
+
+HARDWARE = "ports: {servo: /dev/no_servo, board: /dev/no_board}\nparameters: {servo_node: {port: /dev/own, rate: 50.0}}"
+
+
+@pytest.fixture
+def hardware(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.yaml"
+    path.write_text(HARDWARE, encoding="utf-8")
+    return path
+
+
+def test_given_ports_override_the_scenes_and_the_nodes(hardware: Path, tmp_path: Path) -> None:
+    servo, board = tmp_path / "servo", tmp_path / "board"
+    servo.touch()
+    board.touch()
+    scene = override(load_scene(hardware), Overrides(servo_port=str(servo), board_port=str(board)))
+    assert scene.node_parameters("servo_node", {}) == {"port": str(servo), "rate": 50.0}
+    assert scene.node_parameters("tactile_node", {}) == {"port": str(board)}
+
+
+def test_one_argument_sets_the_prefix_of_every_node(tmp_path: Path) -> None:
+    for name in ("simulated", "camera", "mocks", "bench", "mission"):
+        scene = override(load_scene(name), Overrides(frame_prefix="left/", joint_prefix="left_"))
+        parameters = {node: scene.node_parameters(node, {}) for node in scene.nodes}
+        without = {node for node, values in parameters.items() if values.get("frame_prefix") != "left/"}
+        assert without <= {"docking_recorder_node", "recording_player_node", "mock_navigator_node"}
+        assert [node for node, values in parameters.items() if "joint_prefix" in values] == [
+            node for node in scene.nodes if node.endswith("servo_node")
+        ]
+
+
+@pytest.mark.parametrize("prefix", ["/left/", "left side/", "left/\n", "x" * 65])
+@pytest.mark.parametrize("name", ["frame_prefix", "joint_prefix"])
+def test_a_prefix_that_is_invalid_for_tf_is_refused(name: str, prefix: str) -> None:
+    with pytest.raises(SceneError, match=name):
+        override(load_scene("mocks"), Overrides(**{name: prefix}))
+
+
+@pytest.mark.parametrize(
+    ("scene", "camera", "here", "gone"),
+    [
+        ("bench", "oak", {"camera_node", "electrode_detector_node"}, set()),
+        ("bench", "topics", {"electrode_detector_node"}, {"camera_node"}),
+        ("camera", "topics", {"electrode_detector_node"}, {"simulated_camera_node"}),
+        ("camera", "none", set(), {"simulated_camera_node", "electrode_detector_node"}),
+        ("mocks", "oak", {"camera_node", "electrode_detector_node"}, {"mock_detector_node"}),
+        ("mocks", "none", set(), {"mock_detector_node"}),
+    ],
+)
+def test_the_camera_is_chosen_with_its_detector(scene: str, camera: str, here: set[str], gone: set[str]) -> None:
+    before = load_scene(scene)
+    after = override(before, Overrides(camera=camera))
+    assert here <= set(after.nodes)
+    assert not gone & set(after.nodes)
+    assert not gone & set(after.parameters)
+    assert set(before.nodes) - gone <= set(after.nodes)
+    assert after.start_order()[-1] == "docking_node"
+
+
+def test_files_reach_their_nodes_with_their_full_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.npz").touch()
+    scene = override(load_scene("bench"), Overrides(model="mine.npz"))
+    assert scene.node_parameters("misalignment_node", {}) == {"model": str(tmp_path / "mine.npz")}
+    Path("one.mcap").touch()
+    scene = override(load_scene("replay"), Overrides(recording="one.mcap"))
+    assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / "one.mcap")
+
+
+def test_records_go_to_the_given_folder_or_nowhere(tmp_path: Path) -> None:
+    bench = load_scene("bench")
+    assert override(bench, Overrides()) == bench
+    recorded = override(bench, Overrides(record=str(tmp_path)))
+    assert recorded.parameters[RECORDER]["folder"] == str(tmp_path)
+    usual = override(bench, Overrides(record="true"))
+    assert "folder" not in usual.parameters.get(RECORDER, {})
+    assert override(recorded, Overrides(record="True")) == recorded
+    assert override(recorded, Overrides(record="false")) == bench
+
+
+REFUSED = [
+    ("simulated", {"servo_port": "/dev/null"}, "has its own ports"),
+    ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
+    ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
+    ("bench", {"camera": "usb"}, "give oak, topics, none"),
+    ("bench", {"model": "nowhere.npz"}, "there is no such file"),
+    ("bench", {"recording": __file__}, "starts no recording_player_node"),
+    ("bench", {"record": __file__}, "is a file"),
+    ("bench", {"record": "/proc/records"}, "cannot be written"),
+]
+
+
+@pytest.mark.parametrize(("scene", "arguments", "expected"), REFUSED, ids=lambda value: str(value)[:40])
+def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: dict[str, str], expected: str) -> None:
+    with pytest.raises(SceneError, match=expected) as caught:
+        override(load_scene(scene), Overrides(**arguments))
+    assert caught.value.key == next(iter(arguments))
+
+
+def test_nodes_that_move_or_carry_current_do_not_restart() -> None:
+    restarted = {name for name, spec in NODES.items() if spec.may_restart}
+    hands = {"servo_node", "tactile_node", "docking_node", "mission_node", "recording_player_node"}
+    assert not {name for name in restarted if {name, NODES[name].stands_in_for} & hands}
+    assert "electrode_detector_node" in restarted
+
+
+HEAVY = """
+import sys
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import tables
+assert all(tables(name) for name in NODES)
+sys.exit(sorted({"rclpy", "cv2", "depthai", "mujoco", "serial", "matplotlib", "scipy"} & set(sys.modules)) or None)
+"""
+
+
+def problems_of(parameters: dict[str, Any]) -> list[tuple[str, str]]:
+    return list(problems(parse_scene({"nodes": [*parameters], "simulation": {}, "parameters": parameters}, "mine")))
+
+
+def test_packaged_scenes_set_only_parameters_that_their_nodes_accept() -> None:
+    for name in packaged_scenes():
+        assert not list(problems(load_scene(name))), name
+
+
+@pytest.mark.parametrize(
+    ("node", "parameter", "value", "problem"),
+    [
+        ("servo_node", "rte", 100.0, "did you mean 'rate'"),
+        ("servo_node", "rate", 900.0, "outside 20 to 200 Hz"),
+        ("servo_node", "rate", True, "not a number"),
+        ("servo_node", "ids", [1, 2], "has 2 numbers; give 3"),
+        ("servo_node", "current_bound", 3.5, "is not below"),
+        ("docking_node", "approach", "fast", "not one of guarded, paper"),
+        ("misalignment_node", "frames", 12.5, "not a whole number"),
+    ],
+)
+def test_invalid_parameters_are_found_without_the_node(node: str, parameter: str, value: Any, problem: str) -> None:
+    ((key, message),) = problems_of({node: {parameter: value}})
+    assert key == f"parameters.{node}.{parameter}"
+    assert problem in message
+
+
+def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
+    given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
+    scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")
+    assert not list(problems(scene))
+    with Composition(scene, context, namespace) as composition:
+        assert composition.node("mock_servo_node").get_parameter("rate").value == 50.0
+        assert list(composition.node("kinematics_node").get_parameter("gravity").value) == [0.0, -9.81, 0.0]
+
+
+def test_each_parameter_is_declared_once_without_loading_heavy_modules() -> None:
+    for node in NODES:
+        names = [each.name for table in tables(node) for each in declared(table)]
+        assert names, node
+        assert len(names) == len(set(names)), node
+    ran = subprocess.run([sys.executable, "-c", HEAVY], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_nodes_follow_the_world_unless_the_scene_sets_other_values() -> None:
+    world = {"servo": {"stiffness": 6.0, "torque_constant": 1.2}, "gravity_y": -9.0, "gravity_z": 3.0}
+    content = {"simulation": {"world": world}, "parameters": {"docking_node": {"gravity_z": 0.0}}}
+    scene = parse_scene(content, "mine")
+    assert scene.node_parameters("docking_node", {}) == {
+        "servo_stiffness": 6.0,
+        "power": "board",
+        "torque_constant": 1.2,
+        "gravity_x": 0.0,
+        "gravity_y": -9.0,
+        "gravity_z": 0.0,
+    }
+    assert scene.node_parameters("servo_node", {}) == {"torque_constant": 1.2}
+    wired = parse_scene({"simulation": {"world": {"circuit": {"wired": True}}}}, "mine")
+    assert wired.node_parameters("docking_node", {})["power"] == "none"
+    assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
+
+
+def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file() -> None:
+    content = {
+        "simulation": {"world": {"servo": {"stiffness": 6.0, "torque_constant": 1.2}}},
+        "parameters": {"servo_node": {"position_p_gain": 868}, "kinematics_node": {"servos_file": "servos.yaml"}},
+    }
+    scene = parse_scene(content, "mine")
+    assert scene.node_parameters("docking_node", {})["servo_stiffness"] == pytest.approx(12.0)
+    assert "torque_constant" not in scene.node_parameters("kinematics_node", {})
+    assert scene.node_parameters("kinematics_node", {})["gravity"] == [0.0, -9.81, 0.0]
+
+
+def test_check_reports_contradictions_and_wrong_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{simulation: {}, parameters: {docking_node: {servo_stiffness: 6.0}}}", encoding="utf-8")
+    assert main(["scene", "check", str(path), "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    (warning,) = report["warnings"]
+    assert "docking_node.servo_stiffness: is 6.0, but simulation.world.servo.stiffness is 15.0" in warning
+    path.write_text("{simulation: {}, parameters: {docking_node: {servo_stifness: 6.0}}}", encoding="utf-8")
+    assert main(["scene", "check", str(path), "--json"]) == 2
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
+
+
+@pytest.mark.parametrize(
+    ("files", "warned"),
+    [
+        ({}, []),
+        (dict.fromkeys(("servo_node", "kinematics_node", "docking_node"), "a.yaml"), []),
+        ({"docking_node": "a.yaml"}, ["servo_node", "kinematics_node"]),
+        ({"servo_node": "a.yaml", "kinematics_node": "a.yaml", "docking_node": "b.yaml"}, ["docking_node"]),
+    ],
+)
+@pytest.mark.parametrize("base", ["ports: {servo: /dev/ttyUSB0}, ", "simulation: {}, "])
+def test_check_reports_nodes_with_a_different_servos_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str, files: dict[str, str], warned: list[str]
+) -> None:
+    given = json.dumps({node: {"servos_file": file} for node, file in files.items()})
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{{{base}nodes: [servo_node, kinematics_node, docking_node], parameters: {given}}}")
+    assert main(["scene", "check", str(path), "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    found = [each for each in report["warnings"] if "servos_file" in each]
+    assert len(found) == len(warned)
+    assert all(f"{name}.servos_file: is" in line for name, line in zip(warned, found, strict=True))
