@@ -35,12 +35,12 @@ from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.servos import motion_guard, mx64, snapshot, thermal, trajectory
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_mission.places import BaseMount
 from deltacharger_sim import bars, circuit, clearance
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
 from deltacharger_tactile import estimator, frame_window
 from deltacharger_tactile.parameters import PadDockingParameters
 from deltacharger_vision.detector.support import SupportSettings, supported
+from deltacharger_vision.errors import VisionError
 from deltacharger_vision.mount import Mount
 
 NAN, INF, DEGREE, MM = math.nan, math.inf, math.radians(1.0), 1e-3
@@ -69,7 +69,7 @@ def passes(call: Callable[..., Any], *values: Any) -> bool:
     """Return whether none of the product's refusals is raised."""
     try:
         call(*values)
-    except (codes.DockingError, DriverError, frame_window.Refused, ParameterError, ValueError):
+    except (codes.DockingError, DriverError, VisionError, frame_window.Refused, ParameterError):
         return False
     return True
 
@@ -431,6 +431,12 @@ def board_holds(silence: float, fault: int = 0) -> bool:
     return power.closed and power.fault == 0
 
 
+def test_the_board_reports_where_its_contactor_went_after_a_fault() -> None:
+    power = board()
+    power._plant = stage(fault=9)
+    assert power.read()[3:] == (False, 9)
+
+
 def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
     assert sorted(protocol.BoardFault) == list(range(10))
     assert protocol.BoardFault.STALE == 3
@@ -583,10 +589,6 @@ def mounts(x: float = 0.0, w: float = 1.0, sigma: float = 0.002) -> bool:
     return passes(Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w), sigma)
 
 
-def bases(**pose: float) -> bool:
-    return passes(BaseMount, list((dict.fromkeys("xyzabcd", 0.5) | pose).values()))
-
-
 CAMERA = (
     Limit("both outlines", lambda v: shows(0.8, 0.8, v, v), 0.31, 0.29),
     Limit("clearer outline", lambda v: shows(v, v, 0.7, 0.7), 0.76, 0.74),
@@ -596,7 +598,6 @@ CAMERA = (
     *fields(mounts, 4.99, (5.01, -5.01, NAN, INF), "x"),
     *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
     *fields(mounts, 0.0, (-0.01, NAN, INF), "sigma"),
-    *fields(bases, 0.4, (NAN, INF), *"xyzabcd"),
 )
 
 
