@@ -153,7 +153,7 @@ class RunningCharger:
             return self.world.circuit.closed
         if self.composition is not None:
             return bool(self.node("mock_tactile_node").contactor_closed)
-        return bool(self.power.contactor_closed)
+        return bool(self._newest(ChargerPower).contactor_closed)
 
     @property
     def state(self) -> DockingState:
@@ -164,16 +164,6 @@ class RunningCharger:
     def servos(self) -> Any:
         """The latest servo_state."""
         return self._newest(ServoState)
-
-    @property
-    def frame(self) -> Any:
-        """The latest tactile_frame."""
-        return self._newest(TactileFrame)
-
-    @property
-    def power(self) -> Any:
-        """The latest charger_power."""
-        return self._newest(ChargerPower)
 
     def _newest(self, kind: type[Any]) -> Any:
         if (message := self._topics[kind].take()) is not None:
@@ -204,9 +194,10 @@ class RunningCharger:
             services.append("predict_misalignment")
         for name in services:
             wait_until(lambda name=name: self.client.node.count_services(name) == 1, name)  # type: ignore[misc]
-        self._newest(ServoState), self._newest(TactileFrame), self._newest(ChargerPower)
+        for kind in self._topics:
+            self._newest(kind)
         self._latest.clear()
-        wait_until(lambda: self.servos and self.frame and self.power and self.states, "every topic")
+        wait_until(lambda: all(map(self._newest, self._topics)) and self.states, "every topic")
         if self._signalled:
             self.wait_until_single()
 

@@ -110,7 +110,7 @@ class Stranger(Node):
         publisher = self.create_publisher(kind, name, QoSProfile(depth=10))
         genuine: deque[Any] = deque([kind()], maxlen=100)
         best = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(kind, name, genuine.append, best)
+        self.create_subscription(kind, name, lambda message: genuine.append(message), best)
         messages: list[Callable[[], Any]] = [
             lambda: lie(kind, self.dice),
             lambda: self._broken(serialize_message(genuine[-1])),
