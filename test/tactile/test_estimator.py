@@ -12,12 +12,11 @@ import pytest
 
 from deltacharger_tactile import Estimate, PoseEstimator, default_model
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.errors import FrameError, ModelError
 from deltacharger_tactile.features import fill_dead
-from deltacharger_tactile.generator import generate_continuous, measure
-from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.sensor import Rig
+from deltacharger_tactile.generator import generate_continuous
 from deltacharger_tactile.training import train
+
+from ..marks import rest
 
 MODEL = default_model()
 
@@ -27,9 +26,9 @@ def dockings(count: int, offset: float, angle: float, rigs: range, seed: int) ->
     return *data.robot_frames(), data.contact_pose
 
 
-@pytest.fixture(scope="module")
-def wide() -> tuple[Any, Any, Any, Estimate]:
-    left, right, pose = dockings(250, 0.012, 20.0, range(300, 312), 42)
+@pytest.fixture(scope="module", params=[40, rest(250)])
+def wide(request: pytest.FixtureRequest) -> tuple[Any, Any, Any, Estimate]:
+    left, right, pose = dockings(request.param, 0.012, 20.0, range(300, 312), 42)
     return left, right, pose, MODEL.predict(left, right)
 
 
@@ -48,64 +47,46 @@ def test_precise_enough_to_decide(wide: Any) -> None:
     _, _, pose, estimate = wide
     near = estimate.in_range & (np.abs(pose[:, 2]) < math.radians(12.0))
     error = 0.035 * (estimate.angle - pose[:, 2]) + estimate.across - across(pose)
-    assert near.sum() > 800
+    assert near.mean() > 0.25
     assert np.median(np.abs(error[near])) < 0.2e-3
     assert np.median(np.hypot(0.035 * estimate.angle_stddev, estimate.across_stddev)[near]) < 0.35e-3
 
 
-@pytest.mark.parametrize(("name", "axis"), [("horizontal", 0), ("vertical", 1), ("angle", 2), ("across", 3)])
-def test_three_standard_deviations_hold(wide: Any, name: str, axis: int) -> None:
+@pytest.mark.parametrize(("axis", "name"), list(enumerate(("horizontal", "vertical", "angle", "across"))))
+def test_three_standard_deviations_hold(wide: Any, axis: int, name: str) -> None:
     _, _, pose, estimate = wide
-    truth = np.column_stack([pose, across(pose)])
-    z = ((getattr(estimate, name) - truth[:, axis]) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
+    truth = np.column_stack([pose, across(pose)])[:, axis]
+    z = ((getattr(estimate, name) - truth) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
     # Faces of these rigs are level, but the estimated spread includes the unknown leans of training.
-    assert (0.6 if name == "angle" else 0.45) < z.std() < 1.1
+    assert (0.6 if name == "angle" else 0.4) < z.std() < 1.1
     assert np.mean(np.abs(z) > 3) < 0.01
     assert np.abs(z).max() < 7.0
 
 
-def test_energises_at_seven_degrees_of_either_sign() -> None:
-    family, rig = TactileParameters(), Rig.draw(TactileParameters(), 320)
+def test_energises_at_seven_degrees_of_either_sign_and_never_beyond_twelve(wide: Any) -> None:
+    _, _, pose, estimate = wide
+    act, tilted = acts(estimate), np.abs(pose[:, 2])
+    small = (tilted < math.radians(7.0)) & (np.abs(pose[:, 1]) < 1.5e-3)
     for sign in (-1.0, 1.0):
-        poses = np.tile([0.0, 0.0, sign * math.radians(7.0)], (150, 1))
-        got = measure(family, rig, poses, np.random.default_rng(4), 12, 0.0)
-        estimate = MODEL.predict(got["left"], got["right"])
-        assert np.all(np.sign(estimate.angle) == sign)
-        assert acts(estimate).mean() > 0.9
-
-
-def test_never_energises_beyond_twelve_degrees() -> None:
-    left, right, pose = dockings(300, 0.010, 20.0, range(330, 340), 3)
-    beyond = np.abs(pose[:, 2]) >= math.radians(12.0)
-    assert {-1.0, 1.0} == set(np.sign(pose[beyond, 2]))
-    act = acts(MODEL.predict(left, right))
-    assert not act[beyond].any()
-    small = (np.abs(pose[:, 2]) < math.radians(7.0)) & (np.abs(pose[:, 1]) < 1.5e-3)
-    assert act[small].mean() > 0.9
+        side = np.sign(pose[:, 2]) == sign
+        assert act[side & small].mean() > 0.9
+        assert (side & (tilted >= math.radians(12.0))).mean() > 0.15
+    assert not act[tilted >= math.radians(12.0)].any()
 
 
 def test_signs_by_the_contact_model_alone() -> None:
     """Without sensor errors, the estimate must be the pose in contact."""
     contact = ContactModel()
-    for pose in (
-        (0.0, 0.004, 0.0),
-        (0.0, -0.004, 0.0),
-        (0.0, 0.0, 0.1),
-        (0.0, 0.0, -0.1),
-        (0.002, 0.003, -0.08),
-    ):
+    for pose in ((0.0, 0.004, 0.0), (0.0, -0.004, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, -0.1), (0.002, 0.003, -0.08)):
         tilt = (math.radians(7.0) * pose[1], math.radians(10.0) * pose[0])
         pads = contact.solve(pose, 70.0, tilt).taxels[0]
         estimate = MODEL.predict(pads[0], pads[1])
-        assert isinstance(estimate.angle, float)
         assert estimate.in_range is True
         assert abs(estimate.vertical - pose[1]) < 0.4e-3
         assert abs(estimate.angle - pose[2]) < math.radians(0.4)
-    right_loaded, left_loaded = (
-        contact.solve((x, 0.0, 0.0), 55.0, (0.0, math.radians(10.0) * x)).taxels[0] for x in (-0.006, 0.006)
-    )
-    assert MODEL.predict(*left_loaded).horizontal > 0.003
-    assert MODEL.predict(*right_loaded).horizontal < -0.003
+    for x in (-0.006, 0.006):
+        pads = contact.solve((x, 0.0, 0.0), 55.0, (0.0, math.radians(10.0) * x)).taxels[0]
+        assert np.sign(x) * MODEL.predict(*pads).horizontal > 0.003
 
 
 def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
@@ -119,56 +100,48 @@ def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
     assert np.allclose(over_x.vertical, estimate.vertical[rows], atol=1e-7)
 
 
-def test_out_of_range_without_both_pads() -> None:
-    left, right, _ = dockings(40, 0.003, 6.0, range(340, 342), 5)
-    good = MODEL.predict(left, right)
-    assert good.in_range.mean() > 0.95
-    nothing, unknown = np.zeros_like(left), np.full_like(left, np.nan)
-    for a, b in ((nothing, right), (left, nothing), (unknown, right), (left, unknown)):
+def test_out_of_range_without_both_pads_or_beyond_training(wide: Any) -> None:
+    left, right, pose, good = wide
+    chosen = np.flatnonzero(good.in_range)[:40]
+    left, right = left[chosen], right[chosen]
+    nothing, unknown, spotted = np.zeros_like(left), np.full_like(left, np.nan), left.copy()
+    spotted[:, 4, :5] = np.nan
+    for a, b in ((nothing, right), (left, nothing), (unknown, right), (left, unknown), (spotted, right)):
         estimate = MODEL.predict(a, b)
         assert not estimate.in_range.any()
         assert not estimate.sure.any()
-    spotted = left.copy()
-    spotted[:, 4, :5] = np.nan
-    assert not MODEL.predict(spotted, right).in_range.any()
-    beyond, other, pose = dockings(400, 0.002, 32.0, range(342, 344), 6)
-    chosen = np.abs(pose[:, 2]) > math.radians(22.0)
-    assert not MODEL.predict(beyond[chosen], other[chosen]).in_range.any()
+    far, other, pose = dockings(40, 0.002, 32.0, range(342, 344), 6)
+    assert not MODEL.predict(far, other).in_range[np.abs(pose[:, 2]) > math.radians(22.0)].any()
 
 
-def test_no_contact_is_unknown_not_zero() -> None:
-    estimate = MODEL.predict(np.full((10, 10), 0.1), np.zeros((10, 10)))
-    assert estimate.contact is False
-    assert estimate.in_range is False
+@pytest.mark.parametrize("left", [0.1, np.nan])
+def test_no_contact_is_unknown_not_zero(left: float) -> None:
+    estimate = MODEL.predict(np.full((10, 10), left), np.zeros((10, 10)))
+    assert (estimate.contact, estimate.in_range, estimate.sure, estimate.left_force) == (False, False, False, 0.0)
     assert math.isnan(estimate.angle)
     assert math.isnan(estimate.vertical_stddev)
-    assert estimate.left_force == 0.0
-    dead = MODEL.predict(np.full((10, 10), np.nan), np.full((10, 10), np.nan))
-    assert dead.contact is False
 
 
-def test_one_pad_still_guides_a_correction() -> None:
-    left, right, pose = dockings(400, 0.012, 8.0, range(344, 347), 8)
-    estimate = MODEL.predict(left, right)
+def test_one_pad_still_guides_a_correction(wide: Any) -> None:
+    _, _, pose, estimate = wide
     lost = (np.minimum(estimate.left_force, estimate.right_force) < 0.5) & np.isfinite(estimate.vertical)
-    assert lost.sum() > 20
+    assert lost.sum() > 5
     z = (estimate.vertical - pose[:, 1])[lost] / estimate.vertical_stddev[lost]
     assert np.abs(z).max() < 6.0
     assert not estimate.in_range[lost].any()
 
 
-def test_class_probabilities() -> None:
-    left, right, pose = dockings(100, 0.008, 5.0, range(350, 352), 9)
-    estimate = MODEL.predict(left, right)
+def test_class_probabilities(wide: Any) -> None:
+    _, _, pose, estimate = wide
     known = np.isfinite(estimate.angle)
     for name, classes in (("angle", 6), ("vertical", 5), ("horizontal", 5)):
         chances = getattr(estimate, f"{name}_probability")[known]
         assert chances.shape[1] == classes
         assert chances.min() >= -1e-12
         assert np.allclose(chances.sum(axis=1), 1.0)
-    best = estimate.vertical_probability[known].argmax(axis=1)
-    true = np.clip(np.round(pose[known, 1] / 0.005), -2, 2) + 2
-    assert np.mean(best == true) > 0.85
+    near = known & np.all(np.abs(pose) < [0.008, 0.008, math.radians(5.0)], axis=1)
+    best = estimate.vertical_probability[near].argmax(axis=1)
+    assert np.mean(best == np.clip(np.round(pose[near, 1] / 0.005), -2, 2) + 2) > 0.85
 
 
 def test_a_dead_taxel_is_filled_from_its_row() -> None:
@@ -181,13 +154,7 @@ def test_a_dead_taxel_is_filled_from_its_row() -> None:
     assert np.array_equal(filled[0, 1], frames[0, 1])
 
 
-def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(FrameError, match="10, 10"):
-        MODEL.predict(np.zeros(100), np.zeros(100))
-    with pytest.raises(FrameError):
-        MODEL.predict(np.zeros((10, 10)), np.zeros((2, 10, 10)))
-
-
+@pytest.mark.rest
 def test_training_saving_and_loading(tmp_path: Path) -> None:
     model = train(range(600, 606), range(610, 613), 200, 5, 2)
     model.save(tmp_path / "model.npz")
@@ -197,14 +164,3 @@ def test_training_saving_and_loading(tmp_path: Path) -> None:
     for name, value in vars(before).items():
         assert np.allclose(value, getattr(after, name), equal_nan=True), name
     assert loaded.about == model.about
-
-
-def test_files_that_are_not_models_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "data.npz", left=np.zeros(3))
-    with pytest.raises(ModelError, match=r"data\.npz"):
-        PoseEstimator.load(tmp_path / "data.npz")
-    (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(ModelError):
-        PoseEstimator.load(tmp_path / "text.npz")
-    with pytest.raises(FileNotFoundError):
-        PoseEstimator.load(tmp_path / "none.npz")

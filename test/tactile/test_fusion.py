@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deltacharger_tactile.classifiers import splits
+from deltacharger_tactile.classifiers import packaged, splits
 from deltacharger_tactile.classifiers.classifier import DEFAULT, Classifier
 from deltacharger_tactile.classifiers.fusion import groups, together
 from deltacharger_tactile.classifiers.labels import examples
@@ -30,13 +30,12 @@ def test_probabilities_of_independent_dockings_multiply() -> None:
     np.testing.assert_allclose(together([one, one]), one**2 / np.sum(one**2))
     even = np.full((1, 3), 1.0 / 3.0)
     np.testing.assert_allclose(together([one, even]), one)
-
-
-def test_an_outlier_does_not_rule_out_a_class() -> None:
+    # An outlier rules out no class.
     strange, usual = np.array([[0.0, 1.0]]), np.array([[0.999, 0.001]])
     assert together([strange, usual, usual, usual]).argmax() == 0
 
 
+@pytest.mark.rest
 def test_three_dockings_are_more_accurate_than_one() -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     rows = examples(generate_paper(rigs=(310, 311), seed=5, threshold=THRESHOLD), "horizontal")
@@ -56,6 +55,7 @@ def test_three_dockings_are_more_accurate_than_one() -> None:
         groups(test, 1000, seed=0)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", ["lda", DEFAULT])
 def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
@@ -75,6 +75,8 @@ def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
     new, usual = (dockings(device, 0.005 * wanted - 0.010, 3) for device in (tilted, rig))
     before, as_trained = accuracy(model, new, wanted), accuracy(model, usual, wanted)
     ten = np.full(10, 2)
+    with pytest.raises(ModelError, match="too few"):
+        model.refer(new[:1], wanted[:1])
     model.refer(dockings(rig, np.zeros(10), 4), ten)
     assert accuracy(model, usual, wanted) > as_trained - 0.04, "little loss without a change"
     model.refer(dockings(tilted, np.zeros(10), 5), ten)
@@ -82,9 +84,6 @@ def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
 
 
 def test_classifiers_without_references_refuse_them() -> None:
-    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
-    rows = examples(generate_paper(rigs=(313,), seed=5), "vertical")
+    tree = packaged.load("tree")["vertical"]
     with pytest.raises(ModelError, match="train lda or pose"):
-        Classifier("tree", "vertical").fit(rows.frames, rows.labels).refer(rows.frames[:3], rows.labels[:3])
-    with pytest.raises(ModelError, match="too few"):
-        Classifier("lda", "vertical").fit(rows.frames, rows.labels).refer(rows.frames[:1], rows.labels[:1])
+        tree.refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates on a robot without ROS: invalid readings, calibrations, classifiers and unusable files."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import zipfile
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_tactile import default_model
+from deltacharger_tactile.calibration.rig import TactileCalibration
+from deltacharger_tactile.classifiers import files, packaged
+from deltacharger_tactile.generator import generate_continuous
+from deltacharger_tactile.perception import Perception, PerceptionError
+from deltacharger_tactile.source import ContactSource
+
+TRUTH = (0.001, 0.003, 0.08)
+
+
+@cache
+def docked() -> tuple[Any, ...]:
+    """Tared frames (2, 10, 10) N of one simulated docking at TRUTH."""
+    source = ContactSource(rig_seed=21, seed=3)
+    tare = np.mean([source.sample(i / 120, None, 0.0) for i in range(60)], axis=0)
+    source.begin_docking()
+    return tuple(np.maximum(source.sample(1 + i / 120, TRUTH, 65.0) - tare, 0.0) for i in range(24))
+
+
+def half_dead(pad: Any) -> Any:
+    return np.where(np.arange(10) < 5, np.nan, pad)
+
+
+def row_at_full_scale(pad: Any) -> Any:
+    return np.where(np.arange(10)[:, None] == 4, 9.0, pad)
+
+
+@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize(
+    ("bad", "contact"),
+    [
+        (0.0, False),
+        (np.nan, False),
+        (9.0, True),
+        (np.inf, False),
+        (1e30, False),
+        (-5.0, False),
+        (half_dead, True),
+        (row_at_full_scale, True),
+    ],
+)
+def test_invalid_readings_are_out_of_range(bad: Any, contact: bool, calibrated: bool, both: bool) -> None:
+    made = TactileCalibration(rig=3, load_shift=8.0, bias=np.full(3, 1e-3), bias_stddev=np.full(3, 1e-4))
+    usual = Perception.load()
+    perception = dataclasses.replace(usual, calibration=made) if calibrated else usual
+    left, right = (bad(pad) if callable(bad) else np.full((10, 10), bad) for pad in docked()[0])
+    found = perception.predict(left, right if both else docked()[0][1])
+    assert (found.in_range, found.sure, found.contact) == (False, False, contact or not both)
+    if not found.contact:
+        assert np.isnan([found.angle, found.vertical, found.horizontal]).all()
+    good = perception.predict(*docked()[0])
+    assert (good.contact, good.in_range, good.sure) == (True, True, True)
+
+
+def test_a_calibration_moves_the_estimate_and_kills_taxels(tmp_path: Path) -> None:
+    bias, dead = np.array([0.002, 0.0005, 0.01]), np.zeros((2, 10, 10), dtype=bool)
+    dead[0, :3] = True
+    raw = Perception.load().predict(*docked()[0])
+    for made, name in (({"bias": bias, "bias_stddev": np.full(3, 1e-4)}, "biased"), ({"dead": dead}, "dead")):
+        TactileCalibration(rig=4, **made).save(tmp_path / name)
+    biased, crippled = (Perception.load(calibration=str(tmp_path / name)) for name in ("biased", "dead"))
+    got = biased.predict(*docked()[0])
+    assert (got.horizontal, got.angle) == pytest.approx((raw.horizontal - bias[0], raw.angle - bias[2]))
+    assert biased.name.endswith("+rig4")
+    blind = crippled.predict(*docked()[0])
+    assert (blind.contact, blind.in_range, blind.sure) == (True, False, False)
+
+
+@pytest.mark.parametrize("model", [None, "pose-1"])
+def test_a_calibration_made_for_an_earlier_model_is_used_and_warned_of(tmp_path: Path, model: str | None) -> None:
+    TactileCalibration(rig=7, model=model or default_model().name).save(tmp_path / "pads.yaml")
+    perception = Perception.load(calibration=str(tmp_path / "pads.yaml"))
+    assert perception.calibration is not None
+    assert ("pose-1" in perception.doubt) == bool(perception.doubt) == bool(model)
+
+
+def always(path: Path, target: str, favoured: int, count: int) -> str:
+    """Write a classifier with a constant answer."""
+    bias = np.zeros(count)
+    bias[favoured] = 9.0
+    about = {"name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
+    files.write(path, about, {"weights": np.zeros((200, count)), "bias": bias})
+    return str(path)
+
+
+def test_classifiers_replace_the_probabilities_of_their_target_only(tmp_path: Path) -> None:
+    angle, vertical = always(tmp_path / "a.npz", "angle", 2, 6), always(tmp_path / "v.npz", "vertical", 4, 5)
+    raw = Perception.load(classifiers=[""]).predict(*docked()[0])
+    got = Perception.load(classifiers=[angle, vertical]).predict(*docked()[0])
+    assert (np.argmax(got.angle_probability), np.argmax(got.vertical_probability)) == (2, 4)
+    np.testing.assert_array_equal(got.horizontal_probability, raw.horizontal_probability)
+    assert (got.angle, got.vertical, got.sure) == (raw.angle, raw.vertical, raw.sure)
+    with pytest.raises(PerceptionError, match="second"):
+        Perception.load(classifiers=[angle, angle])
+
+
+def test_a_packaged_model_answers_and_a_failing_one_is_never_sure() -> None:
+    usual = Perception.load()
+    frame = docked()[0]
+    tree = usual.answering("tree")
+    assert tree.name == f"{usual.name}+tree" == Perception.load(classifiers=["tree"]).name
+    found = tree.predict(*frame)
+    for target, model in packaged.load("tree").items():
+        np.testing.assert_allclose(getattr(found, f"{target}_probability"), model.predict_proba(frame[None])[0])
+    for shares in ([[np.nan] * 6], [[0.5] * 6], [[-1.0, 2.0]], []):
+        broken: Any = {"angle": SimpleNamespace(predict_proba=lambda frames, shares=shares: shares)}
+        got = dataclasses.replace(usual, classifiers=broken).predict(*frame)
+        assert (got.sure, got.in_range) == (False, True)
+        np.testing.assert_array_equal(got.angle_probability, usual.predict(*frame).angle_probability)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files to refuse; other faults are in the tests of each reader."""
+    folder = tmp_path_factory.mktemp("files")
+    model = folder / "model.npz"
+    default_model().save(model)
+    (folder / "cut.npz").write_bytes(model.read_bytes()[:5000])
+    generate_continuous(rigs=(1,), count=5, seed=1).save(folder / "data.npz")
+    TactileCalibration().save(folder / "pads.yaml")
+    (folder / "zero").symlink_to("/dev/zero")
+    os.mkfifo(folder / "pipe")
+    with zipfile.ZipFile(model) as good, zipfile.ZipFile(folder / "header.npz", "w") as bad:
+        for name in good.namelist():  # unparsable header in a valid archive
+            bad.writestr(name, good.read(name).replace(b"'descr'", b"'" + b"(" * 6))
+    (folder / "laughs.yaml").write_text("a: &a [1]\n" + "".join(f"b{n}: *a\n" for n in range(9)))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["missing", "data.npz", ".", "zero", "pipe", "cut.npz", "header.npz", "laughs.yaml"])
+@pytest.mark.parametrize("parameter", ["model", "calibration", "classifiers"])
+def test_unusable_files_are_refused_with_their_parameter(folder: Path, parameter: str, name: str) -> None:
+    path = str(folder / name)
+    values: dict[str, Any] = {parameter: [path] if parameter == "classifiers" else path}
+    with pytest.raises(PerceptionError) as refused:
+        Perception.load(**values)
+    assert refused.value.parameter == parameter
+    assert len(refused.value.reason) > len(path) + 5
