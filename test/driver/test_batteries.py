@@ -56,8 +56,7 @@ def test_unmeasured_values_are_unknown(power: PowerSample | None) -> None:
     for battery in (own_battery(power), target_battery(power)):
         for name in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
             assert math.isnan(getattr(battery, name)), name
-        assert battery.power_supply_health == BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
-        assert battery.power_supply_technology == BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN
+        assert battery.power_supply_health == battery.power_supply_technology == UNKNOWN
     assert math.isnan(own_battery(power).current), "it feeds servos and computer, too"
 
 

@@ -282,13 +282,6 @@ def test_an_incompatible_device_is_refused_with_the_reason(
     assert len(puppet.received) <= 3
 
 
-def test_unknown_types_and_bad_payloads_are_counted_and_dropped() -> None:
-    receiver = BoardReceiver(BoardRequests(), None, None, lambda: None)
-    for type, payload in ((99, b""), (PacketType.START, b""), (PacketType.POWER, b"short"), (PacketType.TACTILE, b"")):
-        receiver.take(Packet(type, payload, 0, 10**9), 1.0)
-    assert (receiver.counters.unknown_types, receiver.counters.bad_payloads) == (2, 2)
-
-
 def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(rig: Rig) -> None:
     rig.board.faults.deaf = True
     with pytest.raises(NoAnswer, match="other packets"):

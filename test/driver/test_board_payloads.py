@@ -26,7 +26,6 @@ from deltacharger_driver.board.payloads import (
     encode_probe,
     encode_rate,
     encode_samples,
-    probe_problem,
 )
 from deltacharger_driver.board.protocol import FULL_SCALE, Packet, PacketError, PacketType, SampleFormat
 from deltacharger_driver.board.receiver import BoardReceiver
@@ -161,23 +160,3 @@ def test_payloads_of_the_wrong_length_or_format_are_refused() -> None:
     for length, sample_format in ((300, 1), (299, 2), (200, 3), (200, 0), (200, 9)):
         with pytest.raises(PacketError):
             decode_samples(bytes(length), sample_format)
-
-
-@pytest.mark.parametrize(
-    ("resistance", "voltage", "word"),
-    [
-        (25.0, 24.0, ""),
-        (1.0, 0.0, ""),
-        (0.99, 24.0, "short"),
-        (0.0, 0.0, "short"),
-        (math.inf, 0.0, "open circuit"),
-        (math.inf, math.nan, "open circuit"),
-        (5.0, -0.1, "polarity"),
-        (math.nan, 24.0, "nothing"),
-        (5.0, math.nan, "nothing"),
-    ],
-)
-def test_what_a_probe_allows(resistance: float, voltage: float, word: str) -> None:
-    problem = probe_problem(resistance, voltage)
-    assert word in problem
-    assert bool(problem) == bool(word)

@@ -47,14 +47,6 @@ def test_senders_that_may_move_the_arm(state: ContactorState, allowed: tuple[Sen
     assert tuple(sender for sender in (DOCKING, STRANGER, UNKNOWN) if found.may_move(sender, state)) == allowed
 
 
-def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
-    for report, state in ((OPEN, ContactorState.OPEN), (ARMED, ContactorState.ARMED), (CLOSED, ContactorState.CLOSED)):
-        found = guard(OPEN, report)
-        assert found.state(0.0, False) is state
-        assert found.state(FRESH, False) is state
-        assert found.state(FRESH * 1.01, False) is ContactorState.UNKNOWN
-
-
 def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
     assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
     assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN

@@ -6,7 +6,6 @@ from __future__ import annotations
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
@@ -17,12 +16,6 @@ FAR = (0.3, 0.5, 1.2)
 
 def shifted(by: float) -> tuple[float, ...]:
     return tuple(angle + by for angle in START)
-
-
-def test_a_trajectory_without_torque_is_refused(rig: Rig) -> None:
-    rig.cycle()
-    with pytest.raises(TrajectoryRefused, match="set_torque"):
-        rig.send((0.1, START))
 
 
 def test_a_trajectory_is_followed_in_time_and_takes_effect_in_the_next_cycle(rig: Rig) -> None:
@@ -107,17 +100,6 @@ def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:
         rig.cycle()
     assert rig.report.phase is ServoPhase.STOPPING
     assert any("overloaded" in sentence for _, sentence in rig.events)
-
-
-def test_a_pause_without_torque_is_not_reported(rig: Rig) -> None:
-    rig.cycle()
-    rig.clock.sleep(0.2)
-    rig.cycle()
-    assert rig.events == []
-    rig.torque_on()
-    rig.send((0.0, shifted(0.1)))
-    rig.cycle()
-    assert rig.references() == pytest.approx(list(shifted(0.1)), abs=TICK)
 
 
 def test_a_line_sent_in_pieces_is_followed_like_one_message_and_its_end_is_held(rig: Rig) -> None:

@@ -19,7 +19,6 @@ from deltacharger_driver.servos.packets import (
     BROADCAST,
     BULK_READ,
     BULK_WRITE,
-    FACTORY_RESET,
     PING,
     READ,
     REG_WRITE,
@@ -124,17 +123,6 @@ def test_servos_receive_only_at_their_own_speed() -> None:
     assert [reply[0] for reply in host.ask(BROADCAST, PING)] == [2]
     speed[0] = 1_000_000
     assert [reply[0] for reply in host.ask(BROADCAST, PING)] == [1, 3]
-
-
-def test_factory_reset_clears_id_and_speed_unless_kept(host: Host) -> None:
-    host.write(2, "operating_mode", 5)
-    host.ask(2, FACTORY_RESET, b"\2")
-    host.advance(0.5)
-    assert host.read(2, "operating_mode") == 3
-    assert host.read(2, "baud") == 3
-    host.ask(3, FACTORY_RESET, b"\1")
-    host.advance(0.5)
-    assert host.bus.servo(3).speed == 57600
 
 
 def test_noise_and_truncated_packets_are_skipped(host: Host) -> None:

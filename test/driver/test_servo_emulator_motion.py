@@ -38,18 +38,6 @@ def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     assert host.arm.commands[1][1] == pytest.approx(100 * TICK)
 
 
-def test_nothing_is_commanded_twice(host: Host) -> None:
-    calls = []
-    host.arm.command_servo = lambda *command: calls.append(command)
-    host.write(1, "operating_mode", 5)
-    host.write(1, "torque_enable", 1)
-    for _ in range(5):
-        host.write(1, "goal_position", 2100)
-        host.read(1, "present_position")
-    references = [call[2] for call in calls if call[1]]
-    assert references.count(52 * TICK) == 1
-
-
 def test_the_position_p_gain_is_the_stiffness(host: Host) -> None:
     goal = host.read(1, "present_position")
     host.write(1, "operating_mode", 5)

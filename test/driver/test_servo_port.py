@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
@@ -22,8 +22,6 @@ from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, crc16, instruction_packet, sync_write_packet
 from deltacharger_driver.servos.snapshot import BusSettings
-
-from ..waiting import wait_until
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
@@ -54,18 +52,6 @@ def test_failure_is_absence_not_zero_and_the_error_byte_is_kept(link: ServoLink,
     assert [error for error, _ in link.sync_read((1, 2, 3), POSITION, 4).values()] == [0, 0, 0x80]
     emulator.faults.missing = {1}
     assert link.sync_read((1,), POSITION, 4) == {}
-
-
-def test_the_bare_sdk_has_these_traps(cable: Cable) -> None:
-    cable.link.close()
-    bare = PortHandler(cable.terminal.path), Protocol2PacketHandler()
-    bare[0].openPort()
-    group = GroupSyncRead(*bare, POSITION, 4)
-    group.addParam(9)
-    group.txRxPacket()
-    assert group.getData(9, POSITION, 4) == 0
-    assert bare[1].write4ByteTxRx(bare[0], 2, 116, -131_073 & 0xFFFFFFFF)[0] != COMM_SUCCESS
-    bare[0].closePort()
 
 
 def test_a_late_reply_never_answers_another_question(link: ServoLink, emulator: ServoBusEmulator) -> None:
@@ -154,15 +140,6 @@ def test_a_pulled_cable_is_one_error_and_the_port_opens_again(cable: Cable) -> N
     again.open()
     assert again.ping(1) == 311
     again.close()
-
-
-def test_a_cable_pulled_while_a_reply_is_awaited_is_that_error(cable: Cable) -> None:
-    cable.emulator.faults.missing = {1}
-    puller = threading.Timer(0.01, cable.terminal.stop)
-    puller.start()
-    with pytest.raises(PortGone):
-        wait_until(lambda: cable.link.sync_read((1,), POSITION, 4))
-    puller.join()
 
 
 def test_one_thread_owns_the_port(link: ServoLink) -> None:

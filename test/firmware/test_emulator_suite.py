@@ -10,7 +10,6 @@ from .board_host import on_firmware
 NOT_OF_THE_BOARD = {
     "test_a_late_poll_sends_all_samples_and_a_very_late_one_flags_overrun",  # a real board cannot sample the past
     "test_wire_faults_affect_the_selected_packets",  # a hook of the emulator
-    "test_an_unknown_wire_fault_is_refused",
 }
 
 pytestmark = pytest.mark.usefixtures("firmware_boards")

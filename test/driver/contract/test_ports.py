@@ -41,14 +41,6 @@ def test_a_device_that_cannot_be_opened_fails_once_and_is_then_skipped() -> None
         real.demand()
 
 
-@pytest.mark.night
-@pytest.mark.parametrize("given", [["/dev/ttyUSB0"], ["board="], ["servo=/dev/ttyUSB0", "--port=servo=/dev/ttyUSB1"]])
-def test_a_wrong_port_option_is_refused(given: list[str]) -> None:
-    code, output, _ = run("--port", *given)
-    assert code == pytest.ExitCode.USAGE_ERROR
-    assert "--port" in output
-
-
 @pytest.mark.rest
 def test_missing_devices_and_moving_tests_are_skipped_with_the_reason() -> None:
     with emulated_servos() as site:
