@@ -10,7 +10,6 @@ import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.servo_faults import collide
-from deltacharger_driver.emulators.servo_firmware import ServoFirmware
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
 from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
@@ -52,6 +51,9 @@ def test_heat_shuts_down_and_low_voltage_is_only_reported(host: Host) -> None:
     host.ask(1, REBOOT)
     host.advance(0.5)
     assert host.read(1, "hardware_error") == 1 << 2  # still hot
+    host.bus.servo(3).supply_limit = 9.0
+    assert host.read(3, "input_voltage") == 90
+    assert host.read(3, "hardware_error") == 1
 
 
 def test_a_reboot_loses_ram_and_indirect_addresses(host: Host) -> None:
@@ -146,16 +148,6 @@ def test_in_a_collision_zero_bits_override_ones() -> None:
         assert 0 < len(both) <= len(first) + 1
 
 
-def test_deaf_servos_stop_by_their_watchdog_and_recover(host: Host) -> None:
-    torque_on(host, 1)
-    host.write(1, "bus_watchdog", 6)
-    host.bus.faults.deaf = True
-    assert host.ask(1, PING) == []
-    host.advance(0.2)
-    host.bus.faults.deaf = False
-    assert host.read(1, "bus_watchdog") == 255
-
-
 def test_an_armed_watchdog_can_be_tripped_at_once(host: Host) -> None:
     host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
     assert host.read(1, "bus_watchdog") == 0
@@ -167,12 +159,3 @@ def test_an_armed_watchdog_can_be_tripped_at_once(host: Host) -> None:
 def test_faults_affect_only_the_selected_servos(host: Host) -> None:
     host.bus.faults.rate_of = {2: {"drop": 1.0}}
     assert [bool(host.ask(servo, PING)) for servo in (1, 2, 3)] == [True, False, True]
-
-
-def test_a_low_supply_is_reported_and_latched(host: Host) -> None:
-    def limit(servo: ServoFirmware) -> None:
-        servo.supply_limit = 9.0
-
-    host.bus.alter(1, limit)
-    assert host.read(2, "input_voltage") == 90
-    assert [host.read(servo, "hardware_error") for servo in (1, 2)] == [0, 1]

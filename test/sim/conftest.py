@@ -61,7 +61,7 @@ class Arm:
         self.run(seconds)
 
     def energy(self) -> float:
-        """Kinetic energy, weight and elastic energy of the joint stops of a limp, free arm (J)."""
+        """Kinetic energy, weight and elastic energy of joint stops and electrodes of a limp arm (J)."""
         mechanics, geometry = self.world.mechanics, self.world.geometry
         mass = geometry.platform_mass + 1.5 * geometry.rod_mass
         total = 0.5 * mass * sum(v * v for v in mechanics.velocity)
@@ -73,7 +73,7 @@ class Arm:
             total -= elbow * (self.gravity[2] * math.sin(angle) + outward * math.cos(angle))
             beyond = max(geometry.joint_min - angle, angle - geometry.joint_max, 0.0)
             total += 0.5 * 2000.0 * beyond * beyond
-        return total
+        return total + self.world.parameters.contact.stiffness * max(-mechanics.gap, 0.0) ** 2
 
     @property
     def contact_current(self) -> float:

@@ -12,9 +12,8 @@ servo that does not answer.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from deltacharger_docking.codes import Code, State
@@ -72,21 +71,13 @@ INPUTS = {
 }
 
 
-class Phase(enum.Enum):
-    """Activity of the charger at the time of a fault of its hardware."""
-
-    MOVING = "moving"
-    PRESSING = "pressing"
-    CHARGING = "charging"
-
-
 BUS, LINK, PADS, POWER = "servo bus", "board link", "tactile arrays", "power stage"
 NEVER = 0.0
 
 
 @dataclass(frozen=True)
 class Row:
-    """Effects of one fault of the hardware.
+    """Effects of one fault of the hardware while it charges.
 
     Attributes:
         kind, servo, amount: the fault, as for `deltacharger fault`.
@@ -99,10 +90,8 @@ class Row:
         deaf: servos that cannot receive commands during the fault; their own watchdog stops them.
         unknown: values unknown during it: servo ids (their floats are NaN), "frames" and "power" (these topics are
             silent) or "taxel 44".
-        asked: a service that refuses during it, with words of its response; nothing else reports the fault.
         recovery: services that a person calls after it, in this order, in addition to set_torque and probe.
         shows: what docking sees of it, as in INPUTS; '' = nothing.
-        idle: differences while the contactor is open.
     """
 
     kind: str
@@ -114,21 +103,15 @@ class Row:
     at_once: tuple[int, ...] = ()
     deaf: tuple[int, ...] = ()
     unknown: tuple[int | str, ...] = ()
-    asked: tuple[str, ...] = ()
     recovery: tuple[str, ...] = ()
     servo: int = 0
     amount: float | None = None
     shows: str = ""
-    idle: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """Name in the list of tests."""
         return self.kind if self.amount is None else f"{self.kind}-{self.amount:g}"
-
-    def at(self, phase: Phase) -> Row:
-        """Return its effects in a phase."""
-        return self if phase is Phase.CHARGING else replace(self, **self.idle)
 
 
 def _stopped(kind: str, *warning: str, within: float = 0.35 + 0.2, **others: Any) -> Row:
@@ -176,14 +159,7 @@ BOARD_ROWS = (
     ),
     Row("board_dead_taxel", PADS, ("dead taxel",), unknown=("taxel 44",), amount=44.0),
     Row("board_silent", LINK, ("no answer",), opens=0.45, unknown=("frames", "power"), shows="tactile_node"),
-    Row(
-        "board_deaf",
-        POWER,
-        ("latched fault", "heartbeat lost"),
-        opens=0.1,
-        recovery=("open",),
-        idle={"warning": (), "asked": ("probe", "no answer"), "recovery": ()},
-    ),
+    Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1, recovery=("open",)),
     _tolerated("board_delay", LINK, "", 0.03),
     Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late frames"),
     Row(
@@ -194,7 +170,6 @@ BOARD_ROWS = (
         unknown=("frames", "power"),
         recovery=("open",),
         shows="tactile_node",
-        idle={"recovery": ()},
     ),
     _tolerated("board_drop", LINK, "lost_tactile", 0.05),
     _tolerated("board_corrupt", LINK, "crc_errors", 0.05),

@@ -29,20 +29,12 @@ class Event(NamedTuple):
 
 
 class RecordedWorld(World):
-    """A world that records events, built as a simulated charger builds its own.
-
-    Attributes:
-        events: all so far.
-        turned: s of the world of the last change of each servo's goal.
-        stood: longest s without change of a servo's goal; set it to 0 to restart.
-    """
+    """A world that records all `events`, built as a simulated charger builds its own."""
 
     def __init__(self, simulation: Simulation) -> None:
         source = ContactSource(None, simulation.rig_seed, simulation.seed)
         super().__init__(simulation.world, source, simulation.seed, simulation.geometry())
         self.events: list[Event] = []
-        self.turned = [0.0, 0.0, 0.0]
-        self.stood = 0.0
         self._closed = False
 
     @property
@@ -53,9 +45,6 @@ class RecordedWorld(World):
     def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
         if enabled != self._enabled[index]:
             self.events.append(Event(self.time, index + 1, enabled, self.circuit.closed))
-        if reference != self._reference[index]:
-            self.stood = max(self.stood, self.time - self.turned[index])
-            self.turned[index] = self.time
         super().command(index, enabled, reference, current_limit, gain)
 
     def step(self, dt: float | None = None) -> None:

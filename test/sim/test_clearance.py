@@ -16,7 +16,7 @@ from deltacharger_sim.parameters import TerminalParameters
 TERMINAL = TerminalParameters()
 FULL = 2.0 * TERMINAL.length * TERMINAL.height
 HALF_GAP, HALF_LENGTH = 0.5 * TERMINAL.gap, 0.5 * TERMINAL.length
-PITCH = 1e-4
+PITCH = 2e-4
 
 shift = st.floats(-0.02, 0.02)
 angle = st.floats(-0.5, 0.5)
@@ -43,7 +43,7 @@ def sampled(x: float, y: float, angle: float) -> np.ndarray:
     return np.array([[np.count_nonzero(a & b) for b in theirs] for a in ours]) * PITCH**2
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(shift, shift, angle)
 def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float) -> None:
     lies, counted = Overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
@@ -62,62 +62,48 @@ def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float
         assert lies.clearance < 0.0
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(shift, shift, angle)
 def test_the_decision_formula_never_overestimates_clearance(x: float, y: float, angle: float) -> None:
     assert Overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12
 
 
-@pytest.mark.parametrize("degrees", [0.0, 2.0, 5.0, -8.0, 11.9, 12.2, -16.0, 20.0])
-def test_without_a_vertical_error_formula_and_geometry_agree(degrees: float) -> None:
-    turn = math.radians(degrees)
-    assert Overlap(TERMINAL, 0.0, 0.0, turn).clearance == pytest.approx(formula(turn, 0.0), abs=1e-9)
-
-
-@pytest.mark.parametrize("y_mm", [-6.0, -2.5, 1.0, 5.0])
-@pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 10.0])
-def test_with_a_vertical_error_they_differ_by_the_cosine_only(y_mm: float, degrees: float) -> None:
+@pytest.mark.parametrize("y_mm", [0.0, -6.0, -2.5, 1.0, 5.0])
+@pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 11.9, 12.2, -16.0])
+def test_formula_and_geometry_differ_by_the_cosine_of_a_vertical_error_only(y_mm: float, degrees: float) -> None:
     turn, y = math.radians(degrees), 1e-3 * y_mm
     difference = Overlap(TERMINAL, 0.0, y, turn).clearance - formula(turn, y)
     assert -1e-12 <= difference <= abs(y) * (1.0 - math.cos(turn)) + 1e-9
 
 
+@pytest.mark.parametrize(("y_mm", "critical", "margin"), [(0.0, 12.07, 0.01), (2.5, 8.0, 0.3), (5.0, 3.9, 0.3)])
+def test_the_critical_angle_is_12_07_degrees_when_centred_and_lower_with_a_vertical_error(
+    y_mm: float, critical: float, margin: float
+) -> None:
+    for side in (1.0, -1.0):
+        for turn in (1.0, -1.0):
+            below, above = (
+                Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, turn * math.radians(critical + sign * margin))
+                for sign in (-1.0, 1.0)
+            )
+            assert below.clearance > 0.0
+            assert not below.short
+            assert above.clearance < 0.0
+            assert above.short
+
+
 @pytest.mark.parametrize(
-    ("degrees", "short"), [(12.0, False), (12.06, False), (12.08, True), (-12.06, False), (-12.08, True)]
+    ("x", "y", "angle", "fraction", "clearance"),
+    [
+        (0.0, 0.0, 0.0, 1.0, TERMINAL.gap),
+        (HALF_LENGTH, 0.0, 0.0, 0.5, TERMINAL.gap),
+        (0.2, 0.0, 0.1, 0.0, None),
+        # One bar off: each bar touches one bar of the other side, the wrong one, without a short.
+        *((0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0, 0.0, -TERMINAL.height) for side in (1.0, -1.0)),
+    ],
 )
-def test_the_critical_angle_is_12_07_degrees_when_centred(degrees: float, short: bool) -> None:
-    lies = Overlap(TERMINAL, 0.0, 0.0, math.radians(degrees))
-    assert lies.short is short
-    assert (lies.clearance < 0.0) is short
-
-
-@pytest.mark.parametrize(("y_mm", "critical"), [(2.5, 8.0), (5.0, 3.9)])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_vertical_error_lowers_the_critical_angle(y_mm: float, critical: float, side: float) -> None:
-    assert Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical - 0.3)).clearance > 0.0
-    assert Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical + 0.3)).short
-
-
-def test_aligned_terminals_have_full_overlap() -> None:
-    lies = Overlap(TERMINAL, 0.0, 0.0, 0.0)
-    assert lies.fraction == pytest.approx(1.0)
-    assert lies.clearance == pytest.approx(TERMINAL.gap)
+def test_terminals_at_known_offsets(x: float, y: float, angle: float, fraction: float, clearance: float | None) -> None:
+    lies = Overlap(TERMINAL, x, y, angle)
+    assert lies.fraction == pytest.approx(fraction, abs=1e-12)
     assert not lies.short
-
-
-def test_an_offset_of_half_a_bar_halves_the_area() -> None:
-    assert Overlap(TERMINAL, HALF_LENGTH, 0.0, 0.0).fraction == pytest.approx(0.5)
-
-
-def test_terminals_beside_each_other_do_not_touch() -> None:
-    lies = Overlap(TERMINAL, 0.2, 0.0, 0.1)
-    assert lies.area == 0.0
-    assert not lies.short
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_an_offset_of_one_bar_connects_wrong_poles_without_a_short(side: float) -> None:
-    lies = Overlap(TERMINAL, 0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0)
-    assert lies.clearance < -0.009
-    assert lies.area == 0.0
-    assert not lies.short  # each bar touches one bar of the other side, the wrong one
+    assert clearance is None or lies.clearance == pytest.approx(clearance, abs=1e-3)

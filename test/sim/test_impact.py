@@ -67,9 +67,8 @@ def pressed(arm: ArmFactory, parameters: WorldParameters, step: float, speed: fl
 
 
 class TestSpring:
-    @pytest.mark.parametrize("step", STEPS)
     @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e9])
-    @pytest.mark.parametrize("speed", [0.01, 0.12])
+    @pytest.mark.parametrize(("speed", "step"), [(0.01, 0.01), (0.01, 0.02), (0.12, 0.001), (0.12, 0.005)])
     def test_an_undamped_strike_peaks_at_v_times_the_root_of_k_m(
         self, step: float, stiffness: float, speed: float
     ) -> None:
@@ -93,29 +92,18 @@ class TestSpring:
         flat, askew = thrown(0.1, 1e6, 0.005), thrown(0.1, 1e6, 0.005, **leaning)
         assert 0.2 * flat.record.peak_force < askew.record.peak_force < flat.record.peak_force
 
+    def test_without_a_target_there_is_no_strike(self) -> None:
+        world = thrown(0.1, 1e6, 0.005, target=TargetParameters(present=False))
+        assert world.record.peak_force == 0.0
+
+
+def weightless(stiffness: float) -> WorldParameters:
+    contact = ContactParameters(stiffness=stiffness)
+    return WorldParameters(servo=ServoParameters(friction=0.0), contact=contact, magnets=NO_MAGNETS, gravity_y=0.0)
+
 
 class TestPeak:
-    @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7, 1e9])
-    @pytest.mark.parametrize("servo", [2.5, 20.0])
-    def test_it_contains_no_more_energy_than_the_impact(self, arm: ArmFactory, stiffness: float, servo: float) -> None:
-        speed = 0.06
-        parameters = WorldParameters(
-            servo=ServoParameters(stiffness=servo, friction=0.0),
-            contact=ContactParameters(stiffness=stiffness),
-            magnets=NO_MAGNETS,
-            gravity_y=0.0,
-        )
-        found = pressed(arm, parameters, 0.01, speed)
-        world = found.world
-        contact, peak = parameters.contact, world.record.peak_force
-        k, stop, s = 2.0 * contact.stiffness, contact.hard_stop_stiffness, contact.hard_stop
-        depth = peak / k if peak <= k * s else s + (peak - k * s) / (k + stop)
-        held = 0.5 * k * depth * depth + 0.5 * stop * max(depth - s, 0.0) ** 2
-        most = 3.0 * parameters.servo.stall_torque / 0.0375  # N, largest push of the servos
-        came = 0.5 * mass_along_z(world, 0.08) * (1.15 * speed) ** 2
-        assert 0.0 < held <= came + most * depth
-        assert peak <= most + math.sqrt(most**2 + 2.0 * (k + stop) * came)
-
+    @pytest.mark.rest
     def test_a_strike_driven_by_servos_after_declining_rebounds_counts(self) -> None:
         peaks = []
         for step in (0.01, 1e-4):
@@ -136,9 +124,10 @@ class TestPeak:
             peaks.append(world.record.peak_force)
         assert peaks[0] == pytest.approx(peaks[1], rel=0.1)
 
+    @pytest.mark.rest
     @pytest.mark.parametrize(
         ("yaw", "pitch", "compliance", "stiffness"),
-        [(0.05, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6), (0.05, -0.03, 0.03, 1e5)],
+        [(0.05, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6)],
     )
     def test_a_strike_on_a_leaning_face_agrees_with_the_complete_model_in_tiny_steps(
         self, arm: ArmFactory, yaw: float, pitch: float, compliance: float, stiffness: float
@@ -148,35 +137,29 @@ class TestPeak:
             platform=PlatformParameters(compliance=compliance),
             target=TargetParameters(tilt_x=pitch, tilt_y=yaw),
         )
-        fine = pressed(arm, parameters, 2e-4, 0.03).world.record.peak_force
-        for step in (0.005, 0.01, 0.02):
-            assert pressed(arm, parameters, step, 0.03).world.record.peak_force == pytest.approx(fine, rel=0.06)
+        fine, *coarse = (pressed(arm, parameters, step, 0.03).world.record.peak_force for step in (2e-4, *STEPS[1:]))
+        assert coarse == pytest.approx([fine] * 3, rel=0.06)
 
     @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e6])
     def test_the_peak_of_a_slow_strike_approaches_the_settled_force(self, arm: ArmFactory, stiffness: float) -> None:
-        parameters = WorldParameters(
-            servo=ServoParameters(friction=0.0),
-            contact=ContactParameters(stiffness=stiffness),
-            magnets=NO_MAGNETS,
-            gravity_y=0.0,
-        )
         over = []
         for speed in (0.06, 0.01, 0.0005):
-            found = pressed(arm, parameters, 0.01, speed, 0.001)
+            found = pressed(arm, weightless(stiffness), 0.01, speed, 0.001)
             over.append(found.world.record.peak_force / found.world.mechanics.contact_force)
         assert over[0] > over[1] >= over[2] >= 1.0
         assert over[2] < 1.05
 
-    @pytest.mark.parametrize("servo", [2.5, 15.0])
-    @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6, 1e8])
-    @pytest.mark.parametrize("magnets", [0.0, 60.0])
+    @pytest.mark.parametrize(
+        ("servo", "stiffness", "magnets"),
+        [(2.5, 1e4, 0.0), (2.5, 1e6, 60.0), (15.0, 1e5, 60.0), (15.0, 1e6, 0.0), (15.0, 1e8, 60.0)],
+    )
     def test_the_step_does_not_change_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
         parameters = WorldParameters(
             servo=ServoParameters(stiffness=servo),
             contact=ContactParameters(stiffness=stiffness),
             magnets=MagnetParameters(force=magnets),
         )
-        peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in STEPS]
+        peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in (0.002, *STEPS[1:])]
         assert peaks[1:] == pytest.approx([peaks[0]] * 3, rel=0.15)
 
     def test_the_peak_of_a_snap_exceeds_its_settled_force(self, arm: ArmFactory) -> None:
@@ -196,14 +179,10 @@ class TestQuiet:
         assert found.world.record.contacts == 0
         assert found.world.record.peak_force == found.world.record.peak_push == 0.0
 
-    def test_without_a_target_there_is_no_strike(self) -> None:
-        world = thrown(0.1, 1e6, 0.005, target=TargetParameters(present=False))
-        assert world.record.peak_force == 0.0
-
     def test_resting_and_gently_pressed_contacts_have_no_strike(self, arm: ArmFactory) -> None:
         found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)), 0.01)
         found.dock()
-        for depth in (0.083, 0.084, 0.085, 0.084):
+        for depth in (0.083, 0.085, 0.084):
             found.world.record.peak_force = 0.0
             found.aim((0.0, 0.0, depth))
             highest = 0.0

@@ -28,36 +28,21 @@ def places(count: int) -> list[Vector]:
 
 
 @GEOMETRIES
-def test_angles_agree_with_the_kinematics(geometry: DeltaGeometry) -> None:
-    linkage, delta = Linkage(geometry), ScalarDelta(geometry)
-    for place in places(200):
-        here = linkage.linearise(*place)
-        assert here is not None
-        assert here[0] == pytest.approx(delta.inverse(*place), abs=1e-14)
-
-
-@GEOMETRIES
-def test_rows_are_the_slopes_of_the_angles(geometry: DeltaGeometry) -> None:
+def test_angles_their_slopes_and_turns_agree_with_the_kinematics(geometry: DeltaGeometry) -> None:
     linkage, delta, step = Linkage(geometry), ScalarDelta(geometry), 1e-6
-    for place in places(30):
+    for place in places(50):
         here = linkage.linearise(*place)
         assert here is not None
+        angles, rows, turns = here
+        assert angles == pytest.approx(delta.inverse(*place), abs=1e-14)
+        for index, (angle, turn) in enumerate(zip(angles, turns, strict=True)):
+            true = angle + geometry.limb(index).angle_offset
+            assert turn == pytest.approx((math.cos(true), math.sin(true)), abs=1e-14)
         for axis in range(3):
             near = [tuple(p + sign * step * (i == axis) for i, p in enumerate(place)) for sign in (1.0, -1.0)]
             ahead, behind = (delta.inverse(*point) for point in near)
-            for limb in range(3):
-                slope = (ahead[limb] - behind[limb]) / (2.0 * step)
-                assert here[1][limb][axis] == pytest.approx(slope, abs=1e-6)
-
-
-@GEOMETRIES
-def test_turns_are_cosine_and_sine_of_the_true_angle(geometry: DeltaGeometry) -> None:
-    linkage = Linkage(geometry)
-    here = linkage.linearise(0.01, -0.02, 0.05)
-    assert here is not None
-    for index, (angle, (cosine, sine)) in enumerate(zip(here[0], here[2], strict=True)):
-        true = angle + geometry.limb(index).angle_offset
-        assert (cosine, sine) == pytest.approx((math.cos(true), math.sin(true)), abs=1e-14)
+            slopes = [(ahead[limb] - behind[limb]) / (2.0 * step) for limb in range(3)]
+            assert [row[axis] for row in rows] == pytest.approx(slopes, abs=1e-6)
 
 
 def test_results_are_finite_at_the_edge_of_reach_and_none_beyond() -> None:

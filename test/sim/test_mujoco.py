@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The light model against MuJoCo with equal parameters: statics, settled contact, path; unsupported parameters."""
+"""The light model against MuJoCo and statics with equal parameters: at rest, in contact, leaning, in motion."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,25 +14,34 @@ import pytest
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_sim import mujoco_model
+from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance
 from deltacharger_sim.mujoco_world import MujocoMechanics, mujoco_world
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
+    PlatformParameters,
     ServoParameters,
     TargetParameters,
     WorldParameters,
 )
 from deltacharger_sim.world import World
 
+from ..marks import night, rest
+
 ArmFactory = Callable[..., Any]
 SLIPPERY = ServoParameters(friction=0.0)
 WEIGHTLESS = {"servo": SLIPPERY, "gravity_y": 0.0}
+NO_TARGET = TargetParameters(present=False)
+
+
+def require_mujoco() -> None:
+    pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
 
 
 @pytest.fixture
 def pair(arm: ArmFactory) -> Callable[..., tuple[Any, Any]]:
     """Return the light arm and its MuJoCo counterpart, both commanded every 5 ms."""
-    pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
+    require_mujoco()
 
     def make(parameters: WorldParameters, step: float = 0.001) -> tuple[Any, Any]:
         light, other = arm(parameters), arm(parameters)
@@ -41,54 +51,60 @@ def pair(arm: ArmFactory) -> Callable[..., tuple[Any, Any]]:
     return make
 
 
-@pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (0.0, -8.5, -4.9), (5.0, 0.0, 3.0)])
-def test_both_sag_equally(pair: Any, gravity: tuple[float, float, float]) -> None:
-    x, y, z = gravity
-    parameters = WorldParameters(
-        servo=SLIPPERY, target=TargetParameters(present=False), gravity_x=x, gravity_y=y, gravity_z=z
+CALIBRATED = DeltaGeometry(
+    limbs=(
+        LimbAdjustment(radius_offset=1e-3, angle_offset=0.03),
+        LimbAdjustment(tangential_offset=-1e-3, arm=0.101),
+        LimbAdjustment(height_offset=1e-3, rod=0.179),
     )
-    light, other = pair(parameters)
-    for each in (light, other):
-        each.go((0.01, 0.02, 0.08), 2.0, lead=False)
-    first, second = light.world.mechanics, other.world.mechanics
-    assert math.dist(first.position, (0.01, 0.02, 0.08)) > 1e-3
-    assert second.position == pytest.approx(first.position, abs=1e-6)
+)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "geometry"), [rest((0.0, -8.5, -4.9), CALIBRATED), night((5.0, 0.0, 3.0), DeltaGeometry())]
+)
+def test_both_sag_equally(gravity: tuple[float, float, float], geometry: DeltaGeometry) -> None:
+    require_mujoco()
+    x, y, z = gravity
+    parameters = WorldParameters(servo=SLIPPERY, target=NO_TARGET, gravity_x=x, gravity_y=y, gravity_z=z)
+    worlds = World(parameters, geometry=geometry), mujoco_world(parameters, geometry=geometry)
+    for world in worlds:
+        for index, goal in enumerate((0.1, 0.2, 0.15)):
+            world.command(index, True, goal, 4.1)
+        for _ in range(400):
+            world.step(0.005)
+    first, second = (world.mechanics for world in worlds)
+    assert max(map(abs, first.torques)) > 0.05
+    assert second.position == pytest.approx(first.position, abs=2e-6)
     assert second.angles == pytest.approx(first.angles, abs=1e-5)
     assert second.torques == pytest.approx(first.torques, abs=1e-4)
 
 
-@pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7])
-def test_both_settle_with_the_same_force_and_contact_current(pair: Any, stiffness: float) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "z", "bound"), [rest(1e5, 0.086, 4.1), night(1e7, 0.086, 4.1), night(1e3, 0.105, 0.6)]
+)
+def test_both_settle_with_the_same_force_gap_and_contact_current(
+    pair: Any, stiffness: float, z: float, bound: float
+) -> None:
+    """Soft springs at their hard stop, where the current bound holds."""
     arms = pair(WorldParameters(contact=ContactParameters(stiffness=stiffness), **WEIGHTLESS))
     for each in arms:
         each.go((0.0, 0.0, 0.07), 0.6)
-        each.go((0.0, 0.0, 0.086), 1.2)
+        each.go((0.0, 0.0, z), 1.4, bound=bound)
     (light, other) = (each.world.mechanics for each in arms)
     assert light.contact_force > 70.0
+    assert stiffness > 1e3 or 0.002 < -light.gap < 0.0022
     assert other.contact_force == pytest.approx(light.contact_force, rel=1e-4)
-    assert other.gap == pytest.approx(light.gap, abs=2e-7)
+    assert other.gap == pytest.approx(light.gap, abs=2e-6 if stiffness == 1e3 else 2e-7)
     assert arms[1].contact_current == pytest.approx(arms[0].contact_current, abs=2e-4)
+    assert max(map(abs, other.torques)) <= bound * 6.0 / 4.1 + 1e-9
 
 
-def test_both_dock_along_the_same_path(pair: Any) -> None:
-    light, other = pair(WorldParameters())
-    squares = []
-    for tick in range(24):
-        for each in (light, other):
-            each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
-        for _ in range(10):
-            for each in (light, other):
-                each.run(0.005)
-            if tick > 4:
-                squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
-    assert math.sqrt(sum(squares) / len(squares)) < 1e-4
-    assert light.world.record.contacts == other.world.record.contacts == 1
-
-
+@pytest.mark.night
 def test_both_agree_in_fast_motion(pair: Any) -> None:
     """The rotors' inertia follows the arms' curved path: a model without half of that is 6 mm off here."""
     servo = ServoParameters(friction=0.0, inertia=0.02)
-    light, other = pair(WorldParameters(servo=servo, target=TargetParameters(present=False)), 0.0002)
+    light, other = pair(WorldParameters(servo=servo, target=NO_TARGET), 0.0002)
     light.step = other.step = 0.0002
     for each in (light, other):
         each.go((-0.05, 0.0, 0.02), 0.8)
@@ -97,36 +113,6 @@ def test_both_agree_in_fast_motion(pair: Any) -> None:
         for each in (light, other):
             each.world.step(0.0002)
         assert math.dist(light.world.mechanics.position, other.world.mechanics.position) < 4e-4
-
-
-def test_a_calibrated_geometry_is_the_same_arm_in_both(pair: Any) -> None:
-    del pair
-    geometry = DeltaGeometry(
-        limbs=(
-            LimbAdjustment(radius_offset=1e-3, angle_offset=0.03),
-            LimbAdjustment(tangential_offset=-1e-3, arm=0.101),
-            LimbAdjustment(height_offset=1e-3, rod=0.179),
-        )
-    )
-    parameters = WorldParameters(servo=SLIPPERY, target=TargetParameters(present=False))
-    worlds = World(parameters, geometry=geometry), mujoco_world(parameters, geometry=geometry)
-    for world in worlds:
-        for index, goal in enumerate((0.1, 0.2, 0.15)):
-            world.command(index, True, goal, 4.1)
-        for _ in range(400):
-            world.step(0.005)
-    assert worlds[1].mechanics.position == pytest.approx(worlds[0].mechanics.position, abs=2e-6)
-
-
-def test_hard_stop_and_current_bound_hold_in_both(pair: Any) -> None:
-    arms = pair(WorldParameters(contact=ContactParameters(stiffness=1e3), **WEIGHTLESS))
-    for each in arms:
-        each.dock(0.010)
-        each.go((0.0, 0.0, 0.105), 1.0, bound=0.6)
-    light, other = (each.world.mechanics for each in arms)
-    assert 0.002 < -other.gap < 0.0022
-    assert other.gap == pytest.approx(light.gap, abs=2e-6)
-    assert max(map(abs, other.torques)) <= 0.6 * 6.0 / 4.1 + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -143,7 +129,7 @@ def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: Worl
 
 
 def test_an_unknown_integrator_and_a_start_out_of_reach_are_refused() -> None:
-    pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
+    require_mujoco()
     with pytest.raises(ValueError, match="leapfrog"):
         mujoco_world(WorldParameters(), integrator="leapfrog")
     with pytest.raises(ValueError, match="reach"):
@@ -156,8 +142,74 @@ def test_without_mujoco_the_message_states_what_to_install(monkeypatch: pytest.M
         mujoco_world(WorldParameters())
 
 
-def test_the_light_world_imports_no_mujoco() -> None:
-    import subprocess
+def leaning(
+    compliance: float, pitch: float, yaw: float, stiffness: float = 1e5, roll: float = 0.0, **changes: Any
+) -> WorldParameters:
+    """Angles in degrees; the platform tilts about its own face, where friction has no lever."""
+    return WorldParameters(
+        contact=ContactParameters(stiffness=stiffness, hard_stop_stiffness=max(1e6, 2.0 * stiffness)),
+        platform=PlatformParameters(compliance=compliance, lever=0.0),
+        target=TargetParameters(roll=math.radians(roll), tilt_x=math.radians(pitch), tilt_y=math.radians(yaw)),
+        **changes,
+    )
 
-    code = "import sys, deltacharger_sim.world, deltacharger_sim.mujoco_world; sys.exit('mujoco' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+@pytest.mark.parametrize(
+    ("compliance", "pitch", "yaw", "stiffness", "roll"),
+    [
+        rest(0.02, -2.0, 1.5, 1e5, 0.0),
+        night(0.0, 0.0, 5.0, 1e3, 0.0),  # an end is pressed beyond its travel: the stop holds it
+        night(0.01, 0.0, 2.0, 1e6, 0.0),
+        night(0.01, 0.0, 5.0, 3e4, 0.0),
+        night(0.01, -2.0, 1.0, 3e4, -8.0),
+        night(0.03, 3.0, 0.0, 1e6, 0.0),
+        night(0.03, -3.0, 5.0, 1e6, 0.0),
+        night(0.03, 2.0, 0.0, 1e5, 12.0),
+    ],
+)
+def test_both_lean_equally_with_equal_forces_on_each_bar(
+    pair: Any, compliance: float, pitch: float, yaw: float, stiffness: float, roll: float
+) -> None:
+    arms = pair(leaning(compliance, pitch, yaw, stiffness, roll, **WEIGHTLESS), 2e-4)
+    for each in arms:
+        each.go((0.0, 0.0, 0.07), 0.6)
+        each.go((0.0, 0.0, 0.086), 1.4)
+    light, other = (each.world.mechanics for each in arms)
+    assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)
+    assert other.gap == pytest.approx(light.gap, abs=4e-5)
+    assert other.tilt == pytest.approx(light.tilt, rel=0.02, abs=2e-4)
+    assert other.bars[:2] == pytest.approx(light.bars[:2], rel=0.03, abs=0.5)
+    assert other.bars[2:] == pytest.approx(light.bars[2:], abs=0.06)  # a point of 24 more or less
+    for found in (light, other):
+        assert found.peak_force >= found.contact_force == pytest.approx(found.bars.upper + found.bars.lower)
+        assert found.lean.free == pytest.approx((-math.radians(pitch), -math.radians(yaw)))
+        residual = found.tilt[0] - math.radians(pitch), found.tilt[1] - math.radians(yaw)
+        assert found.lean.residual == pytest.approx(residual, rel=0.02, abs=2e-4)
+
+
+@pytest.mark.night
+def test_both_agree_in_docking_with_friction_weight_and_a_lever(pair: Any) -> None:
+    parameters = replace(leaning(0.02, -1.0, 2.0), platform=PlatformParameters(compliance=0.02, lever=0.02))
+    light, other = pair(parameters, 2e-4)
+    squares = []
+    for tick in range(24):
+        for each in (light, other):
+            each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
+            each.run(0.05)
+        squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
+    # While the face swings aside by 0.7 mm, friction grows with the force: the motion decides whether it holds.
+    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1.6e-4
+    first, second = light.world.mechanics, other.world.mechanics
+    # Friction holds the face while it swings aside by lever · tilt, so that the platform moves the other way.
+    assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
+    assert first.position[0] == pytest.approx(second.position[0], abs=1.6e-4)
+    assert first.tilt == pytest.approx(second.tilt, rel=0.05)
+
+
+@pytest.mark.parametrize("count", [1, 16])
+def test_constraints_in_parallel_are_as_stiff_and_as_hard_as_one(count: int) -> None:
+    inverse, d = 2.0, share_impedance(count)
+    s, b = share(1e5, inverse, count)
+    assert count * -s / ((1.0 - d) * inverse) == pytest.approx(1e5)
+    assert (1.0 - d) / d / count == pytest.approx((1.0 - IMPEDANCE) / IMPEDANCE)
+    assert count * b / (1.0 - d) == pytest.approx(share(1e5, inverse, 1)[1] / (1.0 - IMPEDANCE))

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.ros
 
 
 class Viewer(Node):
-    """Keeps the newest image of each subscribed topic."""
+    """Keeps the images of each subscribed topic."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("viewer", **options(context, namespace))
@@ -40,8 +40,13 @@ class Viewer(Node):
         """Return the next colour image (H, W, 3)."""
         images = self.seen["color/image_raw"]
         count = len(images)
-        message = wait_until(lambda: images[count:], "a colour image")[0]
-        return color_array(message)
+        return color_array(wait_until(lambda: images[count:], "a colour image")[0])
+
+    def arm_at(self, *position: float) -> None:
+        """Publish repeatedly that the platform is at `position`."""
+        publisher = self.create_publisher(ServoState, "servo_state", QoSProfile(depth=1))
+        angles = list(ScalarDelta().inverse(*position))
+        self.create_timer(0.01, lambda: publisher.publish(ServoState(position=angles)))
 
 
 @pytest.fixture
@@ -54,59 +59,36 @@ def camera(context: Any, namespace: str, spin: Spin) -> Callable[..., SimulatedC
     return lambda **values: spin(SimulatedCameraNode(**options(context, namespace, rate=60.0, **values)))
 
 
-def arm_at(viewer: Viewer, position: tuple[float, float, float]) -> None:
-    """Publish repeatedly that the platform is at `position`."""
-    publisher = viewer.create_publisher(ServoState, "servo_state", QoSProfile(depth=1))
-    angles = list(ScalarDelta().inverse(*position))
-    viewer.create_timer(0.01, lambda: publisher.publish(ServoState(position=angles)))
+def stamps(images: list[Image]) -> set[tuple[int, int]]:
+    return {(each.header.stamp.sec, each.header.stamp.nanosec) for each in list(images)}
 
 
-def test_a_picture_has_depth_and_calibration(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
-    camera(target_z=0.1)
-    viewer.watch("color/image_raw", "depth/image_raw", "color/camera_info")
-    wait_until(lambda: all(viewer.seen.values()), "one message of each topic")
-    color, depth, info = (viewer.seen[topic] for topic in viewer.seen)
-    assert (color[0].encoding, depth[0].encoding) == ("rgb8", "16UC1")
-    assert color[0].header.frame_id == depth[0].header.frame_id == "camera_color_optical_frame"
-    assert (info[0].width, info[0].height) == (color[0].width, color[0].height) == (640, 400)
-    wait_until(
-        lambda: {stamp(each) for each in color} & {stamp(each) for each in depth}, "colour and depth of one stamp"
-    )
-    first = depth[0]
-    millimetres = depth_array(first)
-    near = millimetres[200, 320] / 1e3
-    assert near == pytest.approx(np.hypot(0.12, 0.2), abs=0.05)
-
-
-def stamp(message: Image) -> tuple[int, int]:
-    return message.header.stamp.sec, message.header.stamp.nanosec
-
-
-def test_depth_is_published_to_subscribers_only(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
-    node = camera()
-    viewer.watch("color/image_raw")
+def test_a_picture_has_calibration_and_depth_if_subscribed(
+    camera: Callable[..., SimulatedCameraNode], viewer: Viewer
+) -> None:
+    node = camera(target_z=0.1)
+    viewer.watch("color/image_raw", "color/camera_info")
     viewer.color()
     assert node.count_subscribers("depth/image_raw") == 0
     assert viewer.seen["depth/image_raw"] == []
+    viewer.watch("depth/image_raw")
+    color, depth, info = viewer.seen.values()
+    wait_until(lambda: info and stamps(color) & stamps(depth), "colour and depth of one stamp")
+    assert (color[0].encoding, depth[0].encoding) == ("rgb8", "16UC1")
+    assert color[0].header.frame_id == depth[0].header.frame_id == "camera_color_optical_frame"
+    assert (info[0].width, info[0].height) == (color[0].width, color[0].height) == (640, 400)
+    assert depth_array(depth[0])[200, 320] / 1e3 == pytest.approx(np.hypot(0.12, 0.2), abs=0.05)
 
 
-def test_the_platform_is_drawn_at_the_servos_position(
+def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     camera: Callable[..., SimulatedCameraNode], viewer: Viewer
 ) -> None:
-    camera(seed=3)
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    camera(seed=3, board="apriltag:36h11:7", board_size=0.03)
     viewer.watch("color/image_raw")
     without = viewer.color().astype(float)
-    arm_at(viewer, (0.0, 0.0, 0.03))
-    wait_until(
-        lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform to come into the picture"
-    )
-
-
-def test_a_board_on_the_platform_is_visible(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    arm_at(viewer, (0.0, 0.0, 0.03))
-    camera(board="apriltag:36h11:7", board_size=0.03)
-    viewer.watch("color/image_raw")
+    viewer.arm_at(0.0, 0.0, 0.03)
+    wait_until(lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform in the picture")
     finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
 
     def found() -> bool:
@@ -116,6 +98,7 @@ def test_a_board_on_the_platform_is_visible(camera: Callable[..., SimulatedCamer
     wait_until(found, "the tag in the picture")
 
 
+@pytest.mark.rest
 def test_the_other_renderer_shows_the_same_scene(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
     try:
         camera(renderer="mujoco", seed=4)

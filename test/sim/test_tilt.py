@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from deltacharger_sim.parameters import (
     WorldParameters,
 )
 from deltacharger_sim.tilt import PAD, PlatformTilt, pads_turn, tilts
-from deltacharger_sim.world import World
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.second.source import SecondSource
 from deltacharger_tactile.source import ContactSource
@@ -58,20 +57,9 @@ def test_a_centred_contact_is_level_and_has_the_force_of_a_rigid_platform() -> N
     assert tilt.keep()[1] == pytest.approx((40.0, 40.0, 1.0, 1.0))
 
 
-def test_an_off_centre_contact_tilts_by_compliance_times_moment() -> None:
-    for x, y in ((0.006, 0.0), (0.0, -0.004), (0.006, -0.004)):
-        tilt = tilting(at=(x, y))
-        force, _ = tilt.press(4e-4)
-        # The springs act half way between the centres; their own rotational stiffness adds c Σ k v².
-        terminal = WorldParameters().terminal
-        around_x = 2e5 * (0.5 * (terminal.gap + terminal.height)) ** 2
-        around_y = 2e5 * (terminal.length - abs(x)) ** 2 / 12.0 + PADS
-        assert tilt.angles[0] == pytest.approx(-SOFT * 0.5 * y * force / (1.0 + SOFT * around_x), rel=1e-6)
-        assert tilt.angles[1] == pytest.approx(SOFT * 0.5 * x * force / (1.0 + SOFT * around_y), rel=1e-6)
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.004, -0.003), (-0.01, 0.006)])
-@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.01, 0.0), (-0.005, 0.02)])
+@pytest.mark.parametrize(
+    ("place", "slope"), [((0.0, 0.0), (0.01, 0.0)), ((0.004, -0.003), (0.0, 0.0)), ((-0.01, 0.006), (-0.005, 0.02))]
+)
 def test_the_stiffness_is_the_slope_of_the_force(place: tuple[float, float], slope: tuple[float, float]) -> None:
     tilt = tilting(at=place, tilt_x=slope[0], tilt_y=slope[1])
     step = 1e-8
@@ -109,19 +97,25 @@ def bed(tilt: PlatformTilt, depth: float, at: tuple[float, float], angles: np.nd
     return found - [0.0, np.clip(PADS * (angles[1] - tilt_y), -most, most), 0.0]
 
 
-@pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7, 1e9])
-@pytest.mark.parametrize("compliance", [0.0, 1e-5, 0.01, 0.1])
-@pytest.mark.parametrize("slope", [(0.0, 0.1), (0.1, 0.0), (-0.03, 0.06), (0.002, -0.001)])
+SLOPES = ((0.0, 0.1), (0.1, 0.0), (-0.03, 0.06), (0.002, -0.001))
+BEDS = [
+    (stiffness, compliance, slope)
+    for stiffness, compliance, slope in itertools.product((1e3, 1e5, 1e7, 1e9), (0.0, 1e-5, 0.01, 0.1), SLOPES)
+    # One pad bears everything on faces a thousand times too stiff: two equilibria, or none is found.
+    if (stiffness, compliance, slope) != (1e9, 0.1, SLOPES[0])
+]
+
+
+@pytest.mark.parametrize(("stiffness", "compliance", "slope"), BEDS)
 def test_force_and_tilt_agree_with_a_bed_of_springs_and_two_pads(
     stiffness: float, compliance: float, slope: tuple[float, float]
 ) -> None:
-    from scipy.optimize import root_scalar
-
-    if stiffness == 1e9 and compliance == 0.1 and slope == (0.0, 0.1):
-        pytest.skip("one pad bears everything on faces a thousand times too stiff: two equilibria, or none is found")
     at = (0.006, -0.002)
     tilt = tilting(compliance, at, stiffness, tilt_x=slope[0], tilt_y=slope[1])
-    depth = root_scalar(lambda d: tilt.press(d)[0] - 80.0, bracket=(-0.01, 0.2), xtol=1e-16, rtol=1e-14).root
+    low, high = -0.01, 0.2
+    for _ in range(60):
+        depth = 0.5 * (low + high)
+        low, high = (low, depth) if tilt.press(depth)[0] > 80.0 else (depth, high)
     force, _ = tilt.press(depth)
     assert force == pytest.approx(80.0, rel=1e-3)
     angles = np.array(tilt.angles)
@@ -139,7 +133,7 @@ def test_force_and_tilt_agree_with_a_bed_of_springs_and_two_pads(
 
 def test_the_solution_does_not_depend_on_the_starting_point() -> None:
     random = np.random.default_rng(3)
-    for _ in range(200):
+    for _ in range(50):
         slope = random.uniform(-0.1, 0.1, 2)
         # Beyond, one pad's moment can hold faces together that would part without it: two equilibria.
         stiffness, compliance = 10.0 ** random.uniform(3, 6.5), 10.0 ** random.uniform(-4, -1)
@@ -153,26 +147,6 @@ def test_the_solution_does_not_depend_on_the_starting_point() -> None:
             assert other[0] == pytest.approx(found[0][0], rel=1e-4)
             assert other[1] == pytest.approx(found[0][1], rel=0.05)  # a tangent, which only guides the iteration
             assert other[2:] == pytest.approx(found[0][2:], rel=1e-4, abs=3e-7)
-
-
-def test_little_compliance_has_almost_no_effect() -> None:
-    rigid = tilting(0.0, (0.004, 0.0), tilt_x=0.01, tilt_y=0.03)
-    for compliance in (1e-5, 1e-7, 1e-9):
-        nearly = tilting(compliance, (0.004, 0.0), tilt_x=0.01, tilt_y=0.03)
-        for depth in (-2e-4, 4e-4, 2.5e-3):
-            off = (2e5 * 0.07**2 + PADS) * compliance  # largest loss of rotational stiffness
-            assert nearly.press(depth)[0] == pytest.approx(rigid.press(depth)[0], rel=off)
-
-
-@pytest.mark.parametrize("compliance", [0.001, 0.1])
-def test_a_platform_follows_a_tilted_target_as_far_as_its_springs_permit(compliance: float) -> None:
-    tilt = tilting(compliance, tilt_x=0.004, tilt_y=-0.003)
-    tilt.press(4e-4)
-    # Contact and compliance are springs in series: φ = c K t / (1 + c K), K the contact's rotational stiffness.
-    resists = 2e5 * 0.0087**2, 2e5 * 0.07**2 / 12.0 + PADS
-    for angle, slope, turn in zip(tilt.angles, (0.004, -0.003), resists, strict=True):
-        stiff = compliance * turn
-        assert angle == pytest.approx(slope * stiff / (1.0 + stiff), rel=1e-6)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -199,31 +173,19 @@ def test_tilt_moves_the_terminals_and_so_the_clearance_unless_friction_holds_the
     assert soft - rigid == pytest.approx(swung if friction == 0.0 else 0.0, abs=0.25 * swung)
 
 
-def test_once_one_pad_is_empty_the_other_turns_the_platform_with_the_total_force() -> None:
-    for tilt_y in (0.06, -0.06):
-        tilt = tilting(0.01, tilt_y=tilt_y, stiffness=3e4)
-        force, _ = tilt.press(1.3e-3)
-        assert tilt.keep()[1][2:] == (1.0, 1.0)
-        residual = tilt.angles[1] - tilt_y
-        assert abs(residual) * PADS > 0.048 * force
-        bars = 6e4 * 0.07**2 / 12.0
-        assert tilt.angles[1] == pytest.approx(0.01 * (np.sign(tilt_y) * 0.048 * force - bars * residual), rel=1e-6)
-
-
 @pytest.mark.parametrize("force", [60.0, 78.0, 100.0])
 def test_the_pads_moment_agrees_with_the_tactile_contact_model(force: float) -> None:
     """One stiffness represents a force-dependent one: within a tenth at 60 to 100 N."""
     model, turn = ContactModel(), pads_turn(WorldParameters())
     distance = model.parameters.pad_distance
     assert distance == PAD
-    for residual in (1e-4, 2e-3, 3e-3, 0.01, 0.05):
+    for residual in (1e-4, 3e-3, 0.05):
         left, right = model.solve((0.0, 0.0, 0.0), force, (0.0, residual)).taxels[0].sum(axis=(1, 2))
         expected = min(turn * residual, force * PAD)
         assert distance * (left - right) == pytest.approx(expected, rel=0.12 if force != 78.0 else 0.04)
 
 
-@pytest.mark.parametrize("source", [ContactSource, SecondSource])
-@pytest.mark.parametrize("compliance", [0.0, SOFT])
+@pytest.mark.parametrize(("source", "compliance"), [(ContactSource, SOFT), (SecondSource, 0.0)])
 def test_a_target_yawed_about_y_comes_nearer_on_that_side_and_loads_that_pad(
     arm: ArmFactory, source: Any, compliance: float
 ) -> None:
@@ -273,73 +235,39 @@ def test_a_bar_that_lifts_while_live_ends_charging_and_is_recorded(arm: ArmFacto
     assert world.circuit.fault == NO_CHARGE_CURRENT
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "compliance", "pitch"), [(1e5, 0.0, 2.6), (1e5, 0.03, 3.8), (1e6, 0.0, 0.26), (1e6, 0.03, 1.5)]
-)
-def test_a_bar_lifts_above_a_pitch_given_by_both_stiffnesses(
-    arm: ArmFactory, stiffness: float, compliance: float, pitch: float
+@pytest.mark.parametrize(("stiffness", "step"), [(1e5, 0.1), (1e9, 0.01), (1e3, 0.1)])
+def test_a_tilting_contact_comes_to_rest_at_any_step_and_stiffness(
+    arm: ArmFactory, stiffness: float, step: float
 ) -> None:
-    found = []
-    for scale in (0.95, 1.05):
-        pitched = arm(
-            WorldParameters(
-                servo=ServoParameters(friction=0.0),
-                contact=ContactParameters(stiffness=stiffness),
-                platform=PlatformParameters(compliance=compliance),
-                target=TargetParameters(tilt_x=scale * math.radians(pitch)),
-            )
-        )
-        pitched.dock(0.006)
-        found.append(pitched.world.mechanics.bars)
-    assert found[0].upper > 0.0
-    assert found[1].upper == 0.0
-    assert found[1].upper_pressed == 0.0
-
-
-def test_a_tilting_contact_comes_to_rest_at_any_step_and_stiffness(arm: ArmFactory) -> None:
-    for stiffness in (1e3, 1e5, 1e9):
-        for step in (0.001, 0.01, 0.1):
-            parameters = WorldParameters(
-                contact=ContactParameters(stiffness=stiffness),
-                platform=PlatformParameters(compliance=0.1),
-                target=TargetParameters(tilt_x=0.02, tilt_y=-0.03),
-            )
-            pressing = arm(parameters, step)
-            pressing.dock()
-            pressing.run(1.0)
-            assert max(map(abs, pressing.world.mechanics.velocity)) < 1e-4
-            assert 40.0 < pressing.world.mechanics.contact_force < 140.0
-
-
-def test_a_disabled_tilt_has_no_effect() -> None:
-    world = World(replace(WorldParameters(), platform=PlatformParameters(lever=0.1)))
-    world.step()
-    assert world.mechanics.tilt == (0.0, 0.0)
-    assert world.mechanics.lean is None
+    parameters = WorldParameters(
+        contact=ContactParameters(stiffness=stiffness),
+        platform=PlatformParameters(compliance=0.1),
+        target=TargetParameters(tilt_x=0.02, tilt_y=-0.03),
+    )
+    pressing = arm(parameters, step)
+    pressing.dock()
+    pressing.run(1.0)
+    assert max(map(abs, pressing.world.mechanics.velocity)) < 1e-4
+    assert 40.0 < pressing.world.mechanics.contact_force < 140.0
 
 
 @pytest.mark.parametrize(
-    ("compliance", "stiffness", "pitch", "yaw", "roll", "at", "step"),
+    ("compliance", "stiffness", "at", "step", "target"),
     [
-        (0.02, 3e5, 0.060628369512575844, -0.013199648339899742, -0.1703010587310249, (0.003944, 0.0026041), 1e-4),
-        (0.03, 1e4, 0.06160243031863548, 0.0668575797617771, -0.3190930839137615, (0.0048354, 0.0109629), 1e-6),
+        (0.02, 3e5, (0.003944, 0.0026041), 1e-4, {"tilt_x": 0.060628369, "tilt_y": -0.0131996, "roll": -0.1703011}),
+        (0.03, 1e4, (0.0048354, 0.0109629), 1e-6, {"tilt_x": 0.06160243, "tilt_y": 0.066857580, "roll": -0.319093}),
     ],
 )
 def test_force_always_equals_the_springs_force_at_the_reported_tilt(
-    compliance: float,
-    stiffness: float,
-    pitch: float,
-    yaw: float,
-    roll: float,
-    at: tuple[float, float],
-    step: float,
+    compliance: float, stiffness: float, at: tuple[float, float], step: float, target: dict[str, float]
 ) -> None:
-    tilt = tilting(compliance, at, stiffness, roll=roll, tilt_x=pitch, tilt_y=yaw)
+    """These two worlds have the kink at which a pad empties: the force must not jump there."""
+    tilt = tilting(compliance, at, stiffness, **target)
     depth, before = -tilt.onset, 0.0
     for _ in range(200):
         depth += step
         force, _ = tilt.press(depth)
         bars = tilt.keep()[1]
         assert force == pytest.approx(bars.upper + bars.lower, rel=0.02, abs=0.1)
-        assert force - before < 2.5e6 * step + 20.0, "no force jumps at the kink at which a pad empties"
+        assert force - before < 2.5e6 * step + 20.0
         before = force

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A target that moves under the electrodes drags the platform by friction, and slides if friction is too low."""
+"""The target: its magnets' law, their effects on the arm, and a target that moves under the electrodes."""
 
 from __future__ import annotations
 
@@ -10,25 +10,95 @@ from typing import Any
 import pytest
 
 from deltacharger_sim.errors import TargetFixed
-from deltacharger_sim.mujoco_world import mujoco_world
-from deltacharger_sim.parameters import ContactParameters, WorldParameters
+from deltacharger_sim.mujoco_world import mujoco_world, pull
+from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters, WorldParameters
 
-ArmFactory = Callable[..., Any]
+MAGNETS = MagnetParameters()
 FAR = (0.004, -0.003)
+ArmFactory = Callable[..., Any]
 
 
-def moved(arm: ArmFactory, friction: float, step: float = 0.005, roll: float = 0.0) -> tuple[Any, Any]:
+@pytest.mark.parametrize(
+    ("gap", "offset", "force"),
+    [
+        (0.0, 0.0, 60.0),
+        (0.002, 0.0, 15.0),
+        (0.006, 0.0, 3.75),
+        (0.0, 0.008, 30.0),
+        (0.0, 0.1, 12.0),
+        (-0.001, 0.0, 60.0),
+    ],
+)
+def test_the_pull_follows_its_law(gap: float, offset: float, force: float) -> None:
+    assert pull(MAGNETS, gap, offset) == pytest.approx(force)
+
+
+def approach(arm: Any) -> tuple[float, float, float]:
+    """Step toward the target by 0.25 mm until it snaps: gap (m) and contact current (A) before, command (m) after."""
+    command = 0.072
+    arm.go((0.0, 0.0, command))
+    gap = current = 0.0
+    while arm.world.mechanics.contact_force == 0.0:
+        gap, current = arm.world.mechanics.gap, arm.contact_current
+        command += 0.00025
+        assert command < 0.082
+        arm.go((0.0, 0.0, command), 0.5)
+    return gap, current, command
+
+
+def test_the_arm_snaps_in_from_three_millimetres_and_then_pulls_back(arm: ArmFactory) -> None:
+    snapping = arm()
+    gap, before, command = approach(snapping)
+    assert gap == pytest.approx(0.0033, abs=0.0004)
+    assert before == pytest.approx(-0.17, abs=0.05)
+    assert snapping.contact_current == pytest.approx(-0.45, abs=0.06)
+    assert snapping.world.push() < 0.0
+    for _ in range(30):
+        if snapping.contact_current >= 0.0:
+            break
+        command += 0.00025
+        snapping.go((0.0, 0.0, command), 0.2)
+    assert 0.0795 < command < 0.0825
+
+
+def test_stiffer_servos_resist_the_snap_longer(arm: ArmFactory) -> None:
+    gaps = [approach(arm(WorldParameters(servo=ServoParameters(stiffness=k))))[0] for k in (5.0, 10.0, 20.0)]
+    assert gaps == sorted(gaps, reverse=True)
+
+
+def test_the_magnets_release_at_1_6_ampere_per_servo_and_not_before(arm: ArmFactory) -> None:
+    pulling = arm()
+    pulling.dock()
+    strongest, command = 0.0, 0.0865
+    while pulling.world.mechanics.contact_force > 0.0:
+        strongest = min(strongest, pulling.contact_current)
+        command -= 0.0005
+        assert command > 0.04
+        pulling.go((0.0, 0.0, command), 0.1)
+    assert strongest == pytest.approx(-1.56, abs=0.04)  # 60 N · 38.15 mm / 1.463 N·m/A
+    pulling.run(0.5)
+    assert pulling.world.mechanics.gap > 0.005
+
+
+def test_the_push_bound_is_too_low_to_release_the_magnets(arm: ArmFactory) -> None:
+    bounded = arm()
+    bounded.dock()
+    bounded.go((0.0, 0.0, 0.03), 2.0, bound=0.83)
+    assert bounded.world.mechanics.contact_force > 0.0
+
+
+def moved(arm: ArmFactory, friction: float, step: float) -> tuple[Any, Any]:
     """Return a docked arm and its platform's position before the target moved by `FAR` in 0.2 s, a second ago."""
     docked = arm(WorldParameters(contact=ContactParameters(friction=friction)), step)
     docked.dock()
     docked.run(0.5)
     before = docked.world.mechanics.position
-    docked.world.move_target(*FAR, roll, 0.2)
+    docked.world.move_target(*FAR, 0.0, 0.2)
     docked.run(1.0)
     return docked.world, before
 
 
-@pytest.mark.parametrize("step", [0.002, 0.005, 0.01])
+@pytest.mark.parametrize("step", [0.002, 0.01])
 def test_sufficient_friction_drags_the_platform(arm: ArmFactory, step: float) -> None:
     world, before = moved(arm, 1.0, step)
     after = world.mechanics.position
@@ -37,7 +107,7 @@ def test_sufficient_friction_drags_the_platform(arm: ArmFactory, step: float) ->
     assert 1.0 < math.hypot(*world.mechanics.rub) < world.mechanics.contact_force
 
 
-@pytest.mark.parametrize("step", [0.002, 0.005, 0.01])
+@pytest.mark.parametrize("step", [0.002, 0.01])
 def test_insufficient_friction_lets_the_target_slide(arm: ArmFactory, step: float) -> None:
     world, before = moved(arm, 0.02, step)
     after, lies = world.mechanics.position, world.misalignment
@@ -89,5 +159,5 @@ def test_without_contact_nothing_is_dragged(arm: ArmFactory) -> None:
 
 def test_a_model_with_a_fixed_target_refuses_moves() -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed (extra sim)")
-    with pytest.raises(TargetFixed, match="MujocoMechanics moves the arm: use a World of the light model"):
+    with pytest.raises(TargetFixed, match="light model"):
         mujoco_world(WorldParameters()).move_target(0.001, 0.0, 0.0, 0.2)
