@@ -21,9 +21,6 @@ from deltacharger_driver.servos.control_table import CHECKSUM, INSTRUCTION, LENG
 from deltacharger_driver.servos.packets import (
     ACTION,
     BROADCAST,
-    BULK_READ,
-    BULK_WRITE,
-    FACTORY_RESET,
     PING,
     READ,
     REBOOT,
@@ -184,14 +181,8 @@ class ServoBusEmulator:
         if code == SYNC_READ:
             address, length = _words(data)
             return _chain(present, [(servo, address, length) for servo in data[4:]], now)
-        if code == BULK_READ:
-            rows = [data[at : at + 5] for at in range(0, len(data) - 4, 5)]
-            return _chain(present, [(row[0], *_words(row[1:])) for row in rows], now)
         if code == SYNC_WRITE:
             _sync_write(present, data, now)
-            return []
-        if code == BULK_WRITE:
-            _bulk_write(present, data, now)
             return []
         replies = []
         for servo in addressed:
@@ -226,16 +217,13 @@ def _single(servo: ServoFirmware, code: int, data: bytes, now: float) -> tuple[i
     if code == REBOOT:
         servo.reboot(now)
         return OK, b""
-    if code == FACTORY_RESET and len(data) == 1:
-        servo.factory_reset(now, data[0])
-        return OK, b""
     return INSTRUCTION, b""
 
 
 def _chain(
     present: list[ServoFirmware], wanted: Sequence[tuple[int, int, int]], now: float
 ) -> list[tuple[ServoFirmware, bytes]]:
-    """Return the replies to a sync or bulk read; each waits for the one before, so a missing servo ends them."""
+    """Return the replies to a sync read; each waits for the one before, so a missing servo ends them."""
     replies = []
     for servo_id, address, length in wanted:
         answering = [servo for servo in _named(present, servo_id) if servo.table.get("status_return_level")]
@@ -256,15 +244,6 @@ def _sync_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
     for at in range(4, len(data) - length, length + 1):
         for servo in _named(present, data[at]):
             servo.write(address, data[at + 1 : at + 1 + length], now)
-
-
-def _bulk_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
-    at = 0
-    while at + 5 < len(data):
-        address, length = _words(data[at + 1 : at + 5])
-        for servo in _named(present, data[at]):
-            servo.write(address, data[at + 5 : at + 5 + length], now)
-        at += 5 + length
 
 
 def _protocol_1(instruction: Instruction, present: list[ServoFirmware]) -> list[tuple[ServoFirmware, bytes]]:

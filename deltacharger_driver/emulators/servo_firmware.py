@@ -149,13 +149,6 @@ class ServoFirmware:
         self._start(now)
         self._silent_until = now + RESTART_TIME
 
-    def factory_reset(self, now: float, keep: int) -> None:
-        """Reset EEPROM to its defaults too; `keep` 1 keeps the id, 2 the id and the speed."""
-        servo = self.servo if keep in (1, 2) else 1
-        baud = self.table.get("baud") if keep == 2 else 1
-        self.table = ControlTable(servo, baud)
-        self.reboot(now)
-
     def raise_error(self, bits: int) -> None:
         """Latch hardware error `bits`; torque goes off if the shutdown register selects it."""
         before = self.table.get("hardware_error")

@@ -10,8 +10,8 @@ from deltacharger_driver.servos.protocol import HEADER, PLAIN, STATUS, crc16, pa
 BROADCAST = 254
 STUFFED = PLAIN + b"\xfd"
 
-PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT = 1, 2, 3, 4, 5, 6, 8
-SYNC_READ, SYNC_WRITE, BULK_READ, BULK_WRITE = 0x82, 0x83, 0x92, 0x93
+PING, READ, WRITE, REG_WRITE, ACTION, REBOOT = 1, 2, 3, 4, 5, 8
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
 
 _LONGEST = 1024  # bytes of a packet; a longer length is noise
 _SILENCE = 0.02  # s without a byte after which an incomplete packet is discarded

@@ -17,8 +17,6 @@ from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirec
 from deltacharger_driver.servos.packets import (
     ACTION,
     BROADCAST,
-    BULK_READ,
-    BULK_WRITE,
     PING,
     READ,
     REG_WRITE,
@@ -74,14 +72,9 @@ def test_sync_read_answers_in_the_requested_order_and_stops_at_a_missing_servo(h
     assert [reply[0] for reply in host.ask(BROADCAST, SYNC_READ, request + bytes((3, 1, 2)))] == [3]
 
 
-def test_sync_and_bulk_writes(host: Host) -> None:
+def test_a_sync_write_reaches_the_named_servos(host: Host) -> None:
     assert host.ask(BROADCAST, SYNC_WRITE, words(65, 1) + bytes((1, 1, 3, 1))) == []
     assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
-    assert host.ask(BROADCAST, BULK_WRITE, bytes((2,)) + words(65, 1) + b"\1" + bytes((1,)) + words(102, 2, 77)) == []
-    assert host.read(2, "led") == 1
-    assert host.read(1, "goal_current") == 77
-    replies = host.ask(BROADCAST, BULK_READ, bytes((1,)) + words(102, 2) + bytes((2,)) + words(65, 1))
-    assert replies == [(1, OK, words(77)), (2, OK, b"\1")]
 
 
 def test_indirect_registers_read_and_write_what_they_point_to(host: Host) -> None:
