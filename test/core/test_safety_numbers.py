@@ -35,6 +35,9 @@ from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.servos import motion_guard, mx64, snapshot, thermal, trajectory
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_mission.machine import MissionMachine
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import BaseMount, Place
 from deltacharger_sim import bars, circuit, clearance
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
 from deltacharger_tactile import estimator, frame_window
@@ -599,6 +602,13 @@ CAMERA = (
     *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
     *fields(mounts, 0.0, (-0.01, NAN, INF), "sigma"),
 )
+
+
+def test_a_target_of_unknown_pitch_has_a_known_place() -> None:
+    mission = MissionMachine(MissionParameters(), BaseMount((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)), None)
+    mission.status.place = Place(0.0, 0.0, 0.0)
+    seen = ElectrodePose(DOCK, 0.0, yaw=0.1, yaw_stddev=0.01)
+    assert mission._placed(seen, Place(1.0, 0.0, 0.0)) == Place(0.08, 0.0, pytest.approx(0.1 - math.pi))
 
 
 # What users may set.
