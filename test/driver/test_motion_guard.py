@@ -53,17 +53,11 @@ def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
     assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was received before
 
 
-@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9, FRESH * 1.01, 1e9])
-def test_a_wrong_or_old_stamp_never_frees_the_arm(age: float) -> None:
-    assert guard(OPEN, age=age).state(0.0, False) is ContactorState.UNKNOWN
+@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, FRESH * 1.01])
+def test_a_wrong_or_old_stamp_frees_no_arm_that_was_stopped(age: float) -> None:
     later = guard(CLOSED)
     later.observe(b"board", **OPEN, age=age, now=0.05)
     assert later.state(0.05, False) is ContactorState.CLOSED
-
-
-@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9])
-def test_a_closed_contactor_counts_whatever_its_stamp(age: float) -> None:
-    assert after_docking_moved(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
 
 
 def test_a_report_of_closed_overrides_reports_of_open() -> None:
