@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -64,16 +64,6 @@ def test_it_docks_on_real_bytes_and_reports_no_charge(context: Any) -> None:
     assert any(state.docked for state in charger.states)
     assert not any(state.charging for state in charger.states)
     assert not {state.state for state in charger.states} & {DockingState.STATE_ENERGISE, DockingState.STATE_CHARGING}
-
-
-@pytest.mark.rest
-def test_the_command_docks_its_scene_and_prints_no_current(
-    start: Callable[..., Any], deltacharger: tuple[str, ...], namespace: str
-) -> None:
-    dock = start(*deltacharger, "dock", "--scene", "published_robot", "--namespace", namespace, "--no-picture")
-    assert dock.end() == 0, dock.err
-    assert any("does not measure" in line for line in dock.out), dock.out
-    assert any("charge – A, – J" in line for line in dock.err), dock.err
 
 
 BY_CAMERA = DockRequest(None)

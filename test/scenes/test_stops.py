@@ -97,6 +97,7 @@ def test_nodes_as_processes_log_a_docking_and_end_with_0_after_any_number_of_sig
     assert any("contactor open" in line for line in lines)
 
 
+@pytest.mark.witness
 def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) -> None:
     code = "import sys; from deltacharger_scenes.executables import docking_node; sys.exit(docking_node())"
     process = start(sys.executable, "-c", code)
