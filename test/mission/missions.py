@@ -95,7 +95,6 @@ class World:
             Task.UNDOCK: undock,
         } | (answers or {})
         self._due: list[tuple[float, TaskRequest, TaskReply]] = []
-        self._silent: set[int] = set()
 
     def seen(self) -> ElectrodePose:
         """True pose of the electrodes in charger_base, as the camera reports it."""
@@ -153,9 +152,7 @@ class World:
             self.bases.append(self.base)
             self.believed.append(self.machine.status.place)
         answer = self.answers[request.task](self, request)
-        if answer is None:
-            self._silent.add(request.number)
-        else:
+        if answer is not None:
             self._due.append((self.time + answer[0], request, answer[1]))
 
     def _cancel(self, number: int) -> None:
