@@ -9,11 +9,11 @@ import pytest
 
 from ..behind_board import BehindFirmware, servo_tests
 
-pytestmark = [pytest.mark.ros, pytest.mark.night, pytest.mark.usefixtures("host_program")]
+pytestmark = [pytest.mark.ros, pytest.mark.night]
 
 globals().update(servo_tests("tests_behind_firmware", BehindFirmware))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session", autouse=True)
 def host_program(programs: Path) -> None:
     BehindFirmware.program = programs / "board_host"

@@ -190,6 +190,7 @@ def test_the_weakest_direction_is_described() -> None:
     assert describe(-direction) == describe(direction)
 
 
+@pytest.mark.rest
 def test_a_calibration_changes_the_limbs_alone_and_its_file_has_the_held_out_accuracy(tmp_path: Path) -> None:
     path, start = tmp_path / "arm.yaml", replace(NOMINAL, rod_mass=0.03)
     found = calibrate(measured(drawn_arm(2)), start, STATED)

@@ -131,11 +131,9 @@ def test_memory_layout_does_not_matter() -> None:
     expected = DELTA.inverse(points.reshape(-1, 3)).angles.reshape(points.shape)
     wide = np.zeros((4, 5, 6))
     wide[..., ::2] = points
-    frozen = points.copy()
-    frozen.flags.writeable = False
-    for layout in (np.asfortranarray(points), wide[..., ::2], points[::-1][::-1], frozen, points.tolist()):
+    points.flags.writeable = False
+    for layout in (np.asfortranarray(points), wide[..., ::2], points[::-1][::-1], points, points.tolist()):
         assert np.array_equal(DELTA.inverse(layout).angles, expected, equal_nan=True)
-    assert np.array_equal(points.reshape(-1, 3), np.random.default_rng(1).uniform(-0.05, 0.05, (20, 3)))
 
 
 def test_empty_batches_stay_empty() -> None:
@@ -146,11 +144,6 @@ def test_empty_batches_stay_empty() -> None:
         assert np.shape(solved.status) == np.shape(solved.margin) == np.shape(met.determinant) == shape[:-1]
         assert DELTA.jacobian(empty).matrix.shape == (*shape, 3)
         assert DELTA.contact_force(empty, empty).shape == shape
-
-
-def test_masked_numbers_are_unknown() -> None:
-    points = np.ma.masked_array([[0.0, 0.0, 0.08], [0.0, 0.0, 0.08]], mask=[[0, 0, 0], [0, 1, 0]])
-    assert np.asarray(DELTA.inverse(points).status).tolist() == [0, Status.INVALID_INPUT]
 
 
 @pytest.mark.parametrize(
@@ -183,7 +176,9 @@ def test_mismatched_shapes_are_refused_by_name() -> None:
     assert DELTA.torque(np.zeros((4, 1, 3)), np.zeros((5, 3))).shape == (4, 5, 3)
 
 
-def test_statics_propagate_nan() -> None:
+def test_masked_and_nan_values_are_unknown() -> None:
+    points = np.ma.masked_array([DOCK, DOCK], mask=[[0, 0, 0], [0, 1, 0]])
+    assert np.asarray(DELTA.inverse(points).status).tolist() == [0, Status.INVALID_INPUT]
     assert np.isnan(DELTA.torque(DOCK, (math.nan, 0.0, 0.0))).any()
     assert np.isnan(DELTA.torque((0.0, 0.0, 0.8), (0.0, 0.0, 1.0))).all()
     assert np.isnan(DELTA.force((0.0, 0.0, 0.8), (0.1, 0.1, 0.1))).all()

@@ -68,14 +68,21 @@ def test_measured_values_match_the_servos(measured: MeasuredArm) -> None:
 
 
 @pytest.mark.rest
-def test_play_is_reported_only_for_the_nearly_unloaded_servo(measured: MeasuredArm) -> None:
+def test_play_is_reported_only_for_the_nearly_unloaded_servo_and_the_file_has_common_and_single_values(
+    measured: MeasuredArm,
+) -> None:
     width, error = measured.play.width, measured.play.error
     assert width[0] == pytest.approx(SERVO.backlash, abs=4.0 * error[0])
     assert error[0] < 0.001
     assert np.isnan(width[1:]).all()
-    saved = to_file(measured, Gains())
+    saved = to_file(measured, Gains(500, 1, 2))
+    assert (saved.position_p_gain, saved.position_i_gain, saved.position_d_gain) == (500, 1, 2)
     assert saved.backlash == saved.servos[0].backlash
     assert saved.servos[1].backlash is saved.servos[2].backlash is None
+    singles = [servo.stiffness for servo in saved.servos]
+    assert min(singles) <= saved.stiffness <= max(singles)
+    assert saved.stiffness_error is not None
+    assert 0.015 < saved.stiffness_error / saved.stiffness < 0.03  # the weight's tolerance, for any readings
 
 
 @pytest.mark.night
@@ -84,16 +91,6 @@ def test_a_charger_that_points_up_reports_the_play_of_all_three() -> None:
     found = measure_servos(arm(**up), ServoTask(gravity=(0.0, 0.0, -9.81)))
     assert found.play.width == pytest.approx(SERVO.backlash, abs=0.001)
     assert found.fit.stiffness == pytest.approx(SERVO.stiffness, rel=0.05)
-
-
-@pytest.mark.rest
-def test_the_file_has_common_and_single_values(measured: MeasuredArm) -> None:
-    saved = to_file(measured, Gains(500, 1, 2))
-    assert (saved.position_p_gain, saved.position_i_gain, saved.position_d_gain) == (500, 1, 2)
-    singles = [servo.stiffness for servo in saved.servos]
-    assert min(singles) <= saved.stiffness <= max(singles)
-    assert saved.stiffness_error is not None
-    assert 0.015 < saved.stiffness_error / saved.stiffness < 0.03  # the weight's tolerance, for any readings
 
 
 @pytest.mark.rest

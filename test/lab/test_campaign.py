@@ -75,7 +75,7 @@ def test_a_row_has_every_column_and_its_type() -> None:
     assert abs(row["goal_x"] - row["place_x"]) < 0.003
 
 
-@pytest.mark.parametrize(("workers", "count"), [(1, 3), rest(2, 6)])
+@pytest.mark.parametrize(("workers", "count"), [(1, 2), rest(2, 6)])
 def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, workers: int, count: int) -> None:
     written: list[int] = []
 
@@ -90,6 +90,7 @@ def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, worke
     assert stored(tmp_path) == expected(count)
 
 
+@pytest.mark.rest
 def test_the_command_reports_progress_and_figures(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str
 ) -> None:
@@ -135,7 +136,8 @@ def test_a_killed_or_stopped_command_leaves_a_resumable_file_and_no_worker(
     count = len(stored(out))
     with Store(out, settings(2000)) as store:
         assert len(store.missing()) == 2000 - count
-    assert [row for row in stored(out) if row["number"] < 3] == expected(3)[: min(3, count)]
+    known = dict(enumerate(expected(3)))
+    assert all(row == known.get(row["number"], row) for row in stored(out))
 
 
 @pytest.mark.night

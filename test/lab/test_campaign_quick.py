@@ -114,6 +114,7 @@ def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_spring
     assert 100.0 < row["peak_force"] < 2000.0
 
 
+@pytest.mark.rest
 def test_noise_of_the_estimator_reaches_the_estimate() -> None:
     clean = dock_once(scene(), 3, 0, "guarded")
     noisy = dock_once(scene({**QUICK, "estimator": {"position_stddev": 0.003}}), 3, 0, "guarded")

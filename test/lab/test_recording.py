@@ -20,7 +20,7 @@ from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
-from deltacharger_tactile.generator import generate_paper
+from deltacharger_tactile.generator import generate_continuous
 
 SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
 
@@ -113,7 +113,7 @@ def test_the_command_writes_the_data_set_or_names_the_failure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Protocol] = []
-    written = generate_paper(rigs=(860,), seed=3, threshold=0.0)
+    written = generate_continuous(rigs=(860,), count=10, seed=3, threshold=0.0)
 
     def record(what: Protocol, _: object) -> Dataset:
         asked.append(what)

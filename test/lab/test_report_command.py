@@ -37,7 +37,7 @@ def test_wrong_arguments_exit_with_2(
     words = tuple(word.replace("FILE", str(file)).replace("PATH", str(tmp_path / "new")) for word in words)
     assert main(("report", *words, "--json")) == 2
     assert json.loads(capsys.readouterr().out)["success"] is False
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("file", "kept")]
+    assert [(path.name, path.read_text()) for path in tmp_path.rglob("*") if path.is_file()] == [("file", "kept")]
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,7 @@ def test_one_seed_is_one_view_for_both_renderers_and_all_defects() -> None:
     assert samples[1].image.color.mean() < 0.7 * samples[0].image.color.mean()
 
 
+@pytest.mark.rest
 def test_the_terminal_of_every_view_is_completely_in_the_picture() -> None:
     for name, condition in CONDITIONS.items():
         if not name.startswith((ALARMS, RENDERERS)):
