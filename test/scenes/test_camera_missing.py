@@ -73,5 +73,6 @@ def test_a_charger_without_its_camera_docks_to_coordinates(
             await_error("no OAK camera found")
         charger.signal(signal.SIGTERM)
         assert charger.processes["charger"].end() == 0
-        logged = [line for line in charger.processes["charger"].err if why in line and part.split(":")[0] in line]
+        source = f"[{namespace}.{part.split(':')[0]}]"
+        logged = [line for line in charger.processes["charger"].err if why in line and source in line]
         assert len(logged) == 1, logged
