@@ -70,7 +70,7 @@ class Scripted:
 
 
 def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
-    scripted = Scripted((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0))
+    scripted = Scripted((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0), coarse=True)
     outcome = scripted.run.dock()
     assert outcome.success, outcome.message
     assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, True)

@@ -191,6 +191,7 @@ def reply(services: Services) -> Reply:
 
 
 @pytest.mark.ros
+@pytest.mark.version
 def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Services) -> None:
     services.call(Request(7, Service.TARE))
     assert services.take() == ((), "")

@@ -67,10 +67,15 @@ def charger(shared: RunningCharger) -> RunningCharger:
     """A charger at rest; its mocks behave."""
     for node in MOCKS:
         shared.set(node, fault="none")
-    wait_until(lambda: shared.state.state != DockingState.STATE_RETRACT, "the end of the way back")
     if shared.state.docked or shared.state.error_code:
-        shared.go_home()
+        bring_home(shared)
     return shared
+
+
+def bring_home(charger: RunningCharger) -> None:
+    """Undock after docking's own way back, if it is on it."""
+    wait_until(lambda: charger.state.state != DockingState.STATE_RETRACT, "the end of the way back")
+    charger.go_home()
 
 
 @pytest.mark.witness
@@ -237,7 +242,7 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     assert docking._inputs.refused.count > before
     assert docking._inputs.refused.last.startswith("servo_state")
     monkeypatch.undo()
-    charger.go_home()
+    bring_home(charger)
 
 
 @pytest.mark.rest

@@ -130,8 +130,8 @@ def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: fl
     assert context.springs.stiffness == pytest.approx(true, rel=0.02)
     assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
     weighed = [dict(each.values)["estimated_Nm_per_rad"] for each in decisions(sent, "stiffness")]
-    # The weight hardly bends a stiff arm; the contact gives the estimate.
-    assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
+    assert weighed == pytest.approx([true] * len(weighed), rel=0.2)
+    assert weighed or true == 40.0, "the weight hardly bends a stiff arm: then the contact gives the estimate"
 
 
 def test_the_estimate_is_kept_for_the_next_docking() -> None:
@@ -155,8 +155,8 @@ def test_readings_during_a_motion_or_at_the_current_bound_are_ignored() -> None:
             yield from context.read()
             moving.append(context.springs.stiffness)
         context.commanded = context.position
-        for z in (0.090, 0.100, 0.108):
-            yield from context.move((0.0, 0.0, z), 0.02)
+        for z in (0.095, 0.108):
+            yield from context.move((0.0, 0.0, z), 0.04)
             pushed.append(min(context.contact.currents))
         return ""
 
@@ -170,7 +170,7 @@ def test_readings_during_a_motion_or_at_the_current_bound_are_ignored() -> None:
 
 @pytest.mark.rest
 def test_a_soft_arm_leaves_the_magnets_so_far_that_they_do_not_pull_it_back() -> None:
-    run = charger(-8.0, -8.0, 8.0, 5, parameters={"servo_stiffness": 2.0}, servo=ServoParameters(stiffness=2.0))
+    run = charger(-8.0, -8.0, 8.0, 5, {"servo_stiffness": 2.0}, coarse=True, servo=ServoParameters(stiffness=2.0))
     assert run.dock().success
     outcome = run.undock()
     assert outcome.success, outcome.message
