@@ -38,7 +38,7 @@ SOME = {
     "test_a_pause_after_the_end_does_not_move_the_arm",
     "test_torque_off_reaches_the_servos_that_answer",
     "test_gains_are_written_to_every_servo_and_again_after_its_restart",
-    "test_torque_trajectory_torque_off",
+    "test_torque_trajectory_hold_torque_off_and_reboot",
 }
 """Those that CI runs behind the emulated board; the others run at night."""
 

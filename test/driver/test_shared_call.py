@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
@@ -99,3 +100,12 @@ def test_a_block_waits_for_the_running_call_and_precedes_the_next(slow: Slow) ->
         leave.set()
         assert first.result(DEADLINE) == 1
         assert late.result(DEADLINE) == 2
+
+
+def test_repeated_failures_are_answered_at_a_bounded_rate(slow: Slow) -> None:
+    slow.error = ValueError("no")
+    slow.go_on.set()
+    began = time.monotonic()
+    with pytest.raises(ValueError, match="no"):
+        SharedCall(slow, 0.0)()
+    assert time.monotonic() - began >= 0.05
