@@ -24,6 +24,7 @@ from deltacharger_core.servos_file import MeasuredServo
 from deltacharger_docking import algorithm, charging, codes, context, energy, goals, machine, place, touch, visit, wired
 from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.ease import ease
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.frame_check import FrameCheck
@@ -329,6 +330,13 @@ def looks(**changes: Any) -> bool:
     return answered(script, shared, estimate=estimate(**changes)) is None
 
 
+def eases(approach: str) -> bool:
+    """Return whether the servos of a resting arm share its load."""
+    shared = scene()
+    shared.parameters, shared.goal_angles = DockingParameters(approach=approach), pressing().angles
+    return next(ease(shared), None) is not None
+
+
 def gives_up_as(angle: float) -> Code:
     """Return why docking ends after unsure estimates of this angle (°)."""
     target = touch.Target(scene(), 12.0 * DEGREE)
@@ -380,6 +388,7 @@ ANSWERS = (
     *fields(blinds, 0.001, (NAN, INF), *POSES),
     *fields(blinds, True, (False,), "contact", "sure", "in_range"),
     Limit("unsure first touch, °", lambda v: looks(sure=False, angle=v * DEGREE), 11.9, 12.1, (-12.1,)),
+    Limit("approach", eases, "guarded", "paper", ("published",)),
     Limit("unsure contacts, °", lambda v: gives_up_as(v) is Code.ESTIMATE_UNSURE, 11.9, 12.1, (-12.1,)),
     Limit("published angle, °", charges_as_published, 2.9, 3.1),
 )
@@ -616,8 +625,8 @@ def test_a_target_of_unknown_pitch_has_a_known_place() -> None:
 
 def settable(kind: Any, *rows: tuple[str, float, float]) -> Iterator[Limit]:
     for name, inside, outside in rows:
-        ask = lambda name=name, **value: passes(lambda: kind(**value))  # noqa: E731
-        yield from fields(ask, inside, (outside, NAN, INF, -INF), name)
+        ask = lambda value, name=name: passes(lambda: kind(**{name: value}))  # noqa: E731
+        yield Limit(f"{kind.__name__}: {name}", ask, inside, outside, (NAN, INF, -INF))
 
 
 SETTINGS = (
@@ -636,16 +645,13 @@ SETTINGS = (
 )
 
 
-CASES = [
-    pytest.param(row.accepts, value, position == 0, id=f"{row.what} = {value}")
-    for row in (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS, *CAMERA, *SETTINGS)
-    for position, value in enumerate((row.inside, row.outside, *row.refused))
-]
+ROWS = (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS, *CAMERA, *SETTINGS)
 
 
-@pytest.mark.parametrize(("accepts", "value", "accepted"), CASES)
-def test_limit(accepts: Callable[[Any], Any], value: Any, accepted: bool) -> None:
-    assert bool(accepts(value)) is accepted
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.what} {row.inside}")
+def test_limit(row: Limit) -> None:
+    assert row.accepts(row.inside)
+    assert not [value for value in (row.outside, *row.refused) if row.accepts(value)]
 
 
 def test_readings_below_a_quarter_newton_are_noise() -> None:
