@@ -32,8 +32,8 @@ from deltacharger_docking.target_place import TargetPlace
 from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.parameters import ServoNodeParameters
-from deltacharger_driver.servos import motion_guard, mx64, snapshot, thermal, trajectory
+from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
+from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot, thermal, trajectory
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_mission.machine import MissionMachine
@@ -642,6 +642,7 @@ SETTINGS = (
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 3.0, 3.1)),
     *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
     *settable(PadDockingParameters, ("position_jitter", 5e-3, 6e-3)),
+    *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),
 )
 
 
@@ -654,5 +655,6 @@ def test_limit(row: Limit) -> None:
     assert not [value for value in (row.outside, *row.refused) if row.accepts(value)]
 
 
-def test_readings_below_a_quarter_newton_are_noise() -> None:
-    assert estimator.PoseEstimator().threshold == 0.25
+def test_numbers_that_need_more_than_a_row() -> None:
+    assert estimator.PoseEstimator().threshold == 0.25  # N, below which readings are noise
+    assert (controller.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off
