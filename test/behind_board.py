@@ -12,7 +12,7 @@ from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.port import ServoPort
 
 from .borrowed import anew, borrowed_tests
@@ -48,21 +48,16 @@ class BehindEmulator:
 
     handler = ServoPort
 
-    def __init__(self, device: ServoBusEmulator, link: Path | None = None) -> None:
+    def __init__(self, device: ServoBusEmulator, clock: object = None) -> None:
         self._folder = tempfile.TemporaryDirectory("", "deltacharger-")
-        self._port = link or Path(self._folder.name) / "servos"
+        self._board_port = Path(self._folder.name) / "board"
+        self.path = str(self._board_port.with_name("servos"))
         self._keeper: BoardKeeper | None = None
-        self._serve(device, Path(self._folder.name) / "board")
-        self.path = str(self._port)
+        self._serve(device)
 
-    def _serve(self, device: ServoBusEmulator, port: Path) -> None:
+    def _serve(self, device: ServoBusEmulator) -> None:
         self.board = BoardEmulator(BenchPlant(), servos=device)
-        self._cable = PseudoTerminal(self.board, port)
-
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread that serves, None as it should be."""
-        return self._cable.error
+        self._cable = PseudoTerminal(self.board, self._board_port)
 
     def speed(self) -> int:
         """Return the speed of the servos' bus, bit/s."""
@@ -71,17 +66,10 @@ class BehindEmulator:
     def start(self) -> BehindEmulator:
         """Plug the board in, and wait for the servos' port."""
         self._plug()
-        self._keeper = BoardKeeper(
-            str(Path(self._folder.name) / "board"),
-            1_000_000,
-            120.0,
-            lambda sample: None,
-            lambda sample: None,
-            lambda problem: None,
-            self._port,
-        )
+        nothing = [lambda *_: None] * 3
+        self._keeper = BoardKeeper(str(self._board_port), 1_000_000, 120.0, *nothing, Path(self.path))
         self._keeper.start()
-        wait_until(self._port.exists)
+        wait_until(Path(self.path).exists)
         return self
 
     def _plug(self) -> None:
@@ -109,14 +97,8 @@ class BehindFirmware(BehindEmulator):
 
     program: ClassVar[Path]
 
-    def _serve(self, device: ServoBusEmulator, port: Path) -> None:
+    def _serve(self, device: ServoBusEmulator) -> None:
         self._bus = PseudoTerminal(device, Path(self._folder.name) / "bus")
-        self._board_port = port
-
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread that serves, None as it should be."""
-        return self._bus.error
 
     def speed(self) -> int:
         """Return the speed of the servos' bus, bit/s."""
@@ -143,7 +125,7 @@ class BehindFirmware(BehindEmulator):
 
 def servo_tests(group: str, kind: type[BehindEmulator]) -> dict[str, object]:
     """Return the tests of servos by name, run in real time on servos behind a board."""
-    others = {"PseudoTerminal": behind(kind), "Line": lambda device, clock: kind(device), "Clock": RealClock}
+    others = {"PseudoTerminal": kind, "Line": kind, "Clock": RealClock}
     tests: dict[str, object] = {}
     for name in SERVO_TESTS:
         tests |= borrowed_tests(anew(name, group, **others), set())
@@ -151,12 +133,3 @@ def servo_tests(group: str, kind: type[BehindEmulator]) -> dict[str, object]:
         if hasattr(test, "pytestmark"):
             test.pytestmark = [mark for mark in test.pytestmark if mark.name not in ("witness", "rest", "version")]
     return tests
-
-
-def behind(kind: type[BehindEmulator]) -> object:
-    """Return a replacement of `PseudoTerminal` that puts servos behind a board and other devices on own ports."""
-
-    def terminal(device: ByteDevice, link: Path | None = None) -> PseudoTerminal | BehindEmulator:
-        return kind(device, link) if isinstance(device, ServoBusEmulator) else PseudoTerminal(device, link)
-
-    return terminal
