@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from deltacharger_core.texts import REQUEST_ID_MAX
-from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
 from deltacharger_scenes.composition import Composition
@@ -383,15 +383,6 @@ def test_a_charger_that_was_never_released_does_not_disturb_another_of_its_name(
     assert charger.is_closed
     charger.wait_until_single()
     charger.go_home()
-
-
-def test_without_a_charger_the_client_reports_it(context: Any) -> None:
-    with ChargerClient(new_namespace(), context) as client:
-        stop = threading.Event()
-        stop.set()
-        assert not client.wait_until_ready(10.0, stop)
-        with pytest.raises(ClientError, match="deltacharger up"):
-            client.dock(GOAL, cancel=stop)
 
 
 _STEP = 0.01  # s of real time between two messages

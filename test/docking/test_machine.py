@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
-from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, PlatformParameters, ServoParameters, TargetParameters
 
@@ -229,11 +227,6 @@ def test_the_bounds_themselves_are_in_range(volts: float, parameters: dict[str, 
     run = quick_charger(parameters=parameters)
     spoil(run, battery_voltage=float(np.float32(volts)))
     assert run.dock().success
-
-
-def test_bounds_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(ParameterError, match="battery_voltage_min"):
-        DockingParameters(battery_voltage_min=26.0, battery_voltage_max=24.0)
 
 
 STIFF = 1e6  # N/m; softer bars both press in spite of 2° of pitch

@@ -492,7 +492,7 @@ def test_another_contact_pays_if_this_one_is_off() -> None:
     ("name", "value"),
     [
         ("critical_angle", 0.5),
-        ("approach", "wild"),
+        ("battery_voltage_min", 30.0),
         ("current_max", 0.4),
         ("lift", math.nan),
         ("clearance_sigmas", 7.0),
