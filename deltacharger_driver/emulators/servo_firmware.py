@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Firmware of an emulated MX-64: modes, profile, watchdog, latched errors, restart. A plant is its motor."""
+"""Firmware of an emulated MX-64: modes, watchdog, latched errors, restart. A plant is its motor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Protocol
 from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_driver.servos.control_table import ACCESS, OK, RESULT_FAIL, ControlTable
 from deltacharger_driver.servos.mx64 import (
-    ACCELERATION_UNIT,
     ALERT,
     CURRENT_UNIT,
     MODE_CURRENT_POSITION,
@@ -22,12 +21,10 @@ from deltacharger_driver.servos.mx64 import (
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
 )
-from deltacharger_driver.servos.profile import Profile, shape
 
 ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
-_PROFILE_PERIOD = 5e-3  # s between two updates of the plant's reference while a profile runs
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
 _LARGEST_OFFSET = 1024  # counts; largest homing offset used in mode 3
 _IN_POSITION = 10  # counts from the goal; the vendor gives no figure
@@ -70,13 +67,10 @@ class ServoFirmware:
         self.supply_limit = math.inf
         self._plant = plant
         self._index = index
-        self._profile = Profile()
         self._registered: tuple[int, bytes] | None = None
         self._silent_until = -math.inf
         self._heard = -math.inf
-        self._moving = False
-        self._shape = 0
-        self._goal = 0.0
+        self._reference = 0.0  # rad, goal of the position loop
         self._commanded: tuple[bool, float, float, float] | None = None
         self._start(-math.inf)
 
@@ -158,15 +152,13 @@ class ServoFirmware:
             self._forward()
 
     def tick(self, now: float) -> None:
-        """Advance watchdog and profile."""
-        self._watch(now)
-        if self._moving:
-            self._follow(now)
+        """Advance the watchdog."""
+        if now > self._watchdog_due():
+            self.trip_watchdog(now)
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `tick` is needed; inf for never."""
-        wait = _PROFILE_PERIOD if self._moving else math.inf
-        return max(min(wait, self._watchdog_due() - now + 1e-4), 0.0)
+        return max(self._watchdog_due() - now + 1e-4, 0.0)
 
     def measure(self, now: float) -> float:
         """Copy the plant's state into the registers, latch resulting errors, and return the angle, rad."""
@@ -207,57 +199,26 @@ class ServoFirmware:
     def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
         """Return registers 122 and 123."""
         table = self.table
-        moving = self._moving or abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
+        moving = abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
         if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
             return moving, 0
-        arrived = not self._moving and abs(self._goal - angle) <= _IN_POSITION * TICK
-        astray = abs(self._profile.position - angle) > _NOT_FOLLOWING * TICK
-        return moving, arrived | self._moving << 1 | astray << 3 | self._shape << 4
+        distance = abs(self._reference - angle)
+        return moving, (distance <= _IN_POSITION * TICK) | (distance > _NOT_FOLLOWING * TICK) << 3
 
     def _start(self, now: float) -> None:
         self._registered = None
-        self._moving = False
-        self._shape = 0
         self._heard = -math.inf
-        angle = self.measure(now)
-        self.table.set("goal_position", self._ticks(angle))
-        self._goal = angle
-        self._profile.jump(angle, now)
+        self._reference = self.measure(now)
+        self.table.set("goal_position", self._ticks(self._reference))
         self._forward()
 
     def _written(self, values: dict[str, int], was_on: bool, now: float) -> None:
-        if "goal_position" in values:
-            if not self._moving:
-                self._profile.jump(self._profile.position, now)  # time has passed since it stopped
-            self._goal = self._angle(values["goal_position"])
-            self._moving = True
-        if values.get("torque_enable") and not was_on:
-            # A profile begins at the shaft's angle, not at the end of the last one.
-            self._profile.jump(self.measure(now), now)
-            self._goal = self._angle(self.table.get("goal_position"))
-            self._moving = True
+        begins = values.get("torque_enable") and not was_on
+        if self.table.get("torque_enable") and ("goal_position" in values or begins):
+            self._reference = self._angle(self.table.get("goal_position"))
         if values.get("bus_watchdog"):
             self._heard = now
-        if self._moving and not values.keys().isdisjoint(("goal_position", "torque_enable")):
-            self._shape = shape(abs(self._goal - self._profile.position), *self._limits())
-        if self._moving:
-            self._follow(now)
-        else:
-            self._forward()
-
-    def _follow(self, now: float) -> None:
-        on = bool(self.table.get("torque_enable"))
-        self._moving = on and self._profile.advance(self._goal, *self._limits(), now)
         self._forward()
-
-    def _limits(self) -> tuple[float, float]:
-        """Velocity (rad/s) and acceleration (rad/s²) of the profile, 0 = none."""
-        table = self.table
-        return table.get("profile_velocity") * VELOCITY_UNIT, table.get("profile_acceleration") * ACCELERATION_UNIT
-
-    def _watch(self, now: float) -> None:
-        if now > self._watchdog_due():
-            self.trip_watchdog(now)
 
     def _watchdog_due(self) -> float:
         """Return when silence trips the watchdog, s; inf = never. Active only while torque is on (e-manual, 98)."""
@@ -270,9 +231,7 @@ class ServoFirmware:
         if not 0 < self.table.get("bus_watchdog") < WATCHDOG_TRIPPED:
             return
         self.table.set("bus_watchdog", WATCHDOG_TRIPPED)
-        self._moving = False
-        self._goal = self.measure(now)
-        self._profile.jump(self._goal, now)
+        self._reference = self.measure(now)
         self._forward()
 
     def _forward(self) -> None:
@@ -284,7 +243,7 @@ class ServoFirmware:
         if mode == MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
         gain = table.get("position_p_gain") / POSITION_P_GAIN
-        command = (on, self._profile.position, limit * CURRENT_UNIT, gain)
+        command = (on, self._reference, limit * CURRENT_UNIT, gain)
         if command != self._commanded:
             self._commanded = command
             self._plant.command_servo(self._index, *command)

@@ -20,7 +20,6 @@ MODEL_PROTOCOL_1 = 310
 TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
 CURRENT_UNIT = 3.36e-3  # A
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # rad/s
-ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0  # rad/s², of 214.577 rev/min²
 VOLTAGE_UNIT = 0.1  # V
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte

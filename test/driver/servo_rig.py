@@ -10,6 +10,7 @@ from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.requests import ServoRequest
 from deltacharger_driver.servos.snapshot import BusSettings
@@ -63,6 +64,11 @@ class Rig:
         while not (result := condition(self.cycle())):
             assert self.clock() < deadline, f"the condition did not become true; {self.report}"
         return result
+
+    def pause(self) -> None:
+        """Send nothing until the watchdogs have tripped, as if this thread got no processor."""
+        while any(self.emulator.servo(each).table.get("bus_watchdog") != WATCHDOG_TRIPPED for each in (1, 2, 3)):
+            self.clock.sleep(0.05)
 
     def ask(self, action: str) -> ServoRequest:
         request = self.controller.request(action)

@@ -71,7 +71,7 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
     rig.send((1.0, FAR))
     rig.until(lambda report: rig.references()[0] > -0.6)
     before = rig.controller.watchdog_trips  # a busy computer may have paused the host already
-    rig.clock.sleep(0.2)  # the host's thread gets no processor
+    rig.pause()
     rig.cycle()
     assert rig.controller.watchdog_trips == before + 1
     stopped = rig.arm.angles
@@ -85,7 +85,7 @@ def test_a_pause_after_the_end_does_not_move_the_arm(rig: Rig) -> None:
     rig.torque_on()
     rig.send((0.0, FAR, (0.3, 0.3, 0.3)))
     rig.cycle()
-    rig.clock.sleep(0.2)
+    rig.pause()
     for _ in range(5):
         rig.cycle()
     assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.05)
@@ -96,7 +96,7 @@ def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:
     rig.torque_on()
     for _ in range(3):
         assert rig.report.phase is ServoPhase.ON
-        rig.clock.sleep(0.2)
+        rig.pause()
         rig.cycle()
     assert rig.report.phase is ServoPhase.STOPPING
     assert any("overloaded" in sentence for _, sentence in rig.events)
