@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import serial
 
 from deltacharger_core import runtime
 from deltacharger_scenes.scene import parse_scene
@@ -18,7 +17,7 @@ from deltacharger_sim.charger.fault_kinds import KINDS
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import Process
-from ..sim.test_simulated_charger import answer, ping
+from ..sim.test_simulated_charger import answer
 from ..waiting import wait_until
 from . import command
 
@@ -82,18 +81,6 @@ def test_lasting_faults_are_listed_replaced_and_cleared(
     assert silent(charger.servo_port, 2)
     assert fault("--clear") == (0, {"success": True, "active": []})
     answers(charger.servo_port, 2)
-
-
-def test_a_servo_at_another_speed_answers_only_there(charger: SimulatedCharger, fault: Command) -> None:
-    assert fault("servo_wrong_baud", "--servo", "2", "--amount", "57600")[0] == 0
-    assert silent(charger.servo_port, 2)
-    with serial.Serial(charger.servo_port, 57600, timeout=0.2) as line:
-
-        def reply() -> bool:
-            line.write(ping(2))
-            return bytes(line.read(14))[4:5] == b"\2"
-
-        wait_until(reply, "servo 2 at 57600 bit/s")
 
 
 @pytest.mark.parametrize(

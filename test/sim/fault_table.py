@@ -65,6 +65,7 @@ INPUTS = {
         shown={"torque_enabled": False},
         opens=0.15,
     ),
+    "lost push": Input({State.CHARGING: Code.NO_CONTACT}, shown={"currents": (0.0, 0.0, 0.0)}, opens=0.25),
     "late frames": Input(_ends(_PADS, _PADS), shown={"tactile_age": 5.0}),
     "late power": Input(_ends(_POWER, _POWER, _POWER, Code.CONTACTOR_WELDED), shown={"power_age": 5.0}, opens=0.15),
     "trip": Input(_ends(*[Code.OVERCURRENT] * 3), shown={"power_fault": 9}, opens=0.15),
@@ -73,6 +74,7 @@ INPUTS = {
 
 BUS, LINK, PADS, POWER = "servo bus", "board link", "tactile arrays", "power stage"
 NEVER = 0.0
+LEASE = 0.35  # s with the heartbeat, until the contactor is open after its holder has asked
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,7 @@ class Row:
         torque_off: whether the servos' torque is switched off.
         at_once: servos that lose their torque by the fault itself; no driver can open the contactor before that.
         deaf: servos that cannot receive commands during the fault; their own watchdog stops them.
-        unknown: values unknown during it: servo ids (their floats are NaN), "frames" and "power" (these topics are
-            silent) or "taxel 44".
+        unknown: servos whose values are NaN during it.
         recovery: services that a person calls after it, in this order, in addition to set_torque and probe.
         shows: what docking sees of it, as in INPUTS; '' = nothing.
     """
@@ -102,7 +103,7 @@ class Row:
     torque_off: bool = False
     at_once: tuple[int, ...] = ()
     deaf: tuple[int, ...] = ()
-    unknown: tuple[int | str, ...] = ()
+    unknown: tuple[int, ...] = ()
     recovery: tuple[str, ...] = ()
     servo: int = 0
     amount: float | None = None
@@ -114,7 +115,7 @@ class Row:
         return self.kind if self.amount is None else f"{self.kind}-{self.amount:g}"
 
 
-def _stopped(kind: str, *warning: str, within: float = 0.35 + 0.2, **others: Any) -> Row:
+def _stopped(kind: str, *warning: str, within: float = LEASE + 0.2, **others: Any) -> Row:
     """Return the row of a servo fault that stops all three."""
     return Row(kind, warning=warning, opens=within, torque_off=True, **{"shows": "servo_node", **others})
 
@@ -138,13 +139,14 @@ SERVO_ROWS = (
     _latched("servo_shock", "electrical shock", at_once=(2,)),
     _latched("servo_overload", "overload", at_once=(2,)),
     _latched("servo_undervoltage", "input voltage", amount=9.0),
-    Row("servo_watchdog", counted="watchdog_trips"),
+    # The servo stays where it is, and so its push ends.
+    Row("servo_watchdog", counted="watchdog_trips", shows="lost push"),
     _stopped("servo_wrong_baud", "servo 2 does not answer", deaf=(2,), unknown=(2,), amount=57600.0),
     _stopped("servo_duplicate_id", "servo 2 does not answer", unknown=(1, 2), amount=1.0),
     _stopped("servo_deaf", "servo 1 does not answer", "servo 3 does not answer", deaf=(1, 2, 3), unknown=(1, 2, 3)),
     _stopped("servo_delay", "does not answer", unknown=(1, 2, 3), amount=0.1),
     _tolerated("servo_delay", BUS, "", 0.005),
-    _stopped("servo_unplugged", "/servo", within=0.35, deaf=(1, 2, 3), unknown=(1, 2, 3)),
+    _stopped("servo_unplugged", "/servo", within=LEASE, deaf=(1, 2, 3), unknown=(1, 2, 3)),
     _tolerated("servo_drop", BUS, "timeouts", 0.05),
     _stopped("servo_drop", "servo 3 does not answer", servo=3, unknown=(3,), amount=1.0),
     *(_tolerated(f"servo_{name}", BUS, "corrupt", 0.05) for name in ("corrupt", "truncate")),
@@ -157,8 +159,8 @@ BOARD_ROWS = (
         Row("board_trip", POWER, ("latched fault", name), opens=0.1, amount=code, recovery=("open",), shows="trip")
         for code, name in ((2.0, "short circuit"), (9.0, "over current"))
     ),
-    Row("board_dead_taxel", PADS, ("dead taxel",), unknown=("taxel 44",), amount=44.0),
-    Row("board_silent", LINK, ("no answer",), opens=0.45, unknown=("frames", "power"), shows="tactile_node"),
+    Row("board_dead_taxel", PADS, ("dead taxel",), amount=44.0),
+    Row("board_silent", LINK, ("no answer",), opens=0.45, shows="tactile_node"),
     Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1, recovery=("open",)),
     _tolerated("board_delay", LINK, "", 0.03),
     Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late frames"),
@@ -167,7 +169,6 @@ BOARD_ROWS = (
         LINK,
         ("/board",),
         opens=0.15,
-        unknown=("frames", "power"),
         recovery=("open",),
         shows="tactile_node",
     ),

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every fault of the hardware on the wires of real nodes: its effects and its recovery while it charges.
+"""Every fault of the hardware on the bytes of real nodes while a charger charges: its effects, its code, its recovery.
 
-One charger serves all cells: after each fault it returns to its work, and no node is restarted.
+One charger serves all cells, and no node is restarted. The servos' driver is shown the same table in virtual time
+(test/driver/test_servo_emulator_faults.py), docking's machine what it sees (test/docking/test_machine_faults.py).
 """
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -18,178 +18,55 @@ from deltacharger_docking.codes import Code, State
 from deltacharger_driver.emulators import power
 from deltacharger_sim.charger.faults import Fault
 
-from ..marks import night, rest
 from ..waiting import host, wait_until
 from .fault_table import INPUTS, NEVER, ROWS, Row
 
-if TYPE_CHECKING:
-    from .fault_bench import Bench, FaultClient, Mark
-
 pytestmark = pytest.mark.ros
 
-_GOES_ON = 0.6  # s of the world for which work continues under a tolerated fault
+_GOES_ON = 0.6  # s of the world for which charging continues under a tolerated fault
 _PUSHES_MORE = 5.0  # N of additional push that is permitted; a stop must never press harder
 _SLACK = 0.1  # s: an opening's ramp (0.05), the power stage's cycle and the world's step
-_CYCLES = 20  # of the servo bus
-_TRANSPORT = 0.1  # s, longest transport of a message
 
 WITNESSES = ("servo_missing", "servo_overload", "board_silent")
 """One cell for each way in which a fault travels: lost bytes, a latched error, a silent board."""
+REST = (
+    *(f"servo_{name}" for name in ("watchdog", "unplugged", "corrupt-0.05")),
+    *(f"board_{name}" for name in ("reboot", "trip-9", "deaf", "unplugged", "delay-0.4", "corrupt-0.05")),
+)
 CELLS = [
-    pytest.param(row, id=row.name, marks=pytest.mark.witness if row.name in WITNESSES else pytest.mark.rest)
+    pytest.param(row, id=row.name, marks=getattr(pytest.mark, mark))
     for row in ROWS
+    for mark in ["witness" if row.name in WITNESSES else "rest" if row.name in REST else "night"]
 ]
 
 
-@pytest.fixture(scope="module")
-def benches(context: Any) -> Iterator[list[Bench]]:
-    benches: list[Bench] = []
-    with pytest.MonkeyPatch.context() as patch:
-        # The emulated board's clock is this computer's, which may be busy.
-        patch.setattr(power, "HEARTBEAT_LIMIT", host(power.HEARTBEAT_LIMIT))
-        yield benches
-        for bench in benches:
-            bench.close()
+class Diagnostics:
+    """What the charger's nodes have reported, newest last."""
 
+    def __init__(self, charger: Any) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
 
-@pytest.fixture
-def bench(context: Any, benches: list[Bench]) -> Iterator[Bench]:
-    """The charger of all cells; after a failed cell there is a new one."""
-    from ..chargers import new_namespace
-    from .fault_bench import Bench
+        self._own = f"{charger.namespace}/"
+        self._statuses: list[tuple[float, Any]] = []
+        charger.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 10)
 
-    if not benches:
-        benches.append(Bench(context, new_namespace()))
-    bench = benches.pop()
-    yield bench
-    (benches.append if bench.is_well else Bench.close)(bench)  # type: ignore[arg-type, operator]
+    def _on_message(self, message: Any) -> None:
+        now = time.monotonic()
+        self._statuses += [(now, each) for each in message.status if each.name.lstrip("/").startswith(self._own)]
 
+    def of(self, part: str, since: float = 0.0) -> list[Any]:
+        """Return the reports of a part after an instant."""
+        return [each for when, each in list(self._statuses) if when > since and each.name.endswith(part)]
 
-@pytest.mark.parametrize("row", CELLS)
-def test_fault(bench: Bench, row: Row) -> None:
-    """Cause a fault, end it and recover; everything in its row holds."""
-    bench.is_well = False
-    bench.charge()
-    before = int(bench.client.value(row.part, row.counted))
-    mark = bench.mark()
-    bench.faults.begin(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
-    try:
-        wait_for_effects(bench, row, mark, before)
-        check_order(bench, row, mark)
-    except AssertionError as error:
-        events = [event._replace(time=event.time - mark.world) for event in bench.world.events[mark.events :]]
-        told = dict.fromkeys(f"{each.name}: {each.message}" for each in bench.client.told("", mark.host))
-        raise AssertionError(f"{error}\nevents {events}\n{list(told)}") from error
-    finally:
-        bench.faults.clear()
-    recover(bench, row, mark)
-    bench.charge()
-    assert bench.client.untrue == []
-    bench.is_well = True
+    def warned(self, row: Row, since: float) -> bool:
+        """Whether the row's part has reported its warning, which is no OK."""
+        messages = [each.message for each in self.of(row.part, since) if each.level != b"\0"]
+        return any(all(word in message for word in row.warning) for message in messages)
 
-
-def wait_for_effects(bench: Bench, row: Row, mark: Mark, before: int) -> None:
-    world, client = bench.world, bench.client
-    if row.opens != NEVER:
-        bench.wait(lambda: not world.circuit.closed, "the contactor to open")
-    if row.torque_off:
-        reached = [servo for servo in (1, 2, 3) if servo not in row.deaf]
-        bench.wait(lambda: not any(world.torque[servo - 1] for servo in reached), "the torque to go off")
-        if row.deaf:
-            since, released = time.monotonic(), ("torque off", "disconnected")
-            bench.wait(
-                lambda: client.value("servo bus", "state", since) in released, "servo_node to release all servos"
-            )
-    if row.warning:
-        # The reason for a loss of torque must remain visible for later readers, not only during it.
-        since = time.monotonic() + _TRANSPORT if row.torque_off else mark.host
-        told = functools.partial(client.has_warned, row.part, row.warning, since)
-        bench.wait(told, f"{row.part} to report {row.warning}")
-    if row.counted:
-        bench.wait(lambda: int(client.value(row.part, row.counted)) > before, f"{row.part} to count {row.counted}")
-    for what in row.unknown:
-        if what in ("frames", "power"):
-            wait_for_silence(client, str(what).removesuffix("s"))
-        else:
-            bench.wait(functools.partial(was_unknown, client, what, mark.host), f"{what} to be unknown")
-    if not row.torque_off:
-        bench.wait(lambda: world.time > mark.world + _GOES_ON, "the world to go on")
-
-
-def was_unknown(client: FaultClient, what: int | str, since: float) -> bool:
-    """Whether a servo (its id) was reported as NaN since then, or "taxel N" is NaN."""
-    if isinstance(what, str):
-        return math.isnan(client.taxels()[int(what.removeprefix("taxel "))])
-    return client.unknown_at.get(what, 0.0) > since
-
-
-def wait_for_silence(client: FaultClient, topic: str) -> None:
-    """Wait until a topic has been silent for half a second: unknown frames are not published."""
-    count, since = client.received[topic], time.monotonic()
-
-    def is_silent() -> bool:
-        nonlocal count, since
-        if client.received[topic] != count:
-            count, since = client.received[topic], time.monotonic()
-        return time.monotonic() > since + 0.5
-
-    wait_until(is_silent, f"the end of {topic}", 10.0)
-
-
-def check_order(bench: Bench, row: Row, mark: Mark) -> None:
-    """The contactor opens in time and before torque is lost, nothing returns by itself, and nothing presses harder."""
-    from .fault_world import CONTACTOR
-
-    world = bench.world
-    opened = world.since(mark.events, CONTACTOR, False)
-    if row.opens != NEVER:
-        assert opened[0].time - mark.world <= host(row.opens) + _SLACK
-        assert not world.circuit.closed
-        assert world.since(mark.events, CONTACTOR, True) == [], "it closed again without a probe"
-    else:
-        assert bench.is_charging(), "charging did not go on"
-        assert opened == []
-    for servo in (1, 2, 3):
-        released = world.since(mark.events, servo, False)
-        live = [event for event in released if event.live]
-        if servo in row.at_once:
-            assert all(event.time <= mark.world + _SLACK for event in live), live
-        else:
-            assert live == [], f"servo {servo} lost torque with live electrodes"
-        assert row.torque_off or released == [], f"servo {servo} lost torque"
-        assert world.since(mark.events, servo, True) == [], f"the torque of servo {servo} returned by itself"
-    harder = world.record.peak_push - mark.push
-    assert harder <= _PUSHES_MORE, f"the servos pushed {harder:.1f} N harder than before"
-    assert world.record.energised_shorts == 0
-
-
-def recover(bench: Bench, row: Row, mark: Mark) -> None:
-    """Perform the row's recovery and check that it is needed; until then torque stays off and the contactor open."""
-    client, world = bench.client, bench.world
-    if row.opens != NEVER:
-        client.stop_renewing()
-    if row.torque_off:
-        bench.wait(lambda: all(client.servo.valid), "all servos to answer again")
-        bench.wait(lambda: not any(world.torque), "the torque off everywhere")
-    for step in row.recovery:
-        if step == "reboot_servos":
-            refused = client.call("set_torque", data=True)
-            assert not refused.success
-            assert "reboot_servos" in refused.message
-            bench.ask("reboot_servos")
-            assert not any(world.torque), "a reboot switched torque on"
-        elif step == "tare":
-            bench.wait(lambda: not client.frame.tared, "frames that say that they are not tared")
-            bench.tare()
-        elif step == "open":
-            bench.wait(lambda: client.power.fault, "the latched fault on charger_power")
-            bench.ask("set_contactor", close=False)
-            bench.wait(lambda: not client.power.fault, "the fault cleared")
-    if row.torque_off:  # a program that would switch it on has had time for it
-        count = client.received["servo"]
-        bench.wait(lambda: client.received["servo"] >= count + _CYCLES, "servo_state to go on")
-        on = [event for servo in (1, 2, 3) for event in world.since(mark.events, servo, True)]
-        assert on == [], "torque returned before a request"
+    def count(self, row: Row) -> int:
+        """Return the row's counter."""
+        values = {value.key: value.value for each in self.of(row.part) for value in each.values}
+        return int(values.get(row.counted, 0))
 
 
 @pytest.fixture(scope="module")
@@ -198,42 +75,69 @@ def charger(context: Any) -> Iterator[Any]:
 
     from ..running_charger import QUICK, RunningCharger
 
-    with RunningCharger(parse_scene(QUICK, "faults"), context) as charger:
-        yield charger
+    with pytest.MonkeyPatch.context() as patch:
+        # The emulated board's clock is this computer's, which may be busy.
+        patch.setattr(power, "HEARTBEAT_LIMIT", host(power.HEARTBEAT_LIMIT))
+        with RunningCharger(parse_scene(QUICK, "faults"), context) as charger:
+            charger.diagnostics = Diagnostics(charger)
+            yield charger
 
 
-KINDS = ("servo_missing", "servo_overload", "servo_unplugged", "servo_watchdog", "board_reboot", "board_unplugged")
-
-
-@pytest.mark.parametrize(
-    "row", [rest(row) if row.kind == KINDS[1] else night(row) for row in ROWS if row.kind in KINDS]
-)
-def test_a_docked_charger_under_a_fault(charger: Any, row: Row) -> None:
-    """Charging ends with the code of what docking sees, and the next goal shows recovery."""
-    from deltacharger.msg import DockingState
-    from std_srvs.srv import Trigger
-
-    from deltacharger_ros.messages import CODES
-
-    from ..nodes import call
-
+@pytest.mark.parametrize("row", CELLS)
+def test_fault(charger: Any, row: Row) -> None:
+    world, record, faults, told = charger.world, charger.world.record, charger.emulators.faults, charger.diagnostics
     code = INPUTS[row.shows].codes[State.CHARGING] if row.shows else Code.NONE
-    record, lost = charger.world.record, charger.world.record.unpowered_live
     charger.charge()
-    charger.emulators.faults.begin(Fault(kind=row.kind, amount=row.amount))
-    if code is Code.NONE:
-        assert charger.undock().success
-    else:
-        wait_until(lambda: charger.state.error_code, "an error")
-        wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the arm back")
-        assert CODES[charger.state.error_code] == code.name
-    charger.emulators.faults.clear()
-    if "reboot_servos" in row.recovery:
-        reboot = charger.client.node.create_client(Trigger, "reboot_servos")
-        wait_until(lambda: call(reboot, Trigger.Request()).success, "the reboot of the servos")
-        charger.client.node.destroy_client(reboot)
-    charger.wait_until_ready()
-    assert not charger.is_closed
+    count, first, began, at = told.count(row), len(world.events), time.monotonic(), world.time
+    record.peak_push, push, lost = 0.0, world.push(), record.unpowered_live
+    faults.begin(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
+    try:
+        if row.opens != NEVER:
+            assert charger.opened(at) <= host(row.opens) + _SLACK
+        if row.warning:
+            wait_until(lambda: told.warned(row, began), f"{row.part} to report {row.warning}")
+        if row.counted:
+            wait_until(lambda: told.count(row) > count, f"{row.part} to count {row.counted}")
+        for servo in row.unknown:
+            wait_until(lambda servo=servo: math.isnan(charger.servos.position[servo - 1]), "NaN")  # type: ignore[misc]
+        wait_until(lambda: world.time > at + _GOES_ON, "the world to go on")
+        if row.opens != NEVER or code is not Code.NONE:
+            wait_until(lambda: charger.state.error_code and not charger.state.state, "docking to end")
+            assert not charger.is_closed
+            assert code in (Code.NONE, charger.state.error_code), charger.state.error_message
+        else:
+            assert charger.state.charging
+            assert world.circuit.current > 0.5, "charging did not go on"
+        assert record.peak_push - push <= _PUSHES_MORE
+        for servo in (1, 2, 3):
+            assert not world.since(first, servo, True), f"the torque of servo {servo} returned by itself"
+            live = [event for event in world.since(first, servo, False) if event.live]
+            assert all(servo in row.at_once and event.time <= at + _SLACK for event in live), live
+    finally:
+        faults.clear()
+    recover(charger, row)
     # A servo loses its torque at once: no driver can open before that.
     assert record.unpowered_live - lost <= bool(row.at_once)
     assert (record.energised_shorts, record.energised_unsafe, record.parted_live) == (0, 0.0, 0)
+
+
+def recover(charger: Any, row: Row) -> None:
+    """Do what a person does; the next cell docks again, which needs nothing else."""
+    from std_srvs.srv import SetBool, Trigger
+
+    from ..nodes import call
+
+    if "reboot_servos" in row.recovery:
+        node = charger.client.node
+        torque, reboot = node.create_client(SetBool, "set_torque"), node.create_client(Trigger, "reboot_servos")
+        refused = call(torque, SetBool.Request(data=True))
+        assert not refused.success
+        assert "reboot_servos" in refused.message
+        wait_until(lambda: call(reboot, Trigger.Request()).success, "the reboot of the servos")
+        assert not any(charger.world.torque), "a reboot switched torque on"
+        node.destroy_client(torque)
+        node.destroy_client(reboot)
+    charger.wait_until_ready()
+    wait_until(lambda: all(charger.servos.valid), "all servos to answer")
+    if charger.state.docked:
+        charger.go_home()

@@ -98,19 +98,6 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     wait_until(found, "the tag in the picture")
 
 
-@pytest.mark.rest
-def test_the_other_renderer_shows_the_same_scene(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
-    try:
-        camera(renderer="mujoco", seed=4)
-    except StartupError as error:
-        pytest.skip(str(error))
-    viewer.watch("color/image_raw")
-    other = viewer.color().astype(float)
-    assert other.shape == (400, 640, 3)
-    bright = other.mean(axis=2) > 120.0
-    assert 0.002 < bright[150:250, 220:420].mean() < 0.9  # bars on a dark plate in the middle
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [

@@ -17,29 +17,20 @@ from pathlib import Path
 import pytest
 import serial
 
+from deltacharger_driver.servos.packets import PING
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.fault_kinds import KINDS, FaultOrder, Hardware
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 
 from ..chargers import Process, wait_until
-
-BOARD_HELLO_TYPE = 3
-
-
-def ping(servo: int) -> bytes:
-    """Return a Protocol 2.0 ping of one servo."""
-    from dynamixel_sdk import Protocol2PacketHandler
-
-    packet = [0xFF, 0xFF, 0xFD, 0x00, servo, 3, 0, 1]
-    checksum = Protocol2PacketHandler().updateCRC(0, packet, len(packet))
-    return bytes([*packet, checksum & 0xFF, checksum >> 8])
+from ..driver.servo_host import Host
 
 
 def answer(port: str, servo: int) -> bytes:
     """Return the reply to a ping, 14 bytes; empty if there is none within 0.2 s."""
     with serial.Serial(port, 1_000_000, timeout=0.2) as line:
-        line.write(ping(servo))
+        line.write(Host.packet(servo, PING))
         return bytes(line.read(14))
 
 

@@ -6,11 +6,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.control_table import OK
+from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_sim.parameters import (
     CircuitParameters,
     MagnetParameters,
@@ -286,3 +290,97 @@ def test_a_refused_move_leaves_the_target_in_place() -> None:
     assert not world.target_moves
     world.step(0.01)
     assert world.parameters.target.x == 0.0
+
+
+ALONE = TargetParameters(present=False)
+QUIET = ServoParameters(current_noise=0.0, friction=0.0)
+GOALS = (0.1, 0.2, 0.15)
+
+
+def settled(arm: Any, *gains: float) -> Any:
+    """Let an arm rest at GOALS with these gains; return the torque over the deflection of each servo, N·m/rad."""
+    for index, (goal, gain) in enumerate(zip(GOALS, gains, strict=True)):
+        arm.world.command(index, True, goal, 4.1, gain)
+    arm.run(3.0)
+    mechanics = arm.world.mechanics
+    return [
+        torque / (goal - angle) for torque, goal, angle in zip(mechanics.torques, GOALS, mechanics.angles, strict=True)
+    ]
+
+
+class TestGains:
+    @pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}, {"command_latency": 0.02}], ids=str)
+    def test_an_equal_gain_of_all_servos_equals_another_stiffness(
+        self, arm: ArmFactory, servo: dict[str, float]
+    ) -> None:
+        """In a strike and a press on the target."""
+        found: list[tuple[float, ...]] = []
+        for stiffness, gain in ((10.0, 1.5), (15.0, 1.0)):
+            struck = arm(WorldParameters(servo=ServoParameters(stiffness=stiffness, current_noise=0.0, **servo)))
+            for z in (0.070, 0.088, 0.060):
+                for index, angle in enumerate(arm.delta.inverse(0.0, 0.002, z)):  # type: ignore[attr-defined]
+                    struck.world.command(index, True, angle, 4.1, gain)
+                struck.run(0.5)
+            mechanics, record = struck.world.mechanics, struck.world.record
+            found.append((*mechanics.position, *mechanics.torques, record.peak_force, record.peak_push))
+        assert found[0] == pytest.approx(found[1], rel=1e-6, abs=1e-9)
+
+    def test_each_servo_has_its_own_gain_also_if_it_changes_at_rest(self, arm: ArmFactory) -> None:
+        resting = arm(WorldParameters(servo=QUIET, target=ALONE))
+        assert settled(resting, 1.0, 1.0, 1.0) == pytest.approx([15.0] * 3, rel=1e-4)
+        assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-4)
+
+    @pytest.mark.rest
+    def test_mujoco_has_the_same_gains(self, arm: ArmFactory) -> None:
+        pytest.importorskip("mujoco")
+        from deltacharger_sim.mujoco_world import mujoco_world
+
+        resting = arm()
+        resting.world = mujoco_world(WorldParameters(servo=replace(QUIET, friction=0.001), target=ALONE))
+        assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-3)
+
+    def test_the_register_reaches_the_world(self) -> None:
+        world = World(WorldParameters(servo=QUIET, target=ALONE))
+        bus, register = ServoBusEmulator(SharedWorld(world, lambda: 0.0)), REGISTERS["position_p_gain"]
+        for servo in (1, 2, 3):
+            assert bus.servo(servo).write(register.address, register.to_bytes(217 * servo), 0.0) == OK
+        assert world.mechanics.gains == (0.5, 1.0, 1.5)
+        bus.servo(3).reboot(0.0)
+        assert world.mechanics.gains[2] == pytest.approx(850 / 434)
+
+
+def turning(arm: ArmFactory, count: int, **servo: float) -> tuple[World, list[tuple[float, ...]]]:
+    """Return a world whose servo 0 was commanded to turn by 0.3 rad, and its states in the steps since then."""
+    moving = arm(WorldParameters(servo=ServoParameters(current_noise=0.0, **servo)))
+    moving.run(0.5)
+    world, mechanics = moving.world, moving.world.mechanics
+    for index in range(3):
+        world.command(index, True, mechanics.angles[index], 4.1)
+    moving.run(0.5)
+    world.command(0, True, mechanics.angles[0] + 0.3, 4.1)
+    states = []
+    for _ in range(count):
+        states.append((mechanics.angles[0], mechanics.rates[0], mechanics.torques[0] / (6.0 / 4.1)))
+        world.step(0.005)
+    return world, states
+
+
+class TestLatency:
+    @pytest.mark.parametrize("late", [1, 20])
+    def test_a_command_acts_after_its_latency_as_without_latency(self, arm: ArmFactory, late: int) -> None:
+        prompt, slow = (turning(arm, 100, **servo)[1] for servo in ({}, {"command_latency": 0.005 * late}))
+        assert max(abs(state[0] - prompt[0][0]) for state in slow[: late + 1]) < 1e-6
+        assert [state[0] for state in prompt[:-late]] == pytest.approx([state[0] for state in slow[late:]], abs=1e-6)
+
+    @pytest.mark.parametrize("old", [1, 20])
+    def test_a_reading_has_its_latency(self, arm: ArmFactory, old: int) -> None:
+        world, states = turning(arm, 60, reading_latency=0.005 * old)
+        assert world.servo(0)[:3] == pytest.approx(states[-old])
+
+    def test_the_order_of_commands_is_kept(self, arm: ArmFactory) -> None:
+        world, _ = turning(arm, 0, command_latency=0.02)
+        world.command(0, False, 0.0, 0.0)
+        world.command(0, True, 0.1, 2.0)
+        for _ in range(10):
+            world.step(0.005)
+        assert (world._enabled[0], world._reference[0]) == (True, 0.1)
