@@ -76,14 +76,16 @@ def failure(tests: list[str], tree: Path) -> str:
 
 
 def killer(mutant: Mutant, tree: Path) -> str:
-    """Return the first test that fails with this mutant, '' if none does."""
+    """Return the first test that fails with this mutant, twice, and not without it; '' if none does."""
     path, suites = mutant.place(tree), mutant.suites(tree)
     whole = path.read_text()
     path.write_text(whole.replace(mutant.text, mutant.becomes))
     try:
-        return next((failed for suite in suites if (failed := failure(suite, tree))), "")
+        failed = next((failed for suite in suites if (failed := failure(suite, tree))), "")
+        fails = failed and failure([failed], tree)
     finally:
         path.write_text(whole)
+    return failed if fails and not failure([failed], tree) else ""
 
 
 def main(words: list[str]) -> int:
