@@ -263,7 +263,6 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         assert arm.torque_enabled() == [False] * 3
 
 
-@pytest.mark.version
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [

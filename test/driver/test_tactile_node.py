@@ -50,15 +50,14 @@ class Client(Node):
         self.diagnostics: list[DiagnosticArray] = []
         self.batteries: dict[str, list[BatteryState]] = {"battery": [], "target_battery": []}
         group = ReentrantCallbackGroup()
-        self.create_subscription(
-            TactileFrame, "tactile_frame", self.frames.append, qos_profile_sensor_data, callback_group=group
-        )
-        self.create_subscription(
-            ChargerPower, "charger_power", self.powers.append, QoSProfile(depth=1), callback_group=group
-        )
-        self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10, callback_group=group)
-        for topic, messages in self.batteries.items():
-            self.create_subscription(BatteryState, topic, messages.append, 10, callback_group=group)
+        listened = [
+            (TactileFrame, "tactile_frame", self.frames, qos_profile_sensor_data),
+            (ChargerPower, "charger_power", self.powers, QoSProfile(depth=1)),
+            (DiagnosticArray, "/diagnostics", self.diagnostics, QoSProfile(depth=10)),
+            *((BatteryState, topic, messages, QoSProfile(depth=10)) for topic, messages in self.batteries.items()),
+        ]
+        for kind, topic, messages, qos in listened:
+            self.create_subscription(kind, topic, messages.append, qos, callback_group=group)
         self._tare = self.create_client(Trigger, "tare", callback_group=group)
         self._probe = self.create_client(Probe, "probe", callback_group=group)
         self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
@@ -282,7 +281,6 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
     assert rig.power().fault == BoardFault.HEARTBEAT_LOST
 
 
-@pytest.mark.witness
 def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path, context: Any) -> None:
     rig = Rig(tmp_path, context)
     rig.fresh_frame()
@@ -297,7 +295,6 @@ def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path, context
     rig.stop()
 
 
-@pytest.mark.version
 @pytest.mark.parametrize(
     ("parameter", "words"),
     [
