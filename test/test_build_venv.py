@@ -9,15 +9,14 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections import namedtuple
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "cmake" / "build_venv.py"
-Usage = namedtuple("Usage", "total used free")
 
 
 @pytest.fixture
@@ -30,25 +29,22 @@ def builder() -> Any:
     return module
 
 
-def test_nothing_is_missing_here(builder: Any) -> None:
+def test_what_is_missing_is_named_at_once_in_one_line_each(builder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(builder.missing(".")) == []
-
-
-def test_an_old_python_reads_the_file_and_is_refused(builder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    ast.parse(FILE.read_text(encoding="utf-8"), feature_version=(3, 6))
-    monkeypatch.setattr(sys, "version_info", (3, 8, 10))
-    assert list(builder.missing(".")) == ["Python is 3.8; 3.10 or newer is needed, first in PATH as python3"]
-
-
-def test_all_that_is_missing_is_named_at_once(builder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(sysconfig, "get_paths", lambda: {"include": "/nowhere"})
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(2**30, 2**30, 2**20))
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=2**20))
     lines = list(builder.missing("."))
-    for line, remedy in zip(lines, ("-venv", "-dev", "apt install g++", "1500 MiB are needed"), strict=True):
-        assert remedy in line
-        assert "\n" not in line
+    assert not [
+        line
+        for line, remedy in zip(lines, ("-venv", "-dev", "apt install g++", "MiB"), strict=True)
+        if remedy not in line or "\n" in line
+    ]
+    ast.parse(FILE.read_text(encoding="utf-8"), feature_version=(3, 6))  # an old Python reads the file
+    monkeypatch.setattr(sys, "version_info", (3, 8, 10))
+    (line,) = builder.missing(".")
+    assert "3.10" in line
 
 
 @pytest.mark.parametrize(
@@ -70,6 +66,7 @@ def test_what_a_failed_step_printed_becomes_one_line(builder: Any, printed: str,
     assert "\n" not in line
 
 
+@pytest.mark.rest
 def test_without_a_network_the_build_ends_in_one_line(tmp_path: Path) -> None:
     environment = {
         "PATH": "/usr/bin:/bin",

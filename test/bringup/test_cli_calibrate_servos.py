@@ -149,14 +149,6 @@ def measure(charger: Any, start: Callable[..., Process]) -> Iterator[Callable[..
     wait_until(lambda: not any(charger.world.torque), "torque off")
 
 
-def moves(charger: Any, process: Process) -> None:
-    """Wait until the arm moves."""
-    process.wait_for_line("Ctrl-C", process.err)
-    start = list(charger.servos.position)
-    wait_until(lambda: max(abs(a - b) for a, b in zip(charger.servos.position, start, strict=True)) > 0.05, "motion")
-    assert any(charger.world.torque)
-
-
 @pytest.mark.night
 @pytest.mark.timeout(400)  # it takes 90 s
 def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process], tmp_path: Path) -> None:
@@ -178,48 +170,13 @@ def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process]
 def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
     measure: Callable[..., Process], charger: Any, old: Path, how: signal.Signals
 ) -> None:
+    refused = measure("--out", old)
+    assert (refused.end(), "--force" in refused.out[0]) == (2, True)
     process = measure("--out", old, "--force")
-    moves(charger, process)
+    process.wait_for_line("Ctrl-C", process.err)
+    start = list(charger.servos.position)
+    wait_until(lambda: max(abs(a - b) for a, b in zip(charger.servos.position, start, strict=True)) > 0.05, "motion")
+    assert any(charger.world.torque)
     assert process.end(how) == 130, process.err
     assert "torque is off" in json.loads(process.out[0])["error"]
-    assert old.read_text() == OLD
-
-
-@pytest.mark.night
-def test_a_lost_servo_ends_it(measure: Callable[..., Process], charger: Any, old: Path) -> None:
-    from deltacharger_sim.charger.faults import Fault
-
-    process = measure("--out", old, "--force")
-    moves(charger, process)
-    charger.emulators.faults.begin(Fault(kind="servo_missing", servo=2, last=2.0))
-    assert process.end() == 1, process.err
-    assert "nothing was written" in json.loads(process.out[0])["error"]
-    assert old.read_text() == OLD
-    wait_until(lambda: all(charger.servos.valid), "the return of the servo")
-
-
-@pytest.mark.rest
-def test_torque_switched_on_by_another_program_stays_on(
-    measure: Callable[..., Process], charger: Any, old: Path
-) -> None:
-    from std_srvs.srv import SetBool
-
-    from deltacharger_ros import qos
-
-    from ..nodes import call
-
-    client = charger.client.node.create_client(SetBool, f"/{charger.namespace}/set_torque", qos_profile=qos.SERVICE)
-    wait_until(client.service_is_ready, "set_torque")
-    refused = measure("--out", old)
-    assert refused.end() == 2
-    assert "--force" in json.loads(refused.out[0])["error"]
-    assert call(client, SetBool.Request(data=True)).success
-    try:
-        process = measure("--out", old, "--force")
-        assert process.end() == 1
-        error = json.loads(process.out[0])["error"]
-        assert ("another program" in error, "the torque is off" in error) == (True, False)
-        assert any(charger.world.torque)
-    finally:
-        call(client, SetBool.Request(data=False))
     assert old.read_text() == OLD

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile`: from a simulated data set to an evaluated classifier, and its errors."""
+"""`deltacharger tactile` and `calibrate tactile`: data sets, classifiers, a rig's calibration, and their errors."""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +14,13 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_tactile import MODEL_PATH
+from deltacharger_tactile.calibration.rig import TactileCalibration
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.generator import generate_continuous
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.sensor import Rig
 
 from .command import Capture, answer, refuses, run
-
-pytestmark = pytest.mark.rest
-"""Libraries of training and thousand dockings take seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +33,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
+@pytest.mark.rest
 def test_a_data_set_has_the_documented_fields_and_follows_from_its_seed(sets: dict[str, Path]) -> None:
     with np.load(sets["data"], allow_pickle=False) as file:
         assert file["left"].shape == file["right"].shape == (1100, 10, 10)
@@ -43,6 +49,7 @@ def test_a_data_set_has_the_documented_fields_and_follows_from_its_seed(sets: di
         assert not np.array_equal(one["left"], three["left"])
 
 
+@pytest.mark.rest
 def test_a_classifier_is_trained_and_evaluated(sets: dict[str, Path], tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     data, fresh = sets["data"], sets["fresh"]
@@ -71,28 +78,7 @@ def test_a_classifier_is_trained_and_evaluated(sets: dict[str, Path], tmp_path: 
     assert "trained on" not in run(capsys, "tactile", "evaluate", "--data", tmp_path / "other.npz", "--model", model)[2]
 
 
-def test_a_pose_estimator_is_trained_and_evaluated_on_different_rigs(tmp_path: Path, capsys: Capture) -> None:
-    data, fresh, model = (tmp_path / name for name in ("data.npz", "fresh.npz", "pose.npz"))
-    generate = ("tactile", "generate", "--protocol", "continuous", "--frames", 4)
-    assert run(capsys, *generate, "--rigs", 6, "--dockings", 500, "--out", data)[0] == 0
-    assert run(capsys, *generate, "--rigs", 2, "--first-rig", 50, "--dockings", 300, "--out", fresh)[0] == 0
-    with np.load(fresh) as file:
-        assert (len(file["angle"]), json.loads(str(file["meta"]))["frames"]) == (600, 4)
-        assert file["angle"].min() < 0.0 < file["angle"].max()
-    train = ("tactile", "train", "--data", data, "--model", "pose", "--target", "pose", "--out", model)
-    assert answer(capsys, *train)[1]["n"] == 3000
-    results = []
-    for path in (model, MODEL_PATH):
-        code, found = answer(capsys, "tactile", "evaluate", "--data", fresh, "--model", path)
-        assert (code, found["target"], found["n"]) == (0, "pose", 600)
-        results.append(found)
-    for axis in ("angle", "vertical", "horizontal"):
-        own, packaged = (result[axis] for result in results)
-        assert packaged["mean_absolute_error"] < own["mean_absolute_error"] < 0.2
-        assert packaged["coverage"] > 0.85
-        assert {"target", "n", "accuracy", "nominal", "act_rate", "drift_rate"} <= set(own)
-
-
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("line", "noun"),
     [
@@ -101,6 +87,98 @@ def test_a_pose_estimator_is_trained_and_evaluated_on_different_rigs(tmp_path: P
         ("tactile train --data {data} --model pose --target pose --out new.npz", "too few"),
     ],
 )
-def test_data_that_do_not_fit_are_refused(sets: dict[str, Path], capsys: Capture, line: str, noun: str) -> None:
+def test_sets_that_do_not_fit_are_refused(sets: dict[str, Path], capsys: Capture, line: str, noun: str) -> None:
     refuses(capsys, line, noun, data=sets["data"])
     assert not Path("new.npz").exists()
+
+
+NEAR = {"position_limit": 0.008, "angle_limit": math.radians(10.0)}
+CALIBRATE = ("calibrate", "tactile")
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Dataset:
+    return generate_continuous(rigs=(661,), count=40, seed=2, frames=6, threshold=0.25, **NEAR)
+
+
+@pytest.fixture
+def data(recorded: Dataset, tmp_path: Path) -> Path:
+    recorded.save(tmp_path / "data.npz")
+    return tmp_path / "data.npz"
+
+
+@pytest.mark.rest
+def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, recorded: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "pads.yaml"
+    out.write_text("mine", encoding="utf-8")
+    refuses(capsys, f"calibrate tactile --data {data} --out {out}", "--force")
+    assert out.read_text(encoding="utf-8") == "mine"
+    code, text, err = run(capsys, *CALIBRATE, "--data", data, "--out", out, "--force")
+    assert (code, str(out) in err) == (0, True), err
+    for word in ("rig 661", "dead, reported", "spread", "load shift", "vertical error", "held out", "after"):
+        assert word in text
+    assert max(map(len, text.splitlines())) <= 120
+    made = TactileCalibration.load(out)
+    assert np.array_equal(made.dead, recorded.dead[0])
+    assert made.data == hashlib.sha256(data.read_bytes()).hexdigest()
+    assert (made.rig, made.dockings, made.simulated) == (661, 40, True)
+    true = Rig.draw(TactileParameters(), 661).gain[~made.dead]
+    assert np.corrcoef(made.gain[~made.dead], true)[0, 1] > 0.7
+    assert "data.npz" in out.read_text(encoding="utf-8")
+    code, found = answer(capsys, *CALIBRATE, "--data", data, "--out", out, "--force")
+    assert (code, found["success"], found["written"], found["dockings"]) == (0, True, str(out), 40)
+    assert len(found["dead"]["reported"]) == 1
+    assert found["dead"]["silent"] == found["dead"]["loud"] == found["dead"]["noisy"] == found["doubts"] == []
+    assert 0.05 < found["gain"]["stddev"] < 0.25
+    assert abs(found["bias"]["vertical"]["used"]) <= abs(found["bias"]["vertical"]["found"]) < 1e-3
+    assert found["held_out"]["rms"]["vertical"]["after"] < 1e-3
+
+
+@pytest.mark.rest
+def test_doubts_are_reported(capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path) -> None:
+    broken = {name: np.array(getattr(recorded, name)) for name in ("right", "tare", "vertical")}
+    broken["right"][:, 9, 0] = 1.5
+    broken["tare"][recorded.session == 2, 1, 4, 4] += 0.6
+    broken["vertical"] += 0.004
+    rows = {name: broken.get(name, value)[:29] for name, value in vars(recorded).items() if name != "meta"}
+    dataclasses.replace(recorded, **rows).save(data)
+    code, found = answer(capsys, *CALIBRATE, "--data", data, "--out", tmp_path / "pads.yaml", "--force")
+    assert (code, found["dead"]["loud"]) == (0, [[1, 9, 0]])
+    for word in ("29 dockings", "right row 4 column 4", "askew"):
+        assert word in " ".join(found["doubts"])
+    assert TactileCalibration.load(tmp_path / "pads.yaml").dead[1, 9, 0]
+    broken["right"][:, 2] = 1.5
+    dataclasses.replace(recorded, right=broken["right"]).save(data)
+    refuses(capsys, f"calibrate tactile --data {data} --out {tmp_path}/none.yaml", "replace the pad")
+
+
+def test_data_of_several_rigs_need_the_option_rig(capsys: Capture, tmp_path: Path) -> None:
+    generate_continuous(rigs=(5, 6), count=5, seed=2, frames=4, threshold=0.25, **NEAR).save(tmp_path / "two.npz")
+    line = f"calibrate tactile --data {tmp_path}/two.npz --out {tmp_path}/pads.yaml"
+    refuses(capsys, line, "--rig")
+    refuses(capsys, f"{line} --rig 7", "5, 6")
+    assert not (tmp_path / "pads.yaml").exists()
+
+
+@pytest.mark.rest
+def test_a_calibration_that_makes_estimates_worse_is_not_written(
+    capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path
+) -> None:
+    # The commanded poses are 3 mm off and the poses in contact are right: every correction is wrong.
+    dataclasses.replace(recorded, vertical=recorded.vertical + 0.003).save(data)
+    out = tmp_path / "pads.yaml"
+    code, _, err = run(capsys, *CALIBRATE, "--data", data, "--out", out)
+    assert (code, "vertical gets worse" in err, out.exists()) == (1, True, False)
+
+
+@pytest.mark.parametrize(
+    ("count", "threshold", "more", "noun"),
+    [(20, 1.0, "", "--threshold 0.25"), (3, 0.25, "", "in range"), (3, 0.25, "--model {data}", "model")],
+)
+def test_data_that_do_not_fit_are_refused(
+    capsys: Capture, tmp_path: Path, count: int, threshold: float, more: str, noun: str
+) -> None:
+    data = tmp_path / "data.npz"
+    generate_continuous(rigs=(1,), count=count, threshold=threshold).save(data)
+    refuses(capsys, f"calibrate tactile --data {data} --out {tmp_path}/new.yaml {more.format(data=data)}", noun)
+    assert not (tmp_path / "new.yaml").exists()

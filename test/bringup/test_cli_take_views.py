@@ -112,20 +112,6 @@ def test_a_partly_filled_folder_is_completed_and_solved(taking: Callable[..., Pr
     assert np.linalg.norm(rig.dock_error(mount)) < 0.002
 
 
-@pytest.mark.night
-@pytest.mark.parametrize(
-    ("words", "noun"),
-    [(("--color-topic", "other/image_raw"), "other/camera_info"), (("--board-x-mm", "400"), "--mount")],
-)
-def test_without_a_camera_or_a_visible_board_it_ends_with_1(
-    taking: Callable[..., Process], charger: RunningCharger, tmp_path: Path, words: tuple[str, ...], noun: str
-) -> None:
-    command = taking("--views", tmp_path / "new", "--take", 5, *words)
-    assert command.end() == 1
-    assert noun in json.loads(command.out[0])["error"]
-    assert not torque(charger)
-
-
 class _Arm:
     """An arm that reaches each goal at once; if `restless`, it moves during every second image."""
 
@@ -203,6 +189,7 @@ def camera(context: Any) -> Iterator[tuple[Callable[[], CameraClient], Callable[
     spinner.close()
 
 
+@pytest.mark.version
 def test_an_image_from_before_the_request_is_not_used(camera: Any) -> None:
     client, image, _ = camera
 

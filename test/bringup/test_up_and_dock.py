@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import signal
 from collections.abc import Callable
@@ -48,6 +47,7 @@ def result(process: Process, code: int) -> dict[str, object]:
     return dict(json.loads("\n".join(process.out)))
 
 
+@pytest.mark.version
 @pytest.mark.witness
 def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: Run, run: Run) -> None:
     charger = up()
@@ -104,16 +104,6 @@ def test_a_charger_of_separate_processes_uses_the_same_lock(
     assert third.end(signal.SIGTERM) == 0, third.err
 
 
-@pytest.mark.rest
-def test_of_two_chargers_started_together_exactly_one_runs(run: Run) -> None:
-    both = [run("up"), run("up")]
-    wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one process")
-    refused, runs = sorted(both, key=lambda each: each.process.poll() is None)
-    assert refused.end() == 2
-    runs.wait_for_line("ready", runs.err)
-    assert runs.end(signal.SIGTERM) == 0
-
-
 @pytest.mark.night
 def test_a_charger_without_the_lock_is_found_over_ros_and_not_disturbed(
     up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -167,29 +157,6 @@ def test_without_a_charger_every_command_ends_with_1(
     code, found = answer(capsys, *line.split(), "--namespace", "nobody_here")
     assert (code, "deltacharger up" in found["error"]) == (1, True)
     assert [path.name for path in tmp_path.iterdir()] == ["plan.csv"]
-
-
-@pytest.mark.night
-@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix")
-@pytest.mark.parametrize("domain", [None, "0"])
-def test_the_command_sets_its_environment_and_finds_a_charger_of_either_domain(
-    up: Run,
-    start: Run,
-    deltacharger: tuple[str, ...],
-    namespace: str,
-    monkeypatch: pytest.MonkeyPatch,
-    domain: str | None,
-) -> None:
-    for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.delenv(name, raising=False)
-    if domain is not None:
-        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    charger = up()
-    assert any(f"ROS domain {domain or 87}" in line for line in charger.err)
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    undock = start(*deltacharger, "undock", "--namespace", namespace, "--json")
-    assert undock.end() == 0, undock.err
-    assert charger.end(signal.SIGTERM) == 0
 
 
 @pytest.mark.night

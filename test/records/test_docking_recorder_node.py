@@ -88,6 +88,7 @@ def assert_same(found: Replay, outcome: Outcome) -> None:
     assert outcome.error_name in f"{found.recording.path.name}-NONE"
 
 
+@pytest.mark.version
 @pytest.mark.witness
 def test_a_docking_is_recorded_as_its_client_saw_it(cell: Recorded) -> None:
     seen: list[Progress] = []
@@ -133,16 +134,6 @@ def test_the_record_of_a_refusal_states_the_reason(cell: Recorded, node: str, fa
     assert_same(found, outcome)
     assert noun in why(found).lower()
     assert [each.kind for each in found.run.decisions] == cell.decisions
-
-
-@pytest.mark.rest
-def test_an_unwritable_folder_stops_recording_but_not_docking(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
-    folder = tmp_path / "records"
-    folder.write_text("in the way")
-    with Recorded(quick_scene, context, folder) as cell:
-        cell.charge()
-        wait_until(lambda: any("recording ended" in text for text, _ in list(cell.diagnostics)), "a diagnostic")
-        cell.go_home()
 
 
 @pytest.mark.rest

@@ -40,16 +40,6 @@ def test_a_record_begins_with_the_seconds_before_and_keeps_everything_after() ->
     assert 0.01 * (999 - kept[0].received) == pytest.approx(BEFORE, abs=0.02)
 
 
-def test_the_next_record_has_its_seconds_before_even_if_the_last_one_has_them() -> None:
-    tap = gate()
-    tap.open()
-    for number in range(300):
-        tap.offer(0.01 * number, raw("servo", number))
-    tap.close()
-    assert numbers(tap.open())[-1] == 299
-    assert len(numbers(tap.open())) > 100
-
-
 def test_messages_pass_in_order_and_every_state_passes() -> None:
     random = Random(1)
     for _ in range(30):

@@ -16,7 +16,7 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, elbows, feet, passive_joints, rods
+from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, passive_joints, rods
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 
@@ -44,10 +44,10 @@ CALIBRATED = DeltaGeometry(
 
 
 def poses(geometry: DeltaGeometry) -> Array:
-    """Return points of the complete workspace, including its corners, that every limb reaches within its limits."""
+    """Return the corners of the workspace and points inside."""
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T, indexing="ij"), axis=-1).reshape(-1, 3)
-    drawn = np.random.default_rng(3).uniform(low, high, (75, 3))
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 2).T, indexing="ij"), axis=-1).reshape(-1, 3)
+    drawn = np.random.default_rng(3).uniform(low, high, (12, 3))
     return np.concatenate([grid, drawn])
 
 
@@ -88,13 +88,13 @@ def expanded(**arguments: object) -> str:
     return str(xacro.process_file(str(XACRO), mappings=words).toprettyxml(indent="  "))
 
 
-def test_the_rods_meet_arms_and_platform_everywhere() -> None:
-    check_loops(UrdfTree(BAKED.read_text(encoding="utf-8")), DeltaGeometry())
-
-
-def test_a_calibrated_arm_closes_as_well(tmp_path: Path) -> None:
-    save_geometry(CALIBRATED, tmp_path / "geometry.yaml")
-    check_loops(UrdfTree(expanded(geometry_file=tmp_path / "geometry.yaml")), CALIBRATED)
+@pytest.mark.parametrize("geometry", [DeltaGeometry(), CALIBRATED], ids=["nominal", "calibrated"])
+def test_the_rods_meet_arms_and_platform_everywhere(geometry: DeltaGeometry, tmp_path: Path) -> None:
+    text = BAKED.read_text(encoding="utf-8")
+    if geometry is CALIBRATED:
+        save_geometry(geometry, tmp_path / "geometry.yaml")
+        text = expanded(geometry_file=tmp_path / "geometry.yaml")
+    check_loops(UrdfTree(text), geometry)
 
 
 def test_the_committed_urdf_equals_the_xacro() -> None:
@@ -110,13 +110,15 @@ def test_limits_dimensions_and_names_equal_the_geometrys() -> None:
     for index in range(3):
         limit = tree.joints[f"limb_{index}_arm_joint"].find("limit")
         assert limit is not None
-        assert float(limit.attrib["lower"]) == pytest.approx(geometry.joint_min, abs=1e-12)
-        assert float(limit.attrib["upper"]) == pytest.approx(geometry.joint_max, abs=1e-12)
+        limits = [float(limit.attrib[name]) for name in ("lower", "upper")]
+        assert limits == pytest.approx([geometry.joint_min, geometry.joint_max], abs=1e-12)
     assert {"base_link", "charger_base", "delta_motor", "end_effector", "camera_color_optical_frame"} <= set(tree.links)
     sizes = [each.attrib["size"] for each in tree.root.findall("link[@name='end_effector']/visual/geometry/box")]
     bar = f"{terminal.bar_length:.3f} {terminal.bar_height:.3f} {terminal.bar_thickness:.3f}"
-    assert sizes.count(bar) == 2  # the electrodes
-    assert not tree.root.findall(".//mesh")
+    assert (sizes.count(bar), tree.root.findall(".//mesh")) == (2, [])
+    mimics = tree.mimics()  # only linear joints
+    assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
+    assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
 
 
 def two_chargers() -> ElementTree.Element:
@@ -166,30 +168,6 @@ def test_the_macro_adds_two_chargers_to_one_robot() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_solid_links_have_simple_collision_shapes_around_their_visuals() -> None:
-    robot = ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
-    solid = {each.attrib["name"] for each in robot.findall("link[collision]")}
-    limbs = {f"limb_{index}_{part}" for index in range(3) for part in ("motor", "arm")}
-    assert solid == {"delta_motor", "end_effector", "camera_color_optical_frame", *limbs}
-    assert {each.tag for each in robot.findall("link/collision/geometry/*")} == {"box", "cylinder"}
-    platform = robot.findall("link[@name='end_effector']/collision")
-    _, block = platform
-    top = _number(block, "origin", "xyz", 2) + 0.5 * _number(block, "geometry/box", "size", 2)
-    assert top == pytest.approx(0.0, abs=1e-12), "up to the contact plane, not beyond"
-
-
-def _number(element: ElementTree.Element, path: str, key: str, index: int) -> float:
-    found = element.find(path)
-    assert found is not None
-    return float(found.attrib[key].split()[index])
-
-
-def test_only_linear_joints_are_mimicked() -> None:
-    mimics = UrdfTree(BAKED.read_text(encoding="utf-8")).mimics()
-    assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
-    assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
-
-
 def test_frames_are_where_the_interface_defines_them(tmp_path: Path) -> None:
     joints = {f"limb_{index}_arm_joint": 0.0 for index in range(3)} | passive_joints(ScalarDelta(), (0.0, 0.0, 0.0))
     frames = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(joints)
@@ -207,28 +185,7 @@ def test_frames_are_where_the_interface_defines_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, other.pose, atol=1e-6)  # of seven and nine decimals in the file
 
 
-def test_pinocchio_reads_it_and_agrees() -> None:
-    pinocchio = pytest.importorskip("pinocchio", reason="a second reader of URDF, deltacharger[peers]")
-    text = BAKED.read_text(encoding="utf-8")
-    tree, model = UrdfTree(text), pinocchio.buildModelFromXML(text)
-    data, scalar = model.createData(), ScalarDelta()
-    for point in poses(DeltaGeometry())[::40]:
-        angles = Delta().inverse(point).angles
-        values = {f"limb_{index}_arm_joint": float(angle) for index, angle in enumerate(angles)}
-        values |= passive_joints(scalar, angles)
-        for name, (followed, _, _) in tree.mimics().items():
-            values[name] = values[followed]
-        q = np.array([values[name] for name in list(model.names)[1:]])
-        pinocchio.framesForwardKinematics(model, data, q)
-        for link, frame in tree.frames(values).items():
-            np.testing.assert_allclose(data.oMf[model.getFrameId(link)].homogeneous, frame, atol=1e-12)
-
-
-def test_angles_without_a_solution_have_no_passive_joints() -> None:
-    assert passive_joints(ScalarDelta(), (math.nan, 0.0, 0.0)) == {}
-    assert elbows(DeltaGeometry(), (0.0, 0.0, 0.0)).shape == feet(DeltaGeometry()).shape == (3, 3)
-
-
+@pytest.mark.version
 def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: Any, namespace: str, spin: Spin) -> None:
     from deltacharger.msg import ServoState
     from rclpy.node import Node
@@ -255,6 +212,7 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
     second = iter(range(2, 10_000))
     wait_until(lambda: states.publish(state(next(second), valid=True)) or came, "joint states")
     expected = passive_joints(ScalarDelta(), angles)
+    assert passive_joints(ScalarDelta(), (math.nan, 0.0, 0.0)) == {}
     assert list(came[0].name) == list(expected)
     assert list(came[0].position) == pytest.approx(list(expected.values()), abs=1e-12)
     assert came[0].header.stamp.sec >= 2

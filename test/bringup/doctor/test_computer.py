@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings of the doctor for this computer: settings, ROS, camera, and what it may lack."""
+"""`deltacharger doctor`: findings for this computer, what it may lack, and the command line."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ import pytest
 from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...chargers import new_namespace
-from .test_command import by_level
+from ...emulated_ports import IDS
+from ..command import Capture, answer, run
 from .test_devices import named, parts
 
 
@@ -82,25 +84,15 @@ def test_a_running_charger_is_named(context: Any) -> None:
     assert {finding.part for finding in found} >= {"rclpy", "interfaces", "numpy and ROS", "ros middleware"}
 
 
-# What is wrong with a computer: a module and its replacement, a variable, or options; the finding and a noun of it.
-WRONG: dict[str, tuple[dict[str, str], dict[str, str], tuple[str, ...], str, str]] = {
-    "rclpy": ({"rclpy": "raise ImportError(\"No module named 'rclpy'\", name='rclpy')"}, {}, (), "rclpy", "ros-rclpy"),
-    "a crash": ({"rclpy": "import os; os._exit(11)"}, {}, (), "rclpy", "one ROS installation"),
-    "Jazzy": (
-        {"sitecustomize": "import sys; sys.modules['rclpy.experimental'] = None"},
-        *({}, (), "ros version", "Jazzy"),
-    ),
-    "SDK": (
-        {"dynamixel_sdk": "raise ImportError('no SDK', name='dynamixel_sdk')"},
-        *({}, (), "dynamixel-sdk", "dynamixel-sdk"),
-    ),
-    "serial": ({"serial": "raise ImportError('no serial', name='serial')"}, {}, (), "pyserial", "pyserial"),
-    "yaml": ({"yaml": "raise ImportError('no yaml', name='yaml')"}, {}, (), "PyYAML", "pyyaml"),
-    "middleware": ({}, {"RMW_IMPLEMENTATION": "rmw_of_nobody"}, (), "ros middleware", "RMW_IMPLEMENTATION"),
-    "prefix": ({}, {"AMENT_PREFIX_PATH": "/usr"}, (), "ros prefix", "setup.bash"),
-    "domain": ({}, {"ROS_DOMAIN_ID": "500"}, (), "ros domain", "232"),
-    "no devices": ({}, {}, ("--servo-port", "/dev/none", "--board-port", "/dev/no"), "servo port", "plug"),
-    "one device": ({}, {}, ("--servo-port", "/dev/null", "--board-port", "/dev/null"), "ports", "one device"),
+# What is wrong with a computer: a module and its replacement, or a variable; the finding and a noun of it.
+WRONG: dict[str, tuple[dict[str, str], dict[str, str], str, str]] = {
+    "rclpy": ({"rclpy": "raise ImportError(\"No module named 'rclpy'\", name='rclpy')"}, {}, "rclpy", "ros-rclpy"),
+    "a crash": ({"rclpy": "import os; os._exit(11)"}, {}, "rclpy", "one ROS installation"),
+    "Jazzy": ({"sitecustomize": "import sys; sys.modules['rclpy.experimental'] = None"}, {}, "ros version", "Jazzy"),
+    "serial": ({"serial": "raise ImportError('no serial', name='serial')"}, {}, "pyserial", "pyserial"),
+    "middleware": ({}, {"RMW_IMPLEMENTATION": "rmw_of_nobody"}, "ros middleware", "RMW_IMPLEMENTATION"),
+    "prefix": ({}, {"AMENT_PREFIX_PATH": "/usr"}, "ros prefix", "setup.bash"),
+    "one device": ({}, {}, "ports", "one device"),
 }
 
 
@@ -109,13 +101,13 @@ def doctors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, subp
     """Run all doctors in parallel processes, because each takes seconds, mostly waiting."""
     running: dict[str, subprocess.Popen[str]] = {}
     try:
-        for name, (modules, variables, words, _, _) in WRONG.items():
+        for name, (modules, variables, _, _) in WRONG.items():
             folder = tmp_path_factory.mktemp("lacking")
             for module, body in modules.items():
                 (folder / f"{module}.py").write_text(body)
-            command = (sys.executable, "-m", "deltacharger_bringup.cli", "doctor", "--json")
+            where = ("--servo-port", "/dev/null", "--board-port", "/dev/null")
             running[name] = subprocess.Popen(
-                (*command, *(words or ("--scene", "simulated"))),
+                (sys.executable, "-m", "deltacharger_bringup.cli", "doctor", "--json", *where),
                 env={**os.environ, **variables, **({"PYTHONPATH": str(folder)} if modules else {})},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -142,3 +134,54 @@ def test_on_a_computer_that_lacks_something_it_works_and_says_so(
     assert noun in f"{found['message']} {found['remedy']}"
     assert all(each["remedy"] for each in value["findings"] if each["level"] != "ok")
     assert {"python", "ros domain"} - {part} <= set(by_level(value, "ok"))
+
+
+def by_level(value: dict[str, Any], level: str) -> dict[str, str]:
+    return {finding["part"]: finding["message"] for finding in value["findings"] if finding["level"] == level}
+
+
+@pytest.mark.rest
+def test_the_simulated_scene_is_examined(capsys: Capture) -> None:
+    _, value = answer(capsys, "doctor", "--scene", "simulated")
+    assert value["scene"] == "simulated"
+    assert set(by_level(value, "wrong")) <= {"servo line", "tactile link"}, "a busy computer loses replies and frames"
+    assert set(by_level(value, "ok")) >= {"servo 1", "servo 2", "servo 3", "board", "power", "probe"}
+
+
+@pytest.mark.rest
+def test_speed_and_ids_are_from_the_scene_and_ports_from_the_command_line(
+    capsys: Capture, tmp_path: Path, servos: ServoBusEmulator, servo_port: str, board_port: str
+) -> None:
+    for servo in IDS:
+        servos.set_speed(servo, 4)
+    scene = tmp_path / "robot.yaml"
+    scene.write_text(
+        f"ports: {{servo: /dev/nothing, board: {board_port}}}\nparameters: {{servo_node: {{baud_rate: 2000000}}}}\n"
+    )
+    _, value = answer(capsys, "doctor", "--scene", scene, "--servo-port", servo_port)
+    assert set(by_level(value, "wrong")) <= {"servo line", "tactile link"}  # may be wrong on a busy computer
+    assert value["servo_port"] == servo_port
+    assert "2000000" in next(f["message"] for f in value["findings"] if f["part"] == "servo 1")
+
+
+def test_set_baud_from_the_command_line(capsys: Capture, servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.set_speed(2, 1)
+    words = ("doctor", "--set-baud", "1000000", "--ids", "1", "2", "3", "--servo-port")
+    code, out, err = run(capsys, *words, servo_port)
+    assert (code, "ok     servo 2" in out, "servos" in err, servos.servo(2).table.get("baud")) == (0, True, True, 3)
+    assert out.rstrip().endswith("0 wrong, 0 hints, 4 ok")
+    code, value = answer(capsys, *words, "/dev/nothing")
+    assert (code, list(by_level(value, "wrong"))) == (1, ["servo port"])
+
+
+@pytest.mark.rest
+def test_servos_connected_to_the_board(capsys: Capture, servos: ServoBusEmulator, one_cable: str) -> None:
+    servos.set_speed(2, 1)
+    behind = ("--servo-port", "board", "--board-port", one_cable)
+    code, value = answer(capsys, "doctor", *behind)
+    assert (code, "servo 2" in by_level(value, "wrong")) == (1, True)
+    assert run(capsys, "doctor", *behind[:2])[0] == 1
+    remedy = next(f["remedy"] for f in value["findings"] if f["part"] == "servo 2")
+    assert f"deltacharger doctor {' '.join(behind)} --set-baud 1000000 --ids 2" in remedy
+    assert run(capsys, "doctor", *behind, "--set-baud", "1000000")[0] == 0
+    assert servos.servo(2).table.get("baud") == 3

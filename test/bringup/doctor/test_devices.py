@@ -78,7 +78,7 @@ BOARDS: dict[str, tuple[Callable[[BoardEmulator], object], tuple[str, str, str]]
 }
 
 
-@pytest.mark.parametrize("fault", BOARDS)
+@pytest.mark.parametrize("fault", ["dead taxel", "many dead taxels", rest("slow")])
 def test_a_fault_of_the_board_is_named(board: BoardEmulator, board_port: str, fault: str) -> None:
     make, expected = BOARDS[fault]
     make(board)
@@ -181,6 +181,7 @@ def test_a_bad_line_is_wrong(servos: ServoBusEmulator, servo_port: str) -> None:
     named(servo_findings(servo_port), ("wrong", "servo line", "plugs"))
 
 
+@pytest.mark.rest
 def test_two_servos_with_one_id_are_named_and_never_written() -> None:
     twins = ServoBusEmulator(BenchArm(), ids=(1, 2, 2))
     with PseudoTerminal(twins) as terminal:
