@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's classifiers and one more: training, files, and when an answer may be used."""
+"""The paper's classifiers: training, files, combined and reference dockings, and frames unlike training."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from deltacharger_tactile.classifiers import labels, packaged, reliability, splits
-from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
+from deltacharger_tactile.classifiers import familiarity, labels, packaged, reliability, splits
+from deltacharger_tactile.classifiers.classifier import DEFAULT, NAMES, Classifier
+from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
+from deltacharger_tactile.classifiers.fusion import groups, together
 from deltacharger_tactile.classifiers.judgement import evaluate
 from deltacharger_tactile.classifiers.labels import Examples, examples
+from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError, ModelError
-from deltacharger_tactile.generator import generate_continuous, generate_paper
+from deltacharger_tactile.generator import generate_continuous, generate_paper, measure
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.sensor import Rig
 
 from ..marks import night, rest
 from .small_paper import small_paper
@@ -136,3 +144,157 @@ def test_unknown_names_targets_and_classes_without_examples_are_refused(angle: E
     some = angle.part(angle.labels < 4)
     with pytest.raises(ModelError, match="class 0 to 5"):
         Classifier(SIMPLE, "angle").fit(some.frames, some.labels)
+
+
+THRESHOLD = 0.25
+
+
+def accuracy(model: Classifier, frames: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.mean(model.predict(frames) == wanted))
+
+
+def test_probabilities_of_independent_dockings_multiply() -> None:
+    one = np.array([[0.6, 0.3, 0.1]])
+    np.testing.assert_allclose(together([one]), one)
+    np.testing.assert_allclose(together([one, one]), one**2 / np.sum(one**2))
+    even = np.full((1, 3), 1.0 / 3.0)
+    np.testing.assert_allclose(together([one, even]), one)
+    # An outlier rules out no class.
+    strange, usual = np.array([[0.0, 1.0]]), np.array([[0.999, 0.001]])
+    assert together([strange, usual, usual, usual]).argmax() == 0
+
+
+@pytest.mark.rest
+def test_three_dockings_are_more_accurate_than_one() -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    rows = examples(generate_paper(rigs=(310, 311), seed=5, threshold=THRESHOLD), "horizontal")
+    learns, judges = splits.by_docking(rows, seed=1)
+    model = Classifier("lda", "horizontal", THRESHOLD).fit(rows.frames[learns], rows.labels[learns])
+    test = rows.part(judges)
+    shares = model.predict_proba(test.frames)
+    three = groups(test, 3, seed=0)
+    assert len(np.unique(three)) == three.size
+    for column in (test.values, test.rigs, test.labels):
+        assert (column[three] == column[three[0]]).all()
+    alone = np.mean(shares.argmax(axis=1) == test.labels)
+    joined = np.mean(together(shares[three]).argmax(axis=1) == test.labels[three[0]])
+    assert joined > alone
+    assert joined >= 0.99
+    with pytest.raises(DatasetError, match="1000 times"):
+        groups(test, 1000, seed=0)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("name", ["lda", DEFAULT])
+def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    rows = examples(generate_paper(rigs=(312,), seed=5, threshold=THRESHOLD), "horizontal")
+    model = Classifier(name, "horizontal", THRESHOLD).fit(rows.frames, rows.labels)
+    rig = Rig.draw(TactileParameters(), 312)
+    tilted = dataclasses.replace(rig, tilt=rig.tilt + np.radians([0.0, 0.06]))
+
+    def dockings(device: Rig, places: np.ndarray, seed: int) -> np.ndarray:
+        pose = np.column_stack([places, np.zeros((len(places), 2))])
+        readings = measure(TactileParameters(), device, pose, np.random.default_rng(seed), 1, THRESHOLD)
+        frames = np.stack([readings["left"], readings["right"]], axis=1)
+        frames[readings["dead"]] = np.nan
+        return frames
+
+    wanted = np.repeat(np.arange(5), 60)
+    new, usual = (dockings(device, 0.005 * wanted - 0.010, 3) for device in (tilted, rig))
+    before, as_trained = accuracy(model, new, wanted), accuracy(model, usual, wanted)
+    ten = np.full(10, 2)
+    with pytest.raises(ModelError, match="too few"):
+        model.refer(new[:1], wanted[:1])
+    model.refer(dockings(rig, np.zeros(10), 4), ten)
+    assert accuracy(model, usual, wanted) > as_trained - 0.04, "little loss without a change"
+    model.refer(dockings(tilted, np.zeros(10), 5), ten)
+    assert accuracy(model, new, wanted) > before + 0.1
+
+
+def test_classifiers_without_references_refuse_them() -> None:
+    tree = packaged.load("tree")["vertical"]
+    with pytest.raises(ModelError, match="train lda or pose"):
+        tree.refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
+
+
+Frames = NDArray[np.float64]
+RIG, THRESHOLD = 311, 0.25
+
+
+def docked(target: str, seed: int, parameters: TactileParameters | None = None, rig: int = RIG) -> Frames:
+    data = small_paper((rig,), seed, 0.0, parameters, angles=60, positions=12)
+    return np.nan_to_num(examples(data, target).frames)
+
+
+Known = tuple[Familiarity, Frames]
+
+
+@pytest.fixture(scope="module", params=["angle", rest("horizontal")])
+def known(request: pytest.FixtureRequest) -> Known:
+    """What was learnt from a rig, and frames of other dockings of the same rig."""
+    learnt, other = (docked(request.param, seed) for seed in (1, 2))
+    return familiarity.learn(learnt, THRESHOLD), other
+
+
+def fired(known: Familiarity, frames: Frames, size: int = WINDOW) -> float:
+    random = np.random.default_rng(0)
+    windows = [frames[random.choice(len(frames), size, replace=False)] for _ in range(20)]
+    return float(np.mean([known.strange_together(window, THRESHOLD) for window in windows]))
+
+
+def force(share: float) -> TactileParameters:
+    base = TactileParameters()
+    weaker = {name: share * getattr(base.docking, name) for name in ("magnet_force", "push_per_ampere")}
+    return dataclasses.replace(base, docking=dataclasses.replace(base.docking, **weaker))
+
+
+def test_other_dockings_of_the_same_rig_are_familiar(known: Known) -> None:
+    learnt, frames = known
+    assert learnt.strange(frames, THRESHOLD).mean() <= 0.01
+    assert fired(learnt, frames) <= 0.05
+    window = frames[::7][:WINDOW].copy()
+    window[0] = 0.0
+    assert not learnt.strange_together(window, THRESHOLD), "one strange docking does not decide"
+
+
+@pytest.mark.parametrize("change", ["weaker", "another rig"])
+def test_a_slow_change_shows_in_a_window_though_not_in_a_frame(known: Known, change: str) -> None:
+    learnt, usual = known
+    target = "angle" if len(usual) == 360 else "horizontal"
+    frames = docked(target, 2, force(0.8)) if change == "weaker" else docked(target, 2, rig=RIG + 1)
+    assert learnt.strange(frames, THRESHOLD).mean() < 0.5
+    assert fired(learnt, frames) > 0.9
+
+
+def test_gross_changes_show_in_each_frame_and_lost_rows_in_a_window(known: Known) -> None:
+    learnt, frames = known
+    for strange in (0.4 * frames, 2.5 * frames, np.zeros_like(frames)):
+        assert learnt.strange(strange, THRESHOLD).mean() > 0.9
+    lost = frames.copy()
+    lost[:, 0, 4:6] = 0.0
+    assert fired(learnt, lost, 2 * WINDOW) > 0.5
+
+
+def test_saving_and_loading_preserve_the_statistics(known: Known) -> None:
+    learnt, frames = known
+    again = Reliability.from_dict(json.loads(json.dumps(Reliability(0.3, learnt).to_dict())))
+    for one, two in zip(*(each.distances(frames, THRESHOLD) for each in (learnt, again.familiar)), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-3)
+    assert again.quantile == 0.3
+    with pytest.raises(ModelError, match=f"at least {WINDOW}"):
+        again.drifted_together(frames[: WINDOW - 1], THRESHOLD)
+
+
+def test_sets_of_held_out_frames_reach_nominal_coverage(known: Known) -> None:
+    random = np.random.default_rng(5)
+    frames, other = known[1][:200], known[1][200:]
+    odds = random.gumbel(size=(200, 6))
+    labels = np.argmax(odds + random.gumbel(size=(200, 6)), axis=1)
+    shares = np.exp(odds) / np.exp(odds).sum(axis=1, keepdims=True)
+    learnt = reliability.learn(shares, labels, frames, THRESHOLD)
+    covered = learnt.sets(shares)[np.arange(200), labels].mean()
+    assert reliability.NOMINAL <= covered <= reliability.NOMINAL + 0.015
+    familiar = reliability.learn(shares, labels, frames, THRESHOLD, familiar=other)
+    assert familiar.quantile == learnt.quantile
+    assert not np.array_equal(familiar.familiar.weights, learnt.familiar.weights)
