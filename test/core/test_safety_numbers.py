@@ -30,6 +30,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_docking.target_place import TargetPlace
 from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
+from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
@@ -441,6 +442,12 @@ def board_holds(silence: float, fault: int = 0) -> bool:
     power._plant = stage(closed=True, fault=fault)
     power.poll(10.0 + silence)
     return power.closed and power.fault == 0
+
+
+def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
+    emulator, decoder = BoardEmulator(stage()), protocol.PacketDecoder()
+    packets = [packet for now in (5.0, 6.0) for packet in decoder.feed(emulator.poll(now))]
+    assert [packet.device_time_us for packet in packets] == [0, 1_000_000]
 
 
 def test_the_board_reports_where_its_contactor_went_after_a_fault() -> None:
