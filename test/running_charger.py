@@ -102,6 +102,7 @@ class RunningCharger:
         self.states: list[DockingState] = []
         self.phase = ""
         self._latest: dict[type[Any], Any] = {}
+        self._awaited: tuple[str, Callable[[], None]] = ("", lambda: None)
         self._signalled: dict[str, int] = {}  # the last signal of each node
         with contextlib.ExitStack() as opened:
             self.scene = self._on_ports(scene, opened)
@@ -236,9 +237,20 @@ class RunningCharger:
         assert outcome.success, outcome
         self.assert_safe()
 
-    def begin(self, phase: str, act: Callable[[], Outcome] | None = None) -> Future[Outcome]:
-        """Dock, or act, in another thread until the goal reaches a phase; return the future of its outcome."""
+    def begin(
+        self, phase: str, act: Callable[[], Outcome] | None = None, then: Callable[[], None] = lambda: None
+    ) -> Future[Outcome]:
+        """Dock, or act, in another thread until the goal reaches a phase; return the future of its outcome.
+
+        A phase may last for milliseconds only: `then` is called in the client's thread as soon as it is reported.
+        """
         future: Future[Outcome] = Future()
+        reached = threading.Event()
+
+        def note() -> None:
+            if not reached.is_set():
+                then()
+                reached.set()
 
         def work() -> None:
             try:
@@ -246,15 +258,17 @@ class RunningCharger:
             except BaseException as error:
                 future.set_exception(error)
 
-        self.phase = ""
+        self._awaited = phase, note
         threading.Thread(target=work, daemon=True).start()
-        wait_until(lambda: self.phase == phase or future.done(), phase)
-        assert self.phase == phase, future.result()
+        wait_until(lambda: reached.is_set() or future.done(), phase)
+        assert reached.is_set(), future.result()
         return future
 
     def _noting(self, on_progress: Any) -> Callable[[Progress], None]:
         def note(progress: Progress) -> None:
             self.phase = progress.phase
+            if self._awaited[0] == progress.phase:
+                self._awaited[1]()
             if on_progress is not None:
                 on_progress(progress)
 
@@ -271,9 +285,13 @@ class RunningCharger:
         return at
 
     def restart(self, name: str) -> None:
-        """Start a killed node again, or continue a stopped one."""
+        """Start a killed node again after it has left the graph, or continue a stopped one."""
         if self._signalled[name] == signal.SIGKILL:
             self.processes[name].process.wait(DEADLINE)
+            here = NODES[name].stands_in_for or name, f"/{self.namespace}"
+            wait_until(lambda: here not in self.client.node.get_node_names_and_namespaces(), f"the end of {name}")
+            if name == "docking_node":
+                self.states.clear()
             self.processes[name] = Process(*node_command(self.scene, name, self.namespace))
         else:
             self.processes[name].process.send_signal(signal.SIGCONT)
