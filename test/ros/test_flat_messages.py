@@ -107,7 +107,6 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
     node.destroy_node()
 
 
-@pytest.mark.version
 def test_the_drivers_frequent_messages_are_flat(node: Node) -> None:
     states = StatePublishers(node, QoSProfile(depth=1), 1.4, "charger_base")
     samples = SamplePublishers(node, QoSProfile(depth=1), 0.0024, "end_effector")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as processes, killed (SIGKILL) and stopped (SIGSTOP, then SIGCONT) during a docking.
 
-Behaviour in every phase is tested in virtual time in test/docking/test_silent_nodes.py. Here the devices' side of the
+Behaviour in every phase is tested in virtual time in test/docking/test_machine_faults.py. Here the devices' side of the
 wires shows that the contactor opens in time, that nothing keeps moving, and that a restart of the node is enough.
 """
 
