@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_vision.detector.detection import Detection
+from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, RenderedScene
@@ -17,7 +20,7 @@ from deltacharger_vision.terminal import Terminal
 
 Array = NDArray[np.float64]
 
-CAMERA = SimulatedCamera()
+CAMERA, DETECTOR = SimulatedCamera(), ElectrodeDetector()
 
 
 def turned(axis: int, angle: float) -> Array:
@@ -53,6 +56,45 @@ def random_view(random: np.random.Generator, nearest: float, farthest: float) ->
     return RenderedScene(light=light), pose
 
 
+class Look(NamedTuple):
+    """What the detector found in an image of a terminal at a known pose."""
+
+    found: Detection | None
+    pose: Array
+    image: RgbdImage
+
+    @property
+    def off(self) -> float:
+        """Error of the position, m; NaN if nothing was found."""
+        return math.nan if self.found is None else float(np.linalg.norm(error(self.found, self.pose)))
+
+
+def look(pose: Array, seed: int = 5, scene: RenderedScene | None = None, camera: SimulatedCamera = CAMERA) -> Look:
+    image = camera.render(scene or RenderedScene(), pose, np.random.default_rng(seed))
+    return Look(DETECTOR.detect(image), pose, image)
+
+
+def looks(
+    seeds: Iterable[int],
+    nearest: float,
+    farthest: float,
+    change: Callable[[RenderedScene, np.random.Generator], RenderedScene] = lambda scene, random: scene,
+    camera: SimulatedCamera = CAMERA,
+) -> Iterator[Look]:
+    """Look at random views; `change` alters their scenes."""
+    for seed in seeds:
+        random = np.random.default_rng(seed)
+        scene, pose = random_view(random, nearest, farthest)
+        image = camera.render(change(scene, random), pose, random)
+        yield Look(DETECTOR.detect(image), pose, image)
+
+
+def seen_again(look: Look, **changed: Any) -> Look:
+    """Detect again in the same image with other depth or intrinsics."""
+    image = dataclasses.replace(look.image, **changed)
+    return Look(DETECTOR.detect(image), look.pose, image)
+
+
 def scaled(terminal: Terminal, scale: float) -> Terminal:
     return Terminal(**{item.name: getattr(terminal, item.name) * scale for item in dataclasses.fields(terminal)})
 
@@ -79,12 +121,6 @@ def clutter(random: np.random.Generator) -> RenderedScene:
         shade = float(random.uniform(0.02, 0.9))
         boxes.append(Box(pose, size, (shade, shade, shade), metal=bool(random.random() < 0.4)))
     return RenderedScene(background=tuple(boxes), target=False)
-
-
-def render(
-    scene: RenderedScene, pose: Array, random: np.random.Generator, camera: SimulatedCamera = CAMERA
-) -> RgbdImage:
-    return camera.render(scene, pose, random)
 
 
 def error(found: Detection, pose: Array) -> Array:

@@ -1,34 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards by name, and accuracy of their corners in rendered images."""
+"""Boards: names, accuracy of their corners in rendered images, and the print."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import BoardError
+from deltacharger_vision.errors import BoardError, RenderingError
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, markers_in, parse_board
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.hand_eye.board_print import board_svg
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
-from deltacharger_vision.rendering.board_drawing import with_board
+from deltacharger_vision.rendering.board_drawing import board_boxes, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 
-from .views import DISTORTIONS, view
+from ..marks import rest
+from .views import DISTORTIONS, linear, view
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 BOARDS = [
     AprilTag(),
-    AprilTag("25h9", 3, 0.03),
     Charuco(),
+    AprilTag("25h9", 3, 0.03),
     Charuco("5x5_100", 4, 3, 0.015, 0.011),
     Charuco("6x6_250", 4, 4, 0.018, 0.014),
 ]
+AHEAD, UPRIGHT = (shifted((0.0, 0.0, z)) @ np.diag([1.0, -1.0, -1.0, 1.0]) for z in (0.15, 0.2))
 IDEAL, USUAL = SimulatedCamera(parameters=CameraParameters.ideal()), SimulatedCamera()
 BACKGROUND = RenderedScene(target=False, parameters=SceneParameters.even())
 
@@ -42,9 +45,12 @@ def drawn_pose(seed: int) -> np.ndarray:
     return pose
 
 
-def image(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL, seed: int = 0) -> np.ndarray:
-    scene = with_board(BACKGROUND, board, pose, in_camera=True)
+def render(scene: RenderedScene, camera: SimulatedCamera = IDEAL, seed: int = 0) -> np.ndarray:
     return camera.render(scene, view(0.5), np.random.default_rng(seed), color_only=True).color
+
+
+def image(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL) -> np.ndarray:
+    return render(with_board(BACKGROUND, board, pose, in_camera=True), camera)
 
 
 def errors(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL) -> np.ndarray:
@@ -55,104 +61,72 @@ def errors(board: Board, pose: np.ndarray, camera: SimulatedCamera = USUAL) -> n
     return found.pixels - project(points, camera.intrinsics)
 
 
-@pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
-def test_corners_are_found_to_a_small_part_of_a_pixel(board: Board) -> None:
-    ideal = np.concatenate([errors(board, drawn_pose(seed), IDEAL) for seed in range(8)])
-    usual = np.concatenate([errors(board, drawn_pose(seed)) for seed in range(8)])
-    assert np.sqrt(np.mean(ideal**2)) < 0.05
-    assert np.sqrt(np.mean(usual**2)) < 0.05
-    assert np.abs(usual.mean(axis=0)).max() < 0.02
+def rms(board: Board, count: int, camera: SimulatedCamera) -> float:
+    """Return the error, px, of one coordinate over `count` views."""
+    off = np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(count)])
+    return float(np.sqrt(np.mean(off**2)))
 
 
-@pytest.mark.parametrize("distortion", DISTORTIONS[1:], ids=["plumb_bob", "rational"])
-def test_lens_distortion_does_not_displace_corners(distortion: tuple[float, ...]) -> None:
-    camera = SimulatedCamera(Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5, distortion), CameraParameters.ideal())
-    for board in BOARDS[:3:2]:
-        found = np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(4)])
-        assert np.sqrt(np.mean(found**2)) < 0.12
+LENSES = [dataclasses.replace(OAK_D, distortion=each) for each in DISTORTIONS[1:]]
+DARK, BRIGHT = (SimulatedCamera(parameters=CameraParameters(exposure=each)) for each in (0.3, 2.5))
 
 
-def test_a_dark_image_does_not_displace_corners() -> None:
-    camera = SimulatedCamera(parameters=CameraParameters(exposure=0.3))
-    for board in (AprilTag(), Charuco()):
-        found = np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(6)])
-        assert np.sqrt(np.mean(found**2)) < 0.10
+@pytest.mark.parametrize(
+    ("board", "count"), [(BOARDS[0], 3), (BOARDS[1], 1), *(rest(board, 8) for board in BOARDS)], ids=str
+)
+def test_corners_are_found_to_a_small_part_of_a_pixel(board: Board, count: int) -> None:
+    assert rms(board, count, IDEAL) < 0.05
+    assert rms(board, count, USUAL) < 0.05
 
 
-def test_over_exposure_is_detected_and_shrinks_a_tag_but_not_a_chessboard() -> None:
-    camera = SimulatedCamera(parameters=CameraParameters(exposure=2.5))
-    tag, chess = (
-        np.concatenate([errors(board, drawn_pose(seed), camera) for seed in range(6)])
-        for board in (AprilTag(), Charuco())
-    )
-    assert np.sqrt(np.mean(tag**2)) > 0.15
-    assert np.sqrt(np.mean(chess**2)) < 0.06
-    whites = []
-    for each in (USUAL, camera):
-        found = AprilTag().detect(image(AprilTag(), drawn_pose(0), each))
-        assert found is not None
-        whites.append(found.white)
-    assert whites[0] < 240 < 250 < whites[1]
+@pytest.mark.parametrize("board", [BOARDS[0], rest(BOARDS[1])], ids=str)
+def test_neither_a_lens_nor_exposure_displaces_corners_except_of_an_over_exposed_tag(board: Board) -> None:
+    for lens in LENSES:
+        assert rms(board, 1, SimulatedCamera(lens, CameraParameters.ideal())) < 0.12
+    assert rms(board, 2, DARK) < 0.10
+    shrinks = isinstance(board, AprilTag)
+    assert (rms(board, 3, BRIGHT) > 0.15) == shrinks
+    assert (rms(board, 3, BRIGHT) < 0.06) != shrinks
+    usual, bright = (board.detect(image(board, drawn_pose(0), camera)) for camera in (USUAL, BRIGHT))
+    assert usual is not None
+    assert bright is not None
+    assert usual.white < 240 < 250 < bright.white
 
 
-def test_corner_numbers_match_the_print() -> None:
-    for board in (AprilTag(), Charuco()):
-        pose = shifted((0.0, 0.0, 0.2))
-        pose[:3, :3] = np.diag([1.0, -1.0, -1.0])  # upright, straight ahead
-        found = board.detect(image(board, pose))
-        assert found is not None
-        np.testing.assert_array_equal(found.corners, board.corners())
-        first, last = found.pixels[0], found.pixels[-1]
-        assert first[0] < OAK_D.cx
-        assert first[1] < OAK_D.cy < last[1]
-
-
-def test_a_cut_off_or_averted_board_is_not_detected() -> None:
-    upright = shifted((0.0, 0.0, 0.2))
-    upright[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    away = upright @ np.diag([-1.0, 1.0, -1.0, 1.0])
-    for board in (AprilTag(), Charuco()):
-        assert board.detect(image(board, shifted((0.135, 0.0, 0.0)) @ upright)) is None or board.name.startswith("char")
-        assert board.detect(image(board, away)) is None
-        assert board.detect(np.zeros((400, 640), dtype=np.uint8)) is None
-
-
-def test_a_charuco_board_is_detected_in_part() -> None:
-    upright = shifted((0.135, 0.0, 0.2))
-    upright[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    board = Charuco()
-    found = board.detect(image(board, upright))
+@pytest.mark.parametrize("board", BOARDS[:2], ids=str)
+def test_corner_numbers_match_the_print(board: Board) -> None:
+    found = board.detect(image(board, UPRIGHT))
     assert found is not None
-    assert 4 <= len(found.corners) < len(board.corners())
-    assert np.abs(errors(board, upright)).max() < 0.3
+    np.testing.assert_array_equal(found.corners, board.corners())
+    first, last = found.pixels[0], found.pixels[-1]
+    assert first[0] < OAK_D.cx
+    assert first[1] < OAK_D.cy < last[1]
 
 
-def test_other_boards_are_rejected_and_named() -> None:
-    pose = drawn_pose(1)
-    seen = image(AprilTag(tag=7), pose)
-    assert AprilTag(tag=0).detect(seen) is None
-    assert AprilTag("25h9", 0).detect(seen) is None
-    assert Charuco().detect(seen) is None
+@pytest.mark.parametrize("board", BOARDS[:2], ids=str)
+def test_a_cut_off_or_averted_board_is_not_detected_or_in_part(board: Board) -> None:
+    aside = shifted((0.135, 0.0, 0.0)) @ UPRIGHT
+    part = board.detect(image(board, aside))
+    assert (part is None) == isinstance(board, AprilTag)
+    if part is not None:
+        assert 4 <= len(part.corners) < len(board.corners())
+        assert np.abs(errors(board, aside)).max() < 0.3
+    assert board.detect(image(board, UPRIGHT @ np.diag([-1.0, 1.0, -1.0, 1.0]))) is None
+    assert board.detect(np.zeros((400, 640), dtype=np.uint8)) is None
+
+
+def test_other_and_duplicate_boards_are_rejected_and_named() -> None:
+    seen = image(AprilTag(tag=7), UPRIGHT)
+    for board in (AprilTag(tag=0), AprilTag("25h9", 0), Charuco()):
+        assert board.detect(seen) is None
     assert "apriltag 36h11 7" in markers_in(seen)
-    assert any(name.startswith("marker 4x4") for name in markers_in(image(Charuco(), pose)))
     assert markers_in(np.zeros((400, 640), dtype=np.uint8)) == ()
-
-
-def test_a_duplicate_tag_is_rejected() -> None:
-    left, right = (drawn_pose(2) for _ in range(2))
-    left[:3, 3], right[:3, 3] = (-0.06, 0.0, 0.2), (0.06, 0.0, 0.2)
-    board = AprilTag()
-    scene = with_board(with_board(BACKGROUND, board, left, True), board, right, True)
-    seen = USUAL.render(scene, view(0.5), np.random.default_rng(0), color_only=True).color
-    assert board.detect(seen) is None
-    assert board.detect(image(board, left)) is not None
-
-
-def test_gray_and_colour_give_the_same_corners() -> None:
-    seen = image(AprilTag(), drawn_pose(3))
-    color, gray = AprilTag().detect(seen), AprilTag().detect(np.ascontiguousarray(seen[:, :, 1]))
-    assert color is not None
+    left, right = (shifted((x, 0.0, 0.0)) @ UPRIGHT for x in (-0.06, 0.06))
+    scene = with_board(with_board(BACKGROUND, AprilTag(), left, True), AprilTag(), right, True)
+    assert AprilTag().detect(render(scene, USUAL)) is None
+    gray, color = (AprilTag(tag=7).detect(each) for each in (np.ascontiguousarray(seen[:, :, 1]), seen))
     assert gray is not None
+    assert color is not None
     np.testing.assert_allclose(color.pixels, gray.pixels, atol=0.1)
     for wrong in (seen.astype(float), seen[:, :, :2], seen[None]):
         with pytest.raises(BoardError, match="image"):
@@ -162,35 +136,95 @@ def test_gray_and_colour_give_the_same_corners() -> None:
 def test_names_can_be_parsed() -> None:
     for board in BOARDS:
         marker = board.marker if isinstance(board, Charuco) else None
-        assert parse_board(board.name, board.length, marker) == board
-    assert parse_board("APRILTAG:36h11:5", 0.04) == AprilTag(tag=5)
-    assert parse_board("charuco:4x4_50:5x4", 0.012, 0.009) == Charuco()
+        assert parse_board(board.name.upper() if marker is None else board.name, board.length, marker) == board
     three_quarters = parse_board("charuco:4x4_50:5x4", 0.012)
     assert isinstance(three_quarters, Charuco)
     assert three_quarters.marker == pytest.approx(0.009)
 
 
 @pytest.mark.parametrize(
-    ("text", "size", "marker", "what"),
+    ("text", "size", "marker", "noun"),
     [
-        ("", 0.04, None, "is not a board"),
-        ("apriltag", 0.04, None, "is not a board"),
-        ("apriltag:36h11", 0.04, None, "is not a board"),
-        ("apriltag:36h11:x", 0.04, None, "is not a board"),
-        ("apriltag:36h11:587", 0.04, None, "tags 0…586"),
-        ("apriltag:36h11:-1", 0.04, None, "-1 is not in"),
+        *((text, 0.04, None, "board") for text in ("", "apriltag:36h11", "apriltag:36h11:x", "checkerboard:5x4")),
+        ("apriltag:36h11:587", 0.04, None, "586"),
+        ("apriltag:36h11:-1", 0.04, None, "-1"),
         ("apriltag:36h9:0", 0.04, None, "36h11"),
-        ("apriltag:36h11:0", 40.0, None, "outside 2…1000 mm"),
-        ("apriltag:36h11:0", math.nan, None, "outside"),
+        *(("apriltag:36h11:0", size, None, "mm") for size in (40.0, math.nan)),
         ("apriltag:36h11:0", 0.04, 0.03, "one size"),
-        ("charuco:4x4_50:5", 0.012, None, "is not a board"),
-        ("charuco:4x4_50:2x4", 0.012, None, "give 3…30"),
+        ("charuco:4x4_50:5", 0.012, None, "board"),
+        ("charuco:4x4_50:2x4", 0.012, None, "3…30"),
         ("charuco:4x4_50:12x12", 0.012, None, "too few"),
         ("charuco:9x9_50:5x4", 0.012, None, "none of"),
-        ("charuco:4x4_50:5x4", 0.012, 0.012, "0.3…0.95"),
-        ("checkerboard:5x4", 0.012, None, "is not a board"),
+        ("charuco:4x4_50:5x4", 0.012, 0.012, "0.95"),
     ],
 )
-def test_invalid_board_names_are_refused_with_a_reason(text: str, size: float, marker: float | None, what: str) -> None:
-    with pytest.raises(BoardError, match=what):
+def test_invalid_board_names_are_refused_with_a_reason(text: str, size: float, marker: float | None, noun: str) -> None:
+    with pytest.raises(BoardError, match=noun):
         parse_board(text, size, marker)
+
+
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+
+
+@pytest.mark.parametrize("board", [AprilTag(), AprilTag("16h5", 2), Charuco()], ids=lambda board: board.name)
+def test_each_cell_has_the_printed_colour(board: Board) -> None:
+    pose, black = AHEAD, board.cells()
+    light = linear(image(board, pose, IDEAL))
+    # A ChArUco board has many fine cells: only some are tested, and a few lie on an edge.
+    rows, columns = (np.arange(count)[:: max(1, count // 31)] for count in black.shape)
+    width, height = board.pattern
+    x = width * ((columns + 0.5) / black.shape[1] - 0.5)
+    y = height * (0.5 - (rows + 0.5) / black.shape[0])
+    points = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 0.0), axis=-1) @ pose[:3, :3].T + pose[:3, 3]
+    across, down = np.moveaxis(np.rint(project(points, OAK_D)).astype(int), -1, 0)
+    seen = light[down, across] < 0.5 * light.max()
+    assert np.mean(seen == black[np.ix_(rows, columns)]) > 0.95
+
+
+def test_edges_of_a_tilted_board_are_exact() -> None:
+    pose = shifted((0.0, 0.0, 0.2))
+    c, s = np.cos(0.6), np.sin(0.6)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ np.array([(1, 0, 0), (0, c, -s), (0, s, c)])
+    light = linear(image(AprilTag(), pose, IDEAL))
+    for y in (0.02, -0.02):
+        edge = float(project(pose[:3, :3] @ (0.0, y, 0.0) + pose[:3, 3], OAK_D)[1])
+        column = light[:, OAK_D.width // 2]
+        near = column[int(edge) - 4 : int(edge) + 6]
+        outer, inner = (near[0], near[-1]) if y > 0 else (near[-1], near[0])
+        black = float(np.sum((outer - near) / (outer - inner)))
+        expected = int(edge) + 5.5 - edge if y > 0 else edge - (int(edge) - 4.5)
+        assert black == pytest.approx(expected, abs=0.05)
+
+
+def test_a_board_moves_with_the_terminal_and_is_hidden_by_things_in_front() -> None:
+    board, in_front = AprilTag(), shifted((0.02, 0.0, -0.05)) @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    fixed = with_board(BACKGROUND, board, view(0.5) @ in_front, in_camera=True)
+    image = render(fixed)
+    np.testing.assert_array_equal(image, render(with_board(BACKGROUND, board, in_front)))
+    assert board.detect(image) is not None
+    hidden = with_board(fixed, AprilTag(tag=5), AHEAD, in_camera=True)
+    assert board.detect(render(hidden)) is None
+    with pytest.raises(RenderingError):
+        board_boxes(board, np.diag([2.0, 1.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("board", [AprilTag(), Charuco()], ids=lambda board: board.name)
+def test_the_print_is_the_board_in_true_size(board: Board) -> None:
+    import xml.etree.ElementTree as Xml
+
+    scale = 12  # px/mm
+    drawing = Xml.fromstring(board_svg(board))
+    size = [float(drawing.attrib[key].removesuffix("mm")) for key in ("height", "width")]
+    paper = np.full([round(scale * length) for length in size], 255, dtype=np.uint8)
+    for area in drawing.iter("{http://www.w3.org/2000/svg}rect"):
+        x, y, width, height = (float(area.attrib[key]) for key in ("x", "y", "width", "height"))
+        left, top, right, bottom = (round(scale * edge) for edge in (x, y, x + width, y + height))
+        paper[top:bottom, left:right] = 0 if area.attrib["fill"] == "black" else 255
+    found = board.detect(paper)
+    assert found is not None
+    assert len(found.corners) == len(board.corners())
+    # Pixels count from the middle of the first one, y down.
+    middle = (np.array(size[::-1]) - (0.0, 6.0)) / 2
+    millimetres = (found.pixels + 0.5) / scale - middle
+    np.testing.assert_allclose(millimetres, 1e3 * found.corners[:, :2] * (1, -1), atol=0.1)
+    assert board.name in "".join(drawing.itertext())

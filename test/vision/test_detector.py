@@ -1,92 +1,125 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the electrode detector on simulated images."""
+"""Laws of the electrode detector on simulated images: a right result, none, or one with a valid covariance."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import subprocess
-import sys
+from typing import Any
 
 import numpy as np
 import pytest
 
 from deltacharger_core.parameters import ParameterError
+from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
+from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene
+from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.terminal import Terminal
 
-from ..marks import rest
+from ..marks import night, rest
 from .detector_scenes import (
+    DETECTOR,
+    Look,
     clutter,
     error,
     half_hidden,
+    look,
+    looks,
     mirrored,
     pose_at,
     quarter_turn,
-    random_view,
-    render,
     roll_error,
     scaled,
+    seen_again,
     without_depth,
 )
+from .views import DISTORTIONS
 
-pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
-DETECTOR = ElectrodeDetector()
+BLACK, GREY, BRIGHT = (0.02,) * 3, (0.3,) * 3, (0.7,) * 3
 
 
 @pytest.fixture(autouse=True)
 def one_thread() -> None:
-    import cv2
-
     cv2.setNumThreads(1)
 
 
-@pytest.mark.rest
-def test_errors_match_the_covariance() -> None:
-    squares, across, along, rolls = [], [], [], []
-    frames = 200
-    for seed in range(frames):
-        random = np.random.default_rng(20_000 + seed)
-        scene, pose = random_view(random, 0.15, 0.8)
-        found = DETECTOR.detect(render(scene, pose, random))
-        if found is None:
-            continue
-        off = error(found, pose)
-        squares.append(off @ np.linalg.solve(found.covariance[:3, :3], off))
-        across.append(math.hypot(off[0], off[1]))
-        along.append(abs(off[2]))
-        rolls.append(abs(roll_error(found, pose)))
+def few_and(more: int, few: int = 2) -> Any:
+    """Number of random views: few, and more for `make test-rest`."""
+    return pytest.mark.parametrize("count", [few, rest(more)])
+
+
+def sigmas(seen: Look) -> float:
+    """Error of the position in standard deviations (Mahalanobis)."""
+    assert seen.found is not None
+    off = error(seen.found, seen.pose)
+    return math.sqrt(off @ np.linalg.solve(seen.found.covariance[:3, :3], off))
+
+
+@pytest.mark.parametrize("count", [3, night(200)])
+def test_errors_match_the_covariance(count: int) -> None:
+    good = [each for each in looks(range(20_000, 20_000 + count), 0.15, 0.8) if each.found is not None]
+    assert len(good) >= 0.98 * count
+    assert (2.0 if count > 100 else 0.0) < np.mean([sigmas(each) ** 2 for each in good]) < 4.5
+    errors = np.array([[*error(each.found, each.pose), roll_error(each.found, each.pose)] for each in good])
+    assert np.percentile(np.hypot(errors[:, 0], errors[:, 1]), 95) < 0.001
+    assert np.percentile(np.abs(errors[:, 2]), 95) < 0.002
+    assert np.percentile(np.abs(errors[:, 3]), 95) < math.radians(1.0)
+    for found in (each.found for each in good):
         assert math.isclose(found.range, float(np.linalg.norm(found.position)))
         assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
-    assert len(squares) >= 0.98 * frames
-    assert 2.0 < np.mean(squares) < 4.5
-    assert np.percentile(across, 95) < 0.001
-    assert np.percentile(along, 95) < 0.002
-    assert np.percentile(rolls, 95) < math.radians(1.0)
 
 
-def test_detection_is_deterministic_and_does_not_change_the_image() -> None:
-    random = np.random.default_rng(1)
-    image = render(*random_view(random, 0.25, 0.35), random)
+@pytest.mark.parametrize(
+    ("nearest", "farthest", "count"),
+    [(0.2, 0.35, 3), rest(0.2, 0.35, 30), *(night(*each, 200) for each in ((0.18, 0.22), (0.22, 0.28), (0.28, 0.7)))],
+)
+def test_errors_of_the_lean_match_its_uncertainty(nearest: float, farthest: float, count: int) -> None:
+    mount, off = Mount(Mount.default().pose, np.zeros((6, 6))), []
+    for found, pose, _ in looks(range(21_000, 21_000 + count), nearest, farthest):
+        if found is None or found.source != "fused":
+            continue
+        lean, (x, y, z) = mount.place(found).lean(), mount.pose[:3, :3] @ pose[:3, 2]
+        yaw, pitch = lean.yaw - math.atan2(x, z), lean.pitch - math.atan2(-y, z)
+        off.append([yaw / lean.yaw_stddev, pitch / lean.pitch_stddev])
+    assert len(off) >= 0.75 * count
+    assert np.abs(off).max() < 5.0
+    if count >= 30:
+        spread = np.sqrt(np.mean(np.square(off), axis=0))
+        assert np.all(spread > 0.5)
+        assert np.all(spread < 1.25)
+
+
+def test_detection_is_repeatable_annotated_and_does_not_change_the_image() -> None:
+    first = look(pose_at(0.3, roll=0.2, pitch=0.4, yaw=-0.2))
+    found, image = first.found, first.image
     color, depth = image.color.copy(), image.depth.copy()
-    first, second = DETECTOR.detect(image), ElectrodeDetector().detect(image)
-    assert first is not None
+    second = ElectrodeDetector().detect(image)
+    assert found is not None
     assert second is not None
-    np.testing.assert_array_equal(first.position, second.position)
+    np.testing.assert_array_equal(found.position, second.position)
+    assert found.source == "fused"
+    assert found.normal @ -first.pose[:3, 2] > math.cos(math.radians(2.0)), "the normal points to the camera"
+    assert np.linalg.norm(found.normal) == pytest.approx(1.0)
+    changed = np.any(annotated(image, found) != color, axis=2)
+    for x, y in found.bars.reshape(-1, 2):
+        assert changed[int(y) - 1 : int(y) + 3, int(x) - 1 : int(x) + 3].any()
+    assert np.any(annotated(image, None) != color)
     np.testing.assert_array_equal(image.color, color)
     np.testing.assert_array_equal(image.depth, depth)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [20_300, rest(20_301), rest(20_302), rest(20_303)])
 def test_the_result_turns_and_mirrors_with_the_image(seed: int) -> None:
-    random = np.random.default_rng(20_300 + seed)
-    image = render(*random_view(random, 0.2, 0.5), random)
-    plain, turned, flipped = (DETECTOR.detect(each) for each in (image, quarter_turn(image), mirrored(image)))
+    (seen,) = looks([seed], 0.2, 0.5)
+    plain, turned, flipped = seen.found, *(DETECTOR.detect(each(seen.image)) for each in (quarter_turn, mirrored))
     assert plain is not None
     assert turned is not None
     assert flipped is not None
@@ -98,195 +131,197 @@ def test_the_result_turns_and_mirrors_with_the_image(seed: int) -> None:
     assert abs(math.remainder(flipped.roll + plain.roll, math.pi)) < 2e-3
 
 
-@pytest.mark.parametrize("roll", [-1.5, -0.8, 0.0, 0.8, 1.5])
+@pytest.mark.parametrize("roll", [-1.5, rest(-0.8), rest(0.0), 0.8, rest(1.5)])
 def test_roll_of_any_size_is_found_with_its_sign(roll: float) -> None:
-    random = np.random.default_rng(3)
-    pose = pose_at(0.3, roll=roll)
-    found = DETECTOR.detect(render(RenderedScene(), pose, random))
+    found = look(pose_at(0.3, roll=roll)).found
     assert found is not None
     assert -math.pi / 2 < found.roll <= math.pi / 2
     assert abs(math.remainder(found.roll - roll, math.pi)) < math.radians(1.0)
 
 
-def test_a_known_normal_points_to_the_camera() -> None:
-    random = np.random.default_rng(4)
-    pose = pose_at(0.3, pitch=0.4, yaw=-0.2)
-    found = DETECTOR.detect(render(RenderedScene(), pose, random))
-    assert found is not None
-    assert found.source == "fused"
-    assert found.normal @ -pose[:3, 2] > math.cos(math.radians(2.0))
-    assert np.linalg.norm(found.normal) == pytest.approx(1.0)
+@few_and(40)
+def test_clutter_without_electrodes_is_no_terminal(count: int) -> None:
+    for seed in range(20_400, 20_400 + count):
+        random = np.random.default_rng(seed)
+        scene, pose = clutter(random), pose_at(random.uniform(0.2, 0.8))
+        assert DETECTOR.detect(SimulatedCamera().render(scene, pose, random)) is None
 
 
-def test_clutter_without_electrodes_is_no_terminal() -> None:
-    for seed in range(40):
-        random = np.random.default_rng(20_400 + seed)
-        image = render(clutter(random), pose_at(random.uniform(0.2, 0.8)), random)
-        assert DETECTOR.detect(image) is None
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_nothing_is_found_in_an_empty_or_unlit_picture(level: int) -> None:
+    color = np.full((OAK_D.height, OAK_D.width, 3), level, dtype=np.uint8)
+    assert DETECTOR.detect(RgbdImage.make(color, np.full(color.shape[:2], 0.3), OAK_D)) is None
 
 
-def test_nothing_is_found_in_an_empty_or_unlit_picture() -> None:
-    shape = (OAK_D.height, OAK_D.width)
-    for level in (0, 128, 255):
-        color = np.full((*shape, 3), level, dtype=np.uint8)
-        assert DETECTOR.detect(RgbdImage.make(color, np.full(shape, 0.3), OAK_D)) is None
-
-
+@few_and(8, 1)
 @pytest.mark.parametrize("scale", [0.75, 1.3])
-def test_bars_of_another_size_are_refused_by_depth(scale: float) -> None:
-    refused = 0
-    for seed in range(8):
-        random = np.random.default_rng(20_500 + seed)
-        scene, pose = random_view(random, 0.28, 0.6)
-        other = dataclasses.replace(scene, terminal=scaled(Terminal(), scale))
-        image = render(other, pose, random)
-        assert DETECTOR.detect(image) is None
-        # With the right size they are found, so only the size was refused.
-        refused += ElectrodeDetector(scaled(Terminal(), scale)).detect(image) is not None
-    assert refused >= 7
+def test_bars_of_another_size_are_refused_by_depth(scale: float, count: int) -> None:
+    other = scaled(Terminal(), scale)
+    seen = list(
+        looks(range(20_500, 20_500 + count), 0.28, 0.6, lambda scene, _: dataclasses.replace(scene, terminal=other))
+    )
+    assert all(each.found is None for each in seen)
+    # With the right size they are found, so only the size was refused.
+    assert sum(ElectrodeDetector(other).detect(each.image) is not None for each in seen) >= 0.85 * count
 
 
+@few_and(5, 1)
 @pytest.mark.parametrize(("bar", "end"), [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-def test_half_of_a_bar_may_be_hidden(bar: float, end: float) -> None:
-    found = 0
-    for seed in range(5):
-        random = np.random.default_rng(20_600 + seed)
-        scene, pose = random_view(random, 0.25, 0.55)
-        detection = DETECTOR.detect(render(half_hidden(scene, bar, end), pose, random))
-        if detection is None:
-            continue
-        found += 1
-        assert np.linalg.norm(error(detection, pose)) < 0.003
-        assert detection.confidence < 0.95
-    assert found >= 4
+def test_half_of_a_bar_may_be_hidden(bar: float, end: float, count: int) -> None:
+    seen = looks(range(20_600, 20_600 + count), 0.25, 0.55, lambda scene, _: half_hidden(scene, bar, end))
+    found = [each for each in seen if each.found is not None]
+    assert len(found) >= 0.8 * count
+    for each in found:
+        assert each.off < 0.003
+        assert each.found.confidence < 0.95
 
 
 def test_below_the_stereo_range_the_image_alone_gives_the_pose() -> None:
-    random = np.random.default_rng(5)
-    pose = pose_at(0.15, roll=0.1, pitch=0.3)
-    found = DETECTOR.detect(render(RenderedScene(), pose, random))
-    assert found is not None
-    assert found.source == "pnp"
-    assert np.linalg.norm(error(found, pose)) < 0.002
+    seen = look(pose_at(0.15, roll=0.1, pitch=0.3))
+    noise = np.random.default_rng(5).uniform(0.174, 2.0, seen.image.depth.shape).astype(np.float32)
+    for each in (seen, seen_again(seen, depth=noise)):
+        assert each.found is not None
+        assert each.found.source == "pnp"
+        assert np.isfinite(each.found.normal).all()
+        assert each.off < 0.002
 
 
-def test_noisy_depth_below_the_stereo_range_is_ignored() -> None:
-    random = np.random.default_rng(5)
-    pose = pose_at(0.15, roll=0.1, pitch=0.3)
-    image = render(RenderedScene(), pose, random)
-    noise = random.uniform(0.174, 2.0, image.depth.shape).astype(np.float32)
-    found = DETECTOR.detect(RgbdImage(image.color, noise, image.intrinsics))
-    assert found is not None
-    assert found.source == "pnp"
-    assert np.linalg.norm(error(found, pose)) < 0.002
+@pytest.mark.parametrize("away", [0.15, 0.3])
+def test_a_plane_that_contradicts_the_image_is_refused_at_any_range(away: float) -> None:
+    seen = look(pose_at(away, roll=0.1, pitch=0.3))
+    assert seen_again(seen, depth=np.full_like(seen.image.depth, 0.9)).found is None
 
 
-def test_a_plane_that_contradicts_the_image_is_refused_at_any_range() -> None:
-    for away in (0.15, 0.3):
-        random = np.random.default_rng(5)
-        image = render(RenderedScene(), pose_at(away, roll=0.1, pitch=0.3), random)
-        assert DETECTOR.detect(RgbdImage(image.color, np.full_like(image.depth, 0.9), image.intrinsics)) is None
-
-
-def test_without_depth_the_covariance_grows_and_holds() -> None:
+@few_and(30)
+def test_without_depth_the_covariance_grows_and_holds(count: int) -> None:
     squares = []
-    for seed in range(30):
-        random = np.random.default_rng(20_700 + seed)
-        scene, pose = random_view(random, 0.2, 0.5)
-        image = render(scene, pose, random)
-        both, alone = DETECTOR.detect(image), DETECTOR.detect(without_depth(image))
-        if both is None or alone is None:
+    for both in looks(range(20_700, 20_700 + count), 0.2, 0.5):
+        alone = seen_again(both, depth=without_depth(both.image).depth)
+        if both.found is None or alone.found is None:
             continue
-        assert alone.source == "pnp"
-        assert alone.covariance[2, 2] > both.covariance[2, 2]
-        off = error(alone, pose)
-        squares.append(off @ np.linalg.solve(alone.covariance[:3, :3], off))
-    assert len(squares) >= 27
+        assert alone.found.source == "pnp"
+        assert np.isnan(alone.found.normal).all(), "where depth was to be expected"
+        assert alone.found.covariance[2, 2] > both.found.covariance[2, 2]
+        squares.append(sigmas(alone) ** 2)
+    assert len(squares) >= 0.9 * count
     assert np.median(squares) < 5.0
 
 
 def test_lens_distortion_is_corrected() -> None:
     lens = Intrinsics(640, 400, 441.0, 441.0, 322.0, 197.0, (-0.25, 0.08, 0.001, -0.001, 0.0))
-    camera = SimulatedCamera(lens)
-    pose = pose_at(0.3, roll=0.2, x=0.35, y=0.15)
-    random = np.random.default_rng(6)
-    image = camera.render(RenderedScene(), pose, random)
-    found = DETECTOR.detect(image)
-    assert found is not None
-    assert np.linalg.norm(error(found, pose)) < 0.001
-    straight = dataclasses.replace(lens, distortion=())
-    ignored = DETECTOR.detect(RgbdImage(image.color, image.depth, straight))
-    assert ignored is None or np.linalg.norm(error(ignored, pose)) > 0.002
+    seen = look(pose_at(0.3, roll=0.2, x=0.35, y=0.15), camera=SimulatedCamera(lens))
+    assert seen.off < 0.001
+    assert not seen_again(seen, intrinsics=dataclasses.replace(lens, distortion=())).off < 0.002
 
 
-@pytest.mark.parametrize(
-    "distortion",
-    [
-        (-0.3, 0.12, 0.001, -0.0005, -0.02),
-        (-0.1, 0.01, 0.0, 0.0, 0.0),
-        (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6),
-    ],
-)
-def test_lens_distortion_hides_no_sides_of_the_bars(distortion: tuple[float, ...]) -> None:
+@few_and(12, 1)
+@pytest.mark.parametrize("distortion", [*DISTORTIONS[1:], rest((-0.1, 0.01, 0.0, 0.0, 0.0))])
+def test_lens_distortion_hides_no_sides_of_the_bars(distortion: tuple[float, ...], count: int) -> None:
     camera = SimulatedCamera(dataclasses.replace(OAK_D, distortion=distortion))
-    for seed in range(12):
-        random = np.random.default_rng(seed)
-        scene, pose = random_view(random, 0.2, 0.35)
-        found = DETECTOR.detect(render(scene, pose, random, camera))
-        assert found is not None, seed
-        assert np.linalg.norm(error(found, pose)) < 0.001
+    assert all(each.off < 0.001 for each in looks(range(count), 0.2, 0.35, camera=camera))
 
 
-@pytest.mark.parametrize("percent", [-2.0, rest(-1.0), rest(1.0), 2.0])
-def test_depth_corrects_a_slightly_wrong_focal_length(percent: float) -> None:
+@few_and(12)
+@pytest.mark.parametrize("percent", [-2.0, 2.0])
+def test_depth_corrects_a_slightly_wrong_focal_length(percent: float, count: int) -> None:
     factor = 1.0 + percent / 100.0
-    wrong_lens = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
-    errors = []
-    for seed in range(12):
+    wrong = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+    errors = [seen_again(each, intrinsics=wrong).off for each in looks(range(count), 0.2, 0.35)]
+    assert np.isfinite(errors).sum() >= 0.9 * count
+    assert np.nanmedian(errors) < 0.0005  # the image alone would be off by 1 % of the range: 2–3.5 mm
+    assert np.nanmax(errors) < 0.005
+
+
+@few_and(8, 1)
+@pytest.mark.parametrize("lens", [OAK_D, Intrinsics(640, 400, 400.0, 400.0, 319.5, 199.5, DISTORTIONS[1])])
+def test_a_terminal_at_the_border_of_the_image_is_right_or_none(lens: Intrinsics, count: int) -> None:
+    for seed in range(20_800, 20_800 + count):
         random = np.random.default_rng(seed)
-        scene, pose = random_view(random, 0.2, 0.35)
-        image = render(scene, pose, random)
-        found = DETECTOR.detect(RgbdImage(image.color, image.depth, wrong_lens))
-        if found is not None:
-            errors.append(float(np.linalg.norm(error(found, pose))))
-    assert len(errors) >= 11
-    assert np.median(errors) < 0.0005  # the image alone would be off by 1 % of the range: 2–3.5 mm
-    assert max(errors) < 0.005
+        roll, x, y = random.uniform((-0.5, 0.55, -0.4), (0.5, 0.9, 0.4))
+        assert not look(pose_at(0.28, roll, x=x, y=y), seed, camera=SimulatedCamera(lens)).off >= 0.003
 
 
-def test_wide_lens_may_show_the_terminal_at_the_border() -> None:
-    lens = Intrinsics(640, 400, 400.0, 400.0, 319.5, 199.5, (-0.30, 0.12, 0.001, -0.0005, -0.02))
-    camera = SimulatedCamera(lens)
-    for seed in range(6):
-        random = np.random.default_rng(20_900 + seed)
-        pose = pose_at(0.25, roll=random.uniform(-0.5, 0.5), x=random.uniform(0.6, 0.9), y=random.uniform(-0.5, 0.5))
-        found = DETECTOR.detect(camera.render(RenderedScene(), pose, random))
-        assert found is None or np.linalg.norm(error(found, pose)) < 0.003
-
-
-def test_a_lens_that_folds_the_image_is_refused() -> None:
+def test_a_lens_that_folds_the_image_and_settings_out_of_bounds_are_refused() -> None:
     lens = Intrinsics(640, 400, 300.0, 300.0, 319.5, 199.5, (-2.0, 0.0, 0.0, 0.0, 0.0))
     color = np.zeros((400, 640, 3), dtype=np.uint8)
     with pytest.raises(CameraInfoError, match="calibrate"):
         DETECTOR.detect(RgbdImage.make(color, np.full((400, 640), 0.3), lens))
-
-
-def test_a_terminal_partly_outside_the_image_is_right_or_none() -> None:
-    for seed, x in enumerate(np.linspace(0.55, 0.8, 8)):
-        random = np.random.default_rng(20_800 + seed)
-        pose = pose_at(0.3, x=float(x))
-        found = DETECTOR.detect(render(RenderedScene(), pose, random))
-        assert found is None or np.linalg.norm(error(found, pose)) < 0.003
-
-
-def test_settings_out_of_bounds_are_refused_by_name() -> None:
     with pytest.raises(ParameterError, match="smoothing"):
         DetectorSettings(smoothing=-1.0)
 
 
-def test_importing_the_detector_does_not_load_opencv() -> None:
-    script = (
-        "import sys, deltacharger_vision, deltacharger_vision.detector.detector, deltacharger_vision.detector.annotate;"
-        "sys.exit('cv2' in sys.modules or 'rclpy' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+def wrong_and_sure(seen: Look) -> bool:
+    """Off by more than 3 mm and 6 standard deviations, or a normal off by more than 15°."""
+    if seen.found is None:
+        return False
+    askew = -seen.found.normal @ seen.pose[:3, 2] < math.cos(math.radians(15.0))  # false for an unknown normal
+    return (seen.off > 0.003 and sigmas(seen) > 6.0) or bool(askew)
+
+
+# A plane through plate and obstruction gave 2 to 16 mm, 4 to 20 standard deviations and 16 to 39° in the first ones.
+@pytest.mark.parametrize(
+    ("kind", "seeds", "found"),
+    [
+        *((kind, [22_013, 22_086], 0) for kind in ("cable", "hand")),
+        ("strap", [22_032], 0),
+        ("hand", [22_000, 22_076], 0),
+        *(rest(kind, range(22_200, 22_215), 2) for kind in KINDS),
+        *(night(kind, range(22_300, 22_500), 60) for kind in KINDS),
+    ],
+)
+def test_with_obstructions_some_are_found_and_none_is_confidently_wrong(kind: str, seeds: Any, found: int) -> None:
+    def hide(scene: RenderedScene, random: np.random.Generator) -> RenderedScene:
+        return dataclasses.replace(scene, foreground=draw_obstruction(random, kind, Terminal(), 0.12))
+
+    seen = list(looks(seeds, 0.5, 0.9, hide))
+    assert not any(map(wrong_and_sure, seen))
+    assert sum(each.found is not None for each in seen) >= found
+
+
+@pytest.mark.parametrize(
+    ("color", "x", "pitch", "wanted"),
+    [
+        *((color, x, 0.2, False) for color in (BLACK, BRIGHT) for x in (-0.03, -0.01, 0.02)),
+        *((color, 0.0, 0.0, True) for color in (BLACK, GREY)),
+    ],
+)
+def test_a_strap_across_both_bars_does_not_displace_ends(color: Any, x: float, pitch: float, wanted: bool) -> None:
+    strap = Box(shifted((x, 0.0, -0.012)), (0.012, 0.3, 0.001), color)
+    for seed in range(2):
+        seen = look(pose_at(0.35, 0.1 * seed, pitch), seed, RenderedScene(foreground=(strap,)))
+        assert seen.off < 0.001 if wanted else not seen.off >= 0.001
+
+
+def fitted(ray: np.ndarray, inverse: np.ndarray, block: np.ndarray, random: np.random.Generator) -> Plane:
+    plane = fit_plane(Region(ray, inverse, block, 1.0), PlaneSettings(), random)
+    assert plane is not None
+    return plane
+
+
+@pytest.mark.parametrize("lean", [0.002, 0.006, 0.012, 0.02, 0.03])
+@pytest.mark.parametrize("away", [0.18, 0.23, 0.35])
+def test_rounded_depth_does_not_pull_the_plane_onto_one_step(away: float, lean: float) -> None:
+    """A plate 9 cm wide, yawed in front of a camera whose depth has 0.2 mm of noise and whole millimetres."""
+    for seed in range(10):
+        random, ray = np.random.default_rng(seed), np.ones((1500, 3))
+        ray[:, :2] = random.uniform(-0.045 / away, 0.045 / away, size=(1500, 2))
+        normal = np.array([math.sin(lean), 0.0, math.cos(lean)])
+        depth = (away + random.uniform(-5e-4, 5e-4)) * normal[2] / (ray @ normal) + random.normal(scale=2e-4, size=1500)
+        plane = fitted(ray, 1.0 / (1e-3 * np.round(1e3 * depth)), np.arange(1500) // 64, random)
+        slope = plane.coefficients[:2] * away - [lean, 0.0]
+        stddev = away * np.sqrt(np.diag(np.linalg.inv(plane.precision))[:2])
+        assert np.all(np.abs(slope) < 3.0 * stddev)
+        # Below about two steps of depth over the plate the lean is hardly visible.
+        assert np.abs(slope).max() < (0.003 if lean >= 0.02 else 0.010)
+
+
+@pytest.mark.parametrize("before", [0.007, 0.015, 0.025])
+def test_things_in_front_of_a_plate_do_not_bias_its_plane(before: float) -> None:
+    random, ray = np.random.default_rng(7), np.ones((2000, 3))
+    ray[:, :2] = random.uniform(-0.08, 0.08, size=(2000, 2))
+    block = (100 * np.floor(ray[:, 0] / 0.02) + np.floor(ray[:, 1] / 0.02)).astype(np.int64)
+    away = np.where(ray[:, 0] > 0.04, 0.6 - before, 0.6)
+    plane = fitted(ray, 1.0 / away + random.normal(scale=0.004, size=2000), block, random)
+    stddev = np.sqrt(np.diag(np.linalg.inv(plane.precision)))
+    assert np.all(np.abs(plane.coefficients - [0.0, 0.0, 1.0 / 0.6]) < 4.0 * stddev)
+    assert np.abs(plane.coefficients[:2]).max() < 0.02

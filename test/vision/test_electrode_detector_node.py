@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""electrode_detector_node on real topics: answers, times of detection, and errors without images."""
+"""electrode_detector_node: answers from prepared images, problems of its topics, and one request over real topics."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Duration
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -21,323 +23,251 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from deltacharger_core.rotation import rotation
-from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import duration
 from deltacharger_ros.node_support import StartupError
-from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
+from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount, quaternion
+from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 from ..chargers import DEADLINE, Spin, wait_until
-from ..nodes import options
-from ..scenes.camera_driver import TARGET, Driver, picture
+from ..nodes import numbers, options
+from ..scenes.camera_driver import TARGET, Driver, picture, stamp
 from ..transforms import Robot, transforms
 from .detector_scenes import without_depth
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
+from deltacharger_vision.detector import electrode_detector_node_io
 from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetectorNode
+from deltacharger_vision.detector.electrode_detector_node_io import Shot
 
 pytestmark = pytest.mark.ros
 
+NodeMaker = Callable[..., ElectrodeDetectorNode]
+
+
+@pytest.fixture(scope="module")
+def seen() -> RgbdImage:
+    return picture()
+
+
+@pytest.fixture(scope="module")
+def empty() -> RgbdImage:
+    return picture(target=False)
+
 
 @pytest.fixture
-def driver(context: Any, namespace: str, spin: Spin) -> Driver:
-    return spin(Driver(context, namespace))
+def node(context: Any, namespace: str) -> Iterator[NodeMaker]:
+    """Make nodes that nobody serves; the age of their images does not depend on this computer's load."""
+    made: list[ElectrodeDetectorNode] = []
+
+    def make(**values: Any) -> ElectrodeDetectorNode:
+        made.append(ElectrodeDetectorNode(**options(context, namespace, image_age_max=2.0, **values)))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+        each.destroy_node()
 
 
-@pytest.fixture
-def detector(context: Any, namespace: str, driver: Driver, spin: Spin) -> Callable[..., ElectrodeDetectorNode]:
-    def start(**values: Any) -> ElectrodeDetectorNode:
-        node = spin(ElectrodeDetectorNode(**options(context, namespace, **values)))
-        assert driver.client.wait_for_service(DEADLINE)
-        return node
-
-    return start
+def shot(node: ElectrodeDetectorNode, image: RgbdImage, age: float = 0.0, apart: float = 0.0) -> Shot:
+    """Messages of an image, `age` s old, and of its depth, `apart` s later."""
+    now = node.get_clock().now().nanoseconds - round(1e9 * age)
+    color, depth = color_message(image.color, stamp(now)), depth_message(image.depth, stamp(now + round(1e9 * apart)))
+    return Shot(1, now, color, depth, camera_info_message(image.intrinsics, stamp(now)))
 
 
-def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    detector()
-    answer = driver.ask(5.0)
+class Shots:
+    """Replaces the camera's topics: prepared images, then none."""
+
+    def __init__(self, shots: Iterable[Shot]) -> None:
+        self.shots, self._shots = 0, iter(shots)
+        self.watching = contextlib.nullcontext
+
+    def after(self, number: int, deadline: float) -> Shot | None:
+        return next(self._shots, None)
+
+    def problem(self) -> str:
+        return "no images"
+
+    def close(self) -> None:
+        pass
+
+
+def asked(node: ElectrodeDetectorNode, shots: Iterable[Shot], timeout: float = 30.0) -> DetectElectrodes.Response:
+    replaced: Any = Shots(shots)
+    node._camera = replaced
+    return node._on_detect(DetectElectrodes.Request(timeout=duration(timeout)), DetectElectrodes.Response())
+
+
+def place(answer: DetectElectrodes.Response) -> list[float]:
     assert answer.success, answer.message
-    found = answer.detection
-    place = found.pose.pose.position
-    off = np.subtract((place.x, place.y, place.z), TARGET[:3])
+    position = answer.detection.pose.pose.position
+    return [position.x, position.y, position.z]
+
+
+def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(node: NodeMaker, seen: RgbdImage) -> None:
+    made = node()
+    answer = asked(made, [shot(made, seen)])
+    found, off = answer.detection, np.subtract(place(answer), TARGET[:3])
     covariance = np.reshape(found.pose.covariance, (6, 6))
     assert np.linalg.norm(off) < 0.001
     assert off @ np.linalg.solve(covariance[:3, :3], off) < 9.0
-    assert covariance[5, 5] == pytest.approx(math.radians(0.5) ** 2, rel=0.2)  # the mount's error dominates
+    assert np.sqrt(np.diag(covariance)[3:]) == pytest.approx(math.radians(0.5), rel=0.2)  # the mount's dominates
     assert found.roll == pytest.approx(TARGET[3], abs=0.005)
     turn = found.pose.pose.orientation
     axes = np.array(rotation(turn.x, turn.y, turn.z, turn.w))
     assert math.atan2(axes[1, 0], axes[0, 0]) == pytest.approx(found.roll)
     assert axes[:2, 2] == pytest.approx(0.0, abs=0.01), "the target stands straight before the charger"
-    assert np.sqrt(np.diag(covariance)[3:5]) == pytest.approx(math.radians(0.5), rel=0.2)
     assert found.header.frame_id == "charger_base"
     assert 0.2 < found.range < 0.3
     assert 0.5 < found.confidence <= 1.0
 
 
-def test_the_camera_pose_can_come_from_tf(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, context: Any, spin: Spin
-) -> None:
-    robot = spin(Robot(context))
-    driver.silent = True
-    node = detector(mount_from_tf=True, frame_prefix="left/", transform_timeout=10.0)
-    usual = Mount.default().pose
-    moved = (*(usual[:3, 3] + (0.0, 0.0, 0.1)), *quaternion(usual[:3, :3]))
-    robot.fix("left/charger_base", "camera", moved)
-    image = Header(frame_id="camera", stamp=node.get_clock().now().to_msg())
-    np.testing.assert_allclose(node._mounted(image).pose[:3], np.c_[usual[:3, :3], moved[:3]], atol=1e-9)
-
-
-@pytest.mark.parametrize("timeout", [0.2, 10.0])
-def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, timeout: float
-) -> None:
-    transforms()
-    detector(mount_from_tf=True, transform_timeout=timeout)
-    began = time.monotonic()
-    answer = driver.ask(1.0)
-    assert time.monotonic() - began < 5.0
-    assert not answer.success
-    assert "camera's pose is unknown: tf does not know the frame" in answer.message
-
-
-def test_two_sources_of_the_camera_pose_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
-    with pytest.raises(StartupError, match="mount_from_tf and mount_file both"):
-        ElectrodeDetectorNode(**options(context, namespace, mount_from_tf=True, mount_file=str(tmp_path / "m.yaml")))
-
-
-def test_without_expected_depth_no_normal_is_published(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    driver.image = without_depth(driver.image)
-    detector()
-    found = driver.ask(5.0).detection
-    turn, covariance = found.pose.pose.orientation, np.reshape(found.pose.covariance, (6, 6))
-    assert (turn.x, turn.y) == pytest.approx((0.0, 0.0))
-    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(found.roll)
-    unknown = np.isnan(covariance)
+def test_without_expected_depth_no_normal_is_published(node: NodeMaker, seen: RgbdImage) -> None:
+    made = node()
+    found = asked(made, [shot(made, without_depth(seen))]).detection
+    turn, unknown = found.pose.pose.orientation, np.isnan(np.reshape(found.pose.covariance, (6, 6)))
+    assert (turn.x, turn.y, 2.0 * math.atan2(turn.z, turn.w)) == pytest.approx((0.0, 0.0, found.roll))
     assert unknown[3:5].all()
-    assert unknown[:, 3:5].all()
     assert unknown.sum() == 20, "position and roll have their errors"
 
 
-def test_it_subscribes_only_while_it_detects(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
-    detector()
-    assert driver.listeners == 0
-    assert driver.ask(5.0).success
-    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
-
-
-def test_a_simulated_camera_renders_nothing_without_subscribers(
-    context: Any, namespace: str, detector: Callable[..., ElectrodeDetectorNode], driver: Driver, spin: Spin
-) -> None:
-    driver.silent = True
-    for publisher in (driver.color, driver.depth, driver.info):
-        driver.destroy_publisher(publisher)
-    detector()
-    target = dict(zip(("target_x", "target_y", "target_z", "target_roll"), TARGET, strict=True))
-    camera = spin(SimulatedCameraNode(**options(context, namespace, rate=60.0, **target)))
-    assert driver.ask(10.0).success
-    wait_until(lambda: camera.count_subscribers("color/image_raw") == 0, "the detector to stop listening")
-    rendered = camera.rendered
-    assert rendered >= 1
-    looks = camera.looks
-    wait_until(lambda: camera.looks > looks + 5, "the camera to look for subscribers")
-    assert camera.rendered <= rendered + 1  # the pending image when the last subscriber left
-
-
-def test_an_empty_scene_is_reported_after_the_timeout(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    driver.image = picture(target=False)
-    detector()
-    answer = driver.ask(1.0)
-    assert not answer.success
-    assert "no electrodes in the image" in answer.message
-    assert "images in 1.0 s" in answer.message
-    assert math.isnan(answer.detection.pose.pose.position.z)
-    assert math.isnan(answer.detection.roll)
-
-
-def test_without_a_camera_it_names_the_topics_and_diagnoses_them(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, namespace: str
-) -> None:
-    driver.silent = True
-    for publisher in (driver.color, driver.depth, driver.info):
-        driver.destroy_publisher(publisher)
-    detector()
-    answer = driver.ask(0.3)
-    assert not answer.success
-    for topic in ("color/image_raw", "depth/image_raw", "color/camera_info"):
-        assert f"/{namespace}/{topic}" in answer.message
-    assert "start camera_node" in answer.message
-    wait_until(lambda: any(each.level == DiagnosticStatus.WARN for each in driver.said), "a warning while idle")
-
-
-def test_missing_images_are_an_error_that_names_the_camera(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, namespace: str
-) -> None:
-    detector(rate=20.0)
-    received: list[ElectrodeDetection] = []
-    driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
-    wait_until(lambda: len(received) > 2, "detections at a rate")
-    driver.silent = True
-    wait_until(lambda: driver.said and driver.said[-1].level == DiagnosticStatus.ERROR, "an error once images stopped")
-    assert f"/{namespace}/color/image_raw" in driver.said[-1].message
-    assert "cable" in driver.said[-1].message
-    assert driver.said[-1].hardware_id == f"/{namespace}/color/image_raw"
-    driver.silent = False
-    count = len(received)
-    wait_until(lambda: len(received) > count, "detections once images came back")
-    wait_until(lambda: driver.said[-1].level == DiagnosticStatus.OK, "the error to end")
-
-
-def test_at_a_rate_it_detects_only_with_subscribers(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    detector(rate=20.0)
-    received: list[ElectrodeDetection] = []
-    subscription = driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
-    wait_until(lambda: received, "a detection")
-    driver.destroy_subscription(subscription)
-    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
-
-
-def test_rate_and_limits_change_while_the_node_runs(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    node, received = detector(), []
-    driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
-
-    def put(**values: float) -> bool:
-        given = [Parameter(name, value=value) for name, value in values.items()]
-        return bool(node.set_parameters_atomically(given).successful)
-
-    assert put(rate=20.0)
-    wait_until(lambda: len(received) > 1, "detections at a rate")
-    assert put(rate=0.0)
-    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
-    driver.age = 3.0
-    assert put(timeout=0.3)
-    assert "in 0.3 s" in driver.ask(0.0).message
-    assert put(image_age_max=10.0)
-    assert driver.ask(5.0).success
-    assert not put(image_age_max=5.0, stamp_tolerance=0.5), "the camera keeps what it was made with"
-    assert node.get_parameter("image_age_max").value == 10.0
-
-
-def test_annotated_images_are_published_to_subscribers(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    detector()
-    shown: list[Image] = []
-    driver.create_subscription(Image, "electrode_detection/image", shown.append, qos_profile_sensor_data)
-
-    def seen() -> bool:
-        assert driver.ask(5.0).success
-        return bool(shown)
-
-    wait_until(seen, "an annotated image")
-    drawn = np.frombuffer(shown[0].data, dtype=np.uint8).reshape(shown[0].height, shown[0].width, 3)
-    changed = np.any(drawn != driver.image.color, axis=2)
-    assert 100 < changed.sum() < changed.size // 4
-
-
-@pytest.mark.parametrize(("age", "words"), [(3.0, "3."), (-3.0, "in the future")])
-def test_an_old_or_future_stamp_is_refused(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, age: float, words: str
-) -> None:
-    driver.age = age
-    detector()
-    answer = driver.ask(1.5)
-    assert not answer.success
-    assert words in answer.message
-    assert "clocks" in answer.message
-
-
-def test_late_images_do_not_hide_the_result_of_others(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
-) -> None:
-    driver.image = picture(target=False)
-    sent = 0
-
-    def make_late(*messages: Image | CameraInfo) -> None:
-        nonlocal sent
-        sent += driver.listeners > 0
-        for message in messages:
-            message.header.stamp.sec -= 3 if sent > 5 else 0
-
-    driver.spoil = make_late
-    detector()
-    answer = driver.ask(1.5)
-    assert "no electrodes in the image" in answer.message
-    assert " 0 of them too old" not in answer.message
-
-
-def test_depth_of_another_time_is_not_used(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
-    driver.apart = 0.024  # half a period: no nearer stamp ever arrives
-    detector()
-    answer = driver.ask(2.5)
-    assert not answer.success
-    assert "stamp_tolerance" in answer.message
-
-
-def test_faults_of_a_driver_are_reported(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
-    def halve_depth(color: Image, depth: Image, info: CameraInfo) -> None:
-        depth.height //= 2
-        depth.data = depth.data[: depth.height * depth.step]
-
-    driver.spoil = halve_depth
-    detector()
-    answer = driver.ask(1.0)
-    assert not answer.success
-    assert "aligned to the colour" in answer.message
-
-
-def test_a_negative_timeout_is_refused(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
-    detector()
-    assert "timeout" in driver.ask(-1.0).message
-
-
-def test_closing_releases_waiting_requests(context: Any, namespace: str, driver: Driver) -> None:
-    driver.silent = True
-    spinner = Spinner(ElectrodeDetectorNode(**options(context, namespace)))
-    assert driver.client.wait_for_service(DEADLINE)
-    driver.client.call_async(DetectElectrodes.Request(timeout=Duration(sec=600)))
-    wait_until(lambda: driver.listeners == 3, "the detector to listen")
-    started = time.monotonic()
-    spinner.close()
-    assert time.monotonic() - started < 30.0
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"mount_file": "/nowhere/mount.yaml"}, "mount.yaml"),
-        ({"mount": [0.0, 0.1]}, "has 2 numbers; give 7"),
-        ({"mount": [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]}, "length"),
-        ({"bar_length": 70.0}, "bar_length"),
-        ({"rate": -1.0}, "rate"),
-        ({"mount_flie": "x"}, "did you mean 'mount_file'"),
-    ],
-)
-def test_wrong_parameters_stop_the_start(context: Any, namespace: str, values: dict[str, Any], words: str) -> None:
-    with pytest.raises(StartupError, match=words):
-        ElectrodeDetectorNode(**options(context, namespace, **values))
-
-
-def test_a_mount_file_replaces_the_mount(
-    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, tmp_path: Path
-) -> None:
+def test_a_mount_file_replaces_the_mount(node: NodeMaker, seen: RgbdImage, tmp_path: Path) -> None:
     moved = Mount.default().pose.copy()
     moved[:3, 3] += (0.01, 0.0, 0.02)
     Mount(moved, 1e-10 * np.eye(6)).save(tmp_path / "mount.yaml")
-    detector(mount_file=str(tmp_path / "mount.yaml"))
-    answer = driver.ask(5.0)
-    assert answer.success, answer.message
-    place = answer.detection.pose.pose.position
-    assert (place.x, place.y, place.z) == pytest.approx((TARGET[0] + 0.01, TARGET[1], TARGET[2] + 0.02), abs=5e-4)
+    made = node(mount_file=str(tmp_path / "mount.yaml"))
+    answer = asked(made, [shot(made, seen)])
+    assert place(answer) == pytest.approx((TARGET[0] + 0.01, TARGET[1], TARGET[2] + 0.02), abs=5e-4)
     assert answer.detection.pose.covariance[0] < 1e-6
+
+
+def test_a_request_is_refused_with_its_reason_and_without_a_pose(
+    node: NodeMaker, seen: RgbdImage, empty: RgbdImage
+) -> None:
+    made = node()
+    torn = shot(made, seen)
+    torn.depth.height //= 2
+    torn.depth.data = torn.depth.data[: torn.depth.height * torn.depth.step]
+    old, future = shot(made, seen, age=3.0), shot(made, seen, age=-30.0)
+    for shots, nouns in (
+        ([], ["no images", "0 images"]),
+        ([shot(made, empty)], ["no electrodes"]),
+        ([torn], ["aligned"]),
+        ([old], ["old", "clocks", "1 of them"]),
+        ([future], ["future", "clocks"]),
+        ([shot(made, empty), old], ["no electrodes", "2 images", "1 of them"]),
+    ):
+        answer = asked(made, shots)
+        assert not answer.success
+        assert all(noun in answer.message for noun in nouns), answer.message
+        assert all(map(math.isnan, numbers(answer.detection)))
+    assert "timeout" in asked(made, [shot(made, seen)], timeout=-1.0).message
+
+
+def test_a_current_image_is_as_old_as_its_limit(node: NodeMaker, seen: RgbdImage) -> None:
+    made = node()
+    for age, current in ((1.9, True), (2.1, False), (-0.05, True), (-1.0, False)):
+        assert (made._age_problem(shot(made, seen, age)) == "") == current, age
+
+
+@pytest.mark.parametrize("timeout", [0.1, 10.0])
+def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(
+    node: NodeMaker, seen: RgbdImage, timeout: float
+) -> None:
+    transforms()
+    made = node(mount_from_tf=True, transform_timeout=timeout)
+    began = time.monotonic()
+    answer = asked(made, (shot(made, seen) for _ in itertools.count()), 0.3)
+    assert time.monotonic() - began < 5.0
+    assert not answer.success
+    assert "tf" in answer.message
+
+
+def test_the_camera_pose_can_come_from_tf(node: NodeMaker, context: Any, spin: Spin) -> None:
+    robot = spin(Robot(context))
+    made = spin(node(mount_from_tf=True, frame_prefix="left/", transform_timeout=10.0))
+    usual = Mount.default().pose
+    moved = (*(usual[:3, 3] + (0.0, 0.0, 0.1)), *quaternion(usual[:3, :3]))
+    robot.fix("left/charger_base", "camera", moved)
+    image = Header(frame_id="camera", stamp=made.get_clock().now().to_msg())
+    np.testing.assert_allclose(made._mounted(image).pose[:3], np.c_[usual[:3, :3], moved[:3]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "noun"),
+    [
+        ({"mount_file": "/nowhere/mount.yaml"}, "mount.yaml"),
+        ({"mount_from_tf": True, "mount_file": "m.yaml"}, "mount_from_tf"),
+        ({"mount": [0.0, 0.1]}, "give 7"),
+        ({"mount": [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]}, "length"),
+        ({"bar_length": 70.0}, "bar_length"),
+        ({"mount_flie": "x"}, "did you mean 'mount_file'"),
+    ],
+)
+def test_wrong_parameters_stop_the_start(node: NodeMaker, values: dict[str, Any], noun: str) -> None:
+    with pytest.raises(StartupError, match=noun):
+        node(**values)
+
+
+def test_missing_silent_and_unmatched_topics_are_named(
+    node: NodeMaker, seen: RgbdImage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(electrode_detector_node_io, "SILENT", 0.05)
+    made, said, numbered = node(), [], itertools.count()
+    camera = made._camera
+    monkeypatch.setattr(made._diagnostics, "report", lambda *status: said.append((status[0], status[4])))
+
+    def fed(apart: float) -> str:
+        taken = shot(made, seen, -0.05 * next(numbered), apart)  # 20 Hz, for any computer
+        for subscription, message in zip(camera._subscriptions, (taken.color, taken.depth, taken.info), strict=True):
+            subscription.callback(message)
+        return camera.problem()
+
+    made._diagnose()
+    with camera.watching():
+        assert all(name in camera.problem() for name in camera.names)
+        for name, kind in zip(camera.names, (Image, Image, CameraInfo), strict=True):
+            made.create_publisher(kind, name, 1)
+        wait_until(lambda: "cable" in camera.problem(), "silent topics")
+        made._diagnose()
+        wait_until(lambda: "stamp_tolerance" in fed(apart=0.024), "unmatched images")
+        wait_until(lambda: not fed(apart=0.0), "images")
+    made._diagnose()
+    assert [level for level, _ in said] == [DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.OK]
+    assert {hardware for _, hardware in said} == {camera.names[0]}
+
+
+def test_closing_releases_waiting_requests(node: NodeMaker) -> None:
+    made, response = node(), DetectElectrodes.Response()
+    request = DetectElectrodes.Request(timeout=duration(600.0))
+    waiting = threading.Thread(target=made._on_detect, args=(request, response))
+    waiting.start()
+    wait_until(lambda: made._camera.watched, "the request to wait")
+    made.close()
+    waiting.join(DEADLINE)
+    assert not waiting.is_alive()
+
+
+@pytest.mark.version
+def test_it_listens_only_while_it_detects(context: Any, namespace: str, node: NodeMaker, spin: Spin) -> None:
+    driver, shown, received = spin(Driver(context, namespace)), list[Image](), list[ElectrodeDetection]()
+    made = spin(node())
+    assert driver.client.wait_for_service(DEADLINE)
+    assert driver.listeners == 0
+    pictures = driver.create_subscription(Image, "electrode_detection/image", shown.append, qos_profile_sensor_data)
+    wait_until(lambda: made._pictures.get_subscription_count(), "the picture's subscriber")
+    place(driver.ask(30.0))
+    wait_until(lambda: shown, "an annotated image")
+    drawn = np.frombuffer(shown[0].data, dtype=np.uint8).reshape(shown[0].height, shown[0].width, 3)
+    assert 100 < np.any(drawn != driver.image.color, axis=2).sum() < drawn.size // 12
+    driver.destroy_subscription(pictures)
+    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
+    assert not made.set_parameters_atomically([Parameter("stamp_tolerance", value=0.5)]).successful
+    assert made.set_parameters_atomically([Parameter("rate", value=20.0)]).successful
+    detections = driver.create_subscription(ElectrodeDetection, "electrode_detection", received.append, 10)
+    wait_until(lambda: len(received) > 1, "detections at a rate")
+    driver.destroy_subscription(detections)
+    wait_until(lambda: driver.listeners == 0, "the detector to stop listening without subscribers")

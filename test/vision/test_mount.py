@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the hand-eye transform: a detection's pose in charger_base and its uncertainty."""
+"""Laws of the hand-eye transform and of the lean: poses in charger_base, their uncertainty, invalid normals; files."""
 
 from __future__ import annotations
 
@@ -8,28 +8,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltacharger_core.parameters import ParameterError
+from deltacharger_core.rotation import rotation
 from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.errors import MountError
+from deltacharger_vision.errors import MountError, TerminalError, VisionError
 from deltacharger_vision.mount import Mount, line_angle, look_at, quaternion
+from deltacharger_vision.placed import Placed, is_front, leaning_normal
 from deltacharger_vision.poses import turn
+from deltacharger_vision.ros.detections import detection_message
+from deltacharger_vision.terminal import LOWER, UPPER, Terminal
+
+from ..marks import rest
 
 angles = st.floats(-math.pi, math.pi)
 
 
-def seen(rotation: np.ndarray, position: np.ndarray, covariance: np.ndarray | None = None) -> Detection:
-    """A detection of a terminal with this pose in the optical frame."""
-    axis = rotation[:, 0] * (1.0 if rotation[0, 0] >= 0.0 else -1.0)
+def seen(pose: np.ndarray, covariance: np.ndarray | None = None) -> Detection:
+    """A detection of a terminal with this pose (4, 4) in the optical frame."""
+    axis = pose[:3, 0] * (1.0 if pose[0, 0] >= 0.0 else -1.0)
     return Detection(
-        position=position,
+        position=pose[:3, 3],
         roll=line_angle(axis[0], axis[1]),
         axis=axis,
-        normal=-rotation[:, 2],
+        normal=-pose[:3, 2],
         covariance=np.zeros((6, 6)) if covariance is None else covariance,
         confidence=1.0,
-        range=float(np.linalg.norm(position)),
+        range=float(np.linalg.norm(pose[:3, 3])),
         bars=np.zeros((2, 4, 2)),
         source="fused",
     )
@@ -39,8 +47,7 @@ def through(mount: Mount, position: np.ndarray, roll: float) -> Detection:
     """Detection of a terminal in charger_base at `position`, rolled about z."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn(np.array([0.0, 0.0, roll])), position
-    inside = np.linalg.inv(mount.pose) @ pose
-    return seen(inside[:3, :3], inside[:3, 3])
+    return seen(np.linalg.inv(mount.pose) @ pose)
 
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.02, 0.4), st.floats(-1.5, 1.5))
@@ -60,32 +67,29 @@ def test_the_default_camera_is_upright_and_centres_the_dock() -> None:
     assert upward[1] < 0.0  # the optical frame's y points down
 
 
-def test_the_covariance_holds_for_errors_of_camera_and_mount() -> None:
+@pytest.mark.parametrize(("count", "share", "most"), [(400, 0.1, 0.25), rest(4000, 0.05, 0.12)])
+def test_the_covariances_hold_for_errors_of_camera_and_mount(count: int, share: float, most: float) -> None:
     random = np.random.default_rng(4)
-    nominal = Mount.from_numbers([0.0, 0.12, -0.12, *quaternion(Mount.default().pose[:3, :3])], 0.002, 0.01)
-    own = np.diag([0.3, 0.3, 0.9, 4.0, 4.0, 2.0]) ** 2 * 1e-6
-    tilt = turn(np.array([0.2, -0.3, 0.4]))
+    spread, own = np.array([0.002] * 3 + [0.008, 0.012, 0.01]), 1e-3 * np.array([0.3, 0.3, 0.9, 6.0, 9.0, 3.0])
+    nominal = Mount(Mount.default().pose, np.diag(spread**2))
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = tilt, (0.01, -0.02, 0.09)
-    expected = nominal.place(
-        seen(*(lambda inside: (inside[:3, :3], inside[:3, 3]))(np.linalg.inv(nominal.pose) @ pose), own)
-    )
-    errors = []
-    for _ in range(4000):
+    pose[:3, :3], pose[:3, 3] = turn(np.array([0.3, -0.25, 0.5])), (0.01, -0.02, 0.09)
+    expected = nominal.place(seen(np.linalg.inv(nominal.pose) @ pose, np.diag(own**2)))
+    errors, leans = [], []
+    for _ in range(count):
+        off, noise = random.normal(scale=spread), random.normal(scale=own)
         true = nominal.pose.copy()
-        true[:3, :3] = turn(0.01 * random.normal(size=3)) @ true[:3, :3]
-        true[:3, 3] += 0.002 * random.normal(size=3)
+        true[:3, :3], true[:3, 3] = turn(off[3:]) @ true[:3, :3], true[:3, 3] + off[:3]
         inside = np.linalg.inv(true) @ pose
-        noise = random.multivariate_normal(np.zeros(6), own)
-        inside[:3, :3] = turn(noise[3:]) @ inside[:3, :3]
-        placed = nominal.place(seen(inside[:3, :3], inside[:3, 3] + noise[:3]))
+        inside[:3, :3], inside[:3, 3] = turn(noise[3:]) @ inside[:3, :3], inside[:3, 3] + noise[:3]
+        placed = nominal.place(seen(inside))
         errors.append([*(placed.position - expected.position), placed.roll - expected.roll])
-    sampled = np.cov(np.array(errors).T)
+        leans.append([placed.lean().yaw - expected.lean().yaw, placed.lean().pitch - expected.lean().pitch])
     rows = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
-    predicted = expected.covariance[rows]
-    whitened = np.linalg.solve(np.linalg.cholesky(predicted), np.array(errors).T)
-    assert np.cov(whitened) == pytest.approx(np.eye(4), abs=0.12)
-    assert np.sqrt(np.diag(sampled)) == pytest.approx(np.sqrt(np.diag(predicted)), rel=0.05)
+    for found, predicted in ((errors, expected.covariance[rows]), (leans, expected.lean().covariance)):
+        whitened = np.linalg.solve(np.linalg.cholesky(predicted), np.transpose(found))
+        assert np.cov(whitened) == pytest.approx(np.eye(len(predicted)), abs=most)
+        assert np.std(found, axis=0) == pytest.approx(np.sqrt(np.diag(predicted)), rel=share)
 
 
 @given(angles, angles, angles)
@@ -96,18 +100,14 @@ def test_a_quaternion_matches_its_rotation(a: float, b: float, c: float) -> None
     assert Mount.from_numbers([0.0, 0.0, 0.0, *q]).pose[:3, :3] == pytest.approx(rotation, abs=1e-9)
 
 
-def test_a_saved_mount_loads_unchanged(tmp_path: Path) -> None:
-    spread = np.diag([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03]) ** 2
+def test_a_saved_mount_loads_unchanged_and_one_without_covariance_has_the_usual_error(tmp_path: Path) -> None:
+    path, spread = tmp_path / "mount.yaml", np.diag([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03]) ** 2
     spread[0, 4] = spread[4, 0] = 1e-6
-    Mount(Mount.default().pose, spread).save(tmp_path / "mount.yaml", {"views": 20, "residual_px": 0.21})
-    loaded = Mount.load(tmp_path / "mount.yaml")
+    Mount(Mount.default().pose, spread).save(path, {"residual_px": 0.21})
+    loaded = Mount.load(path)
     assert loaded.pose == pytest.approx(Mount.default().pose, abs=1e-7)
     assert loaded.covariance == pytest.approx(spread, rel=1e-5)
-    assert "residual_px: 0.21" in (tmp_path / "mount.yaml").read_text()
-
-
-def test_a_file_without_covariance_gets_the_usual_error(tmp_path: Path) -> None:
-    path = tmp_path / "mount.yaml"
+    assert "residual_px: 0.21" in path.read_text()
     path.write_text("position: [0, 0.1, 0]\norientation: [0, 0, 0, 1]\n")
     assert np.sqrt(np.diag(Mount.load(path).covariance)) == pytest.approx([0.002] * 3 + [math.radians(0.5)] * 3)
 
@@ -118,7 +118,7 @@ def test_a_file_without_covariance_gets_the_usual_error(tmp_path: Path) -> None:
         ("position: [0, 0, 0]\n", "orientation"),
         ("position: [0, 120, -120]\norientation: [0, 0, 0, 1]\n", "metres"),
         ("position: [0, 0, .nan]\norientation: [0, 0, 0, 1]\n", "finite"),
-        ("position: [0, 0, 0]\norientation: [0, 0, 0, 1]\ncovariance: [1, 2]\n", "36 numbers"),
+        ("position: [0, 0, 0]\norientation: [0, 0, 0, 1]\ncovariance: [1, 2]\n", "36"),
         ("position: [0, 0, 0]\norientation: [0, 0, 0, 1]\nframe: base_link\n", "base_link"),
         ("translation: [0, 0, 0]\n", "unknown key 'translation'"),
         ("position: [", "not valid YAML: line"),
@@ -132,11 +132,123 @@ def test_a_wrong_file_is_refused_by_name(tmp_path: Path, text: str, problem: str
     assert str(path) in str(caught.value)
 
 
-def test_a_negative_covariance_is_refused() -> None:
-    with pytest.raises(MountError, match="not negative"):
+def test_a_negative_covariance_and_a_camera_that_looks_straight_down_are_refused() -> None:
+    with pytest.raises(MountError, match="negative"):
         Mount(np.eye(4), -np.eye(6))
-
-
-def test_a_camera_that_looks_straight_down_has_no_upright() -> None:
     with pytest.raises(MountError, match="straight"):
         look_at((0.0, 0.1, 0.0), (0.0, 0.0, 0.0))
+
+
+leans = st.floats(-0.6, 0.6)
+rolls = st.floats(-1.5, 1.5)
+UNKNOWN = np.full(3, np.nan)
+X, Y, Z = np.eye(3)
+
+
+def standing(axes: np.ndarray, normal: np.ndarray | None = None) -> Placed:
+    roll = line_angle(axes[0, 0], axes[1, 0])
+    return Placed(np.array([0.0, 0.0, 0.08]), roll, -axes[:, 2] if normal is None else normal, np.eye(6) * 1e-4)
+
+
+@pytest.mark.parametrize("angle", [-0.3, 0.2])
+def test_yaw_is_about_y_and_pitch_about_x(angle: float) -> None:
+    yawed, pitched = standing(turn(angle * Y)).lean(), standing(turn(angle * X)).lean()
+    assert (yawed.yaw, yawed.pitch, pitched.yaw, pitched.pitch) == pytest.approx((angle, 0.0, 0.0, angle))
+
+
+@given(leans, leans, rolls)
+def test_the_orientation_matches_the_target_at_any_lean_and_roll(yaw: float, pitch: float, roll: float) -> None:
+    axes = turn(pitch * X) @ turn(yaw * Y) @ turn(roll * Z)
+    placed = standing(axes)
+    flip = np.diag([1.0, 1.0, 1.0] if axes[0, 0] >= 0.0 else [-1.0, -1.0, 1.0])  # bars have no sign
+    assert placed.rotation() == pytest.approx(axes @ flip, abs=1e-9)
+    lean = placed.lean()
+    assert lean.yaw == pytest.approx(math.atan2(axes[0, 2], axes[2, 2]))
+    assert lean.pitch == pytest.approx(math.atan2(-axes[1, 2], axes[2, 2]))
+    assert leaning_normal(lean.yaw, lean.pitch) == pytest.approx(placed.normal)
+
+
+def test_without_a_normal_only_the_roll_is_known() -> None:
+    placed = standing(turn(0.3 * Z), UNKNOWN)
+    lean, covariance = placed.lean(), placed.known_covariance()
+    assert np.isnan([lean.yaw, lean.pitch, lean.yaw_stddev, lean.pitch_stddev]).all()
+    assert placed.rotation() == pytest.approx(turn(0.3 * Z))
+    assert np.isnan(covariance).sum() == 20
+    assert np.isfinite(placed.covariance).all(), "the original is unchanged"
+    assert covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])] == pytest.approx(1e-4 * np.eye(4))
+
+
+@pytest.mark.parametrize("normal", [UNKNOWN, leaning_normal(0.2, -0.1)])
+def test_the_message_has_the_orientation_and_its_known_covariance(normal: np.ndarray) -> None:
+    placed = standing(turn(-0.4 * Z), normal)
+    message = detection_message(placed, Time(sec=7), 0.75, 0.25)
+    q = message.pose.pose.orientation
+    assert np.array(rotation(q.x, q.y, q.z, q.w)) == pytest.approx(placed.rotation())
+    assert message.roll == pytest.approx(-0.4)
+    assert np.isnan(message.pose.covariance).sum() == (20 if np.isnan(normal[0]) else 0)
+    assert (message.header.frame_id, message.header.stamp.sec) == ("charger_base", 7)
+
+
+@pytest.mark.parametrize(
+    ("normal", "why"),
+    [
+        (Z, "the plate is seen from behind"),
+        (turn(0.05 * Y) @ -Z, "bars along x are not square to it: it contradicts the roll"),
+        (leaning_normal(0.0, 1.55), "its edge is seen"),
+        (UNKNOWN, "it is not known"),
+    ],
+)
+def test_an_impossible_normal_is_dropped(normal: np.ndarray, why: str) -> None:
+    assert is_front(X, -Z, Z)
+    assert not is_front(X, normal, Z), why
+
+
+def test_averted_faces_are_placed_without_a_normal() -> None:
+    straight = Mount.default()
+    back = straight.pose.copy()
+    back[:3, :3] = turn(math.pi * Y) @ back[:3, :3]
+    detection = through(straight, np.array([0.0, 0.0, 0.08]), 0.0)
+    assert straight.place(detection).upright
+    assert not Mount(back, straight.covariance).place(detection).upright, "a mount that looks backward"
+
+
+def test_corners_span_the_bars() -> None:
+    terminal = Terminal(bar_length=0.08, bar_height=0.012, gap=0.009)
+    corners = terminal.corners()
+    assert corners.shape == (2, 4, 3)
+    np.testing.assert_allclose(corners.mean(axis=(0, 1)), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.ptp(corners, axis=1), [(0.08, 0.012, 0.0)] * 2)
+    assert corners[UPPER, :, 1].min() - corners[LOWER, :, 1].max() == pytest.approx(0.009)
+
+
+def test_corners_go_around_z() -> None:
+    for bar in Terminal().corners():
+        sides = np.roll(bar, -1, axis=0) - bar
+        turns = np.cross(sides, np.roll(sides, -1, axis=0))
+        assert (turns[:, 2] > 0).all()
+
+
+def test_load_keeps_defaults_of_missing_lengths(tmp_path: Path) -> None:
+    path = tmp_path / "terminal.yaml"
+    path.write_text("bar_length: 0.09\ngap: 0.01\n")
+    assert Terminal.load(path) == Terminal(bar_length=0.09, gap=0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("bar_lenght: 0.07", "did you mean 'bar_length'"),
+        ("bar_length: 70", "metres"),
+        ("gap: wide", "not a number"),
+        ("", "mapping"),
+    ],
+)
+def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "terminal.yaml"
+    path.write_text(text)
+    with pytest.raises(TerminalError, match=words) as caught:
+        Terminal.load(path)
+    assert caught.value.source == str(path)
+    assert isinstance(caught.value, VisionError)
+    with pytest.raises(ParameterError, match="gap"):
+        Terminal(gap=-0.001)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry of the simulated camera, without noise."""
+"""The simulated camera: geometry without noise, then noise, saturation, blur and depth of stereo matching."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.projection import undistort
@@ -19,16 +21,17 @@ from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, shown, view
 
-IDEAL = CameraParameters.ideal()
+IDEAL, DEFAULT = CameraParameters.ideal(), CameraParameters()
+PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
+WALL, FLAT = RenderedScene(parameters=EVEN, target=False), RenderedScene(parameters=EVEN)
 
 
 def rendered(scene: RenderedScene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:
     return (camera or SimulatedCamera(parameters=IDEAL)).render(scene, pose, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("distortion", DISTORTIONS)
-@pytest.mark.parametrize("pose", VIEWS)
-def test_the_bars_edges_are_where_their_corners_project(distortion: tuple[float, ...], pose: np.ndarray) -> None:
+@pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS, (*DISTORTIONS, *DISTORTIONS), strict=False)])
+def test_the_bars_edges_are_where_their_corners_project(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
     camera = SimulatedCamera(dataclasses.replace(OAK_D, distortion=distortion), IDEAL)
     errors = edge_errors(rendered(FACES, pose, camera), pose)
     assert len(errors) == 24
@@ -36,9 +39,8 @@ def test_the_bars_edges_are_where_their_corners_project(distortion: tuple[float,
     assert np.abs(errors).mean() < 0.15
 
 
-@pytest.mark.parametrize("pose", VIEWS[1:])
-@pytest.mark.parametrize("distortion", DISTORTIONS[:2])
-def test_depth_of_the_plate_is_where_the_ray_meets_it(distortion: tuple[float, ...], pose: np.ndarray) -> None:
+@pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS[1:], DISTORTIONS[:2] * 2, strict=True)])
+def test_depth_of_the_plate_is_where_the_ray_meets_it(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
     intrinsics = dataclasses.replace(OAK_D, distortion=distortion)
     depth = rendered(RenderedScene(), pose, SimulatedCamera(intrinsics, IDEAL)).depth
     # Points of the plate, beside the bars; each is read from its pixel.
@@ -70,9 +72,9 @@ def test_a_mirrored_scene_gives_the_mirrored_image() -> None:
     assert np.isnan(image.depth).mean() > 0.01
 
 
-@pytest.mark.parametrize("bar", [UPPER, LOWER])
-@pytest.mark.parametrize("side", [-1, 1])
-@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.8])
+@pytest.mark.parametrize(
+    ("bar", "side", "share"), [(UPPER, -1, 0.25), (LOWER, 1, 0.8), (UPPER, 1, 0.5), (LOWER, -1, 0.0)]
+)
 def test_a_cover_hides_its_share_of_its_bar(bar: int, side: int, share: float) -> None:
     pose = view(0.4)
     whole = linear(rendered(FACES, pose).color)
@@ -89,47 +91,38 @@ def test_a_cover_hides_its_share_of_its_bar(bar: int, side: int, share: float) -
             assert np.sign(column - gone.mean()) == side
 
 
-def test_near_things_hide_far_ones_in_any_order() -> None:
-    near = Box(shifted((0.0, 0.0, 0.3)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
-    far = Box(shifted((0.0, 0.0, 0.4)), (0.2, 0.2, 0.02), (0.0, 0.0, 0.9), in_camera=True)
-    for boxes in ((near, far), (far, near)):
-        image = rendered(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
-        red, _, blue = image.color[200, 320].astype(int)
-        assert red > blue
-        assert image.depth[200, 320] == pytest.approx(0.29, abs=1e-6)
-        red, _, blue = image.color[200, 400].astype(int)
-        assert blue > red
-        assert image.depth[200, 400] == pytest.approx(0.39, abs=1e-6)
+def box(x: float, z: float, size: tuple[float, float, float], red: float) -> Box:
+    return Box(shifted((x, 0.0, z)), size, (red, 0.0, 0.9 - red), in_camera=True)
 
 
-def test_a_wide_box_hides_nothing_in_front_of_it() -> None:
-    # The panel's centre is nearer to the camera than the item's.
-    panel = Box(shifted((0.0, 0.0, 0.4)), (1.0, 0.5, 0.02), (0.0, 0.0, 0.9), in_camera=True)
-    item = Box(shifted((0.2, 0.0, 0.35)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
-    image = rendered(RenderedScene(parameters=EVEN, foreground=(panel, item), target=False), view(1.0))
-    column = round(319.5 + 441.0 * 0.2 / 0.34)
+def pixel(boxes: tuple[Box, ...], column: int) -> tuple[bool, float]:
+    """Return whether a pixel of the middle row is red, and its depth."""
+    image = rendered(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
     red, _, blue = image.color[200, column].astype(int)
-    assert red > blue
-    assert image.depth[200, column] == pytest.approx(0.34, abs=1e-6)
+    return bool(red > blue), float(image.depth[200, column])
 
 
-def test_a_box_that_extends_behind_the_camera_is_complete() -> None:
-    beside = Box(shifted((0.125, 0.0, 0.0)), (0.15, 1.0, 0.2), (0.9, 0.0, 0.0), in_camera=True)
+def test_near_things_hide_far_ones_in_any_order() -> None:
+    near, far = box(0.0, 0.3, (0.05, 0.05, 0.02), 0.9), box(0.0, 0.4, (0.2, 0.2, 0.02), 0.0)
+    for boxes in ((near, far), (far, near)):
+        assert pixel(boxes, 320) == (True, pytest.approx(0.29, abs=1e-6))
+        assert pixel(boxes, 400) == (False, pytest.approx(0.39, abs=1e-6))
+    # The panel's centre is nearer to the camera than the item's.
+    panel, item = box(0.0, 0.4, (1.0, 0.5, 0.02), 0.0), box(0.2, 0.35, (0.05, 0.05, 0.02), 0.9)
+    assert pixel((panel, item), round(319.5 + 441.0 * 0.2 / 0.34)) == (True, pytest.approx(0.34, abs=1e-6))
+
+
+def test_a_box_that_extends_behind_the_camera_is_complete_and_one_out_of_sight_changes_nothing() -> None:
+    beside = box(0.125, 0.0, (0.15, 1.0, 0.2), 0.9)
     image = rendered(RenderedScene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
     # Its inner wall begins at x = 50 mm, z = 100 mm, and passes out of the image nearer to the camera.
-    edge = 319.5 + 441.0 * 0.5
+    edge = int(319.5 + 441.0 * 0.5)
     red = image.color[:, :, 0].astype(int) - image.color[:, :, 2] > 20
-    assert red[:, int(edge) + 2 :].all()
-    assert not red[:, : int(edge) - 1].any()
-
-
-def test_things_out_of_sight_change_nothing() -> None:
-    nothing = rendered(RenderedScene(parameters=EVEN, target=False), view(0.5))
-    behind = Box(shifted((0.0, 0.0, -0.5)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
-    around = Box(shifted((0.0, 0.0, 0.0)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
-    aside = Box(shifted((5.0, 0.0, 0.5)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
-    scene = RenderedScene(parameters=EVEN, foreground=(behind, around, aside), target=False)
-    np.testing.assert_array_equal(rendered(scene, view(0.5)).color, nothing.color)
+    assert red[:, edge + 2 :].all()
+    assert not red[:, : edge - 1].any()
+    hidden = tuple(box(x, z, (0.1, 0.1, 0.1), 0.9) for x, z in ((0.0, -0.5), (0.0, 0.0), (5.0, 0.5)))
+    with_boxes, nothing = (RenderedScene(parameters=EVEN, foreground=boxes, target=False) for boxes in (hidden, ()))
+    np.testing.assert_array_equal(rendered(with_boxes, view(0.5)).color, rendered(nothing, view(0.5)).color)
 
 
 def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
@@ -140,9 +133,164 @@ def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
 
 
 @pytest.mark.parametrize(
-    "pose",
-    [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), np.full((4, 4), np.nan)],
+    "pose", [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), np.full((4, 4), np.nan)]
 )
 def test_an_invalid_pose_is_refused(pose: np.ndarray) -> None:
     with pytest.raises(RenderingError, match="camera_T_terminal"):
         SimulatedCamera().render(RenderedScene(), pose, np.random.default_rng(0))
+
+
+def taken(scene: RenderedScene, pose: np.ndarray, seed: int = 0, **changed: Any) -> RgbdImage:
+    parameters = dataclasses.replace(IDEAL, **changed)
+    return SimulatedCamera(parameters=parameters).render(scene, pose, np.random.default_rng(seed))
+
+
+def wall_at(distance: float) -> np.ndarray:
+    return view(distance - EVEN.wall_distance)
+
+
+def metal(pose: np.ndarray) -> np.ndarray:
+    """Return the mask (H, W) of the touched faces, well inside."""
+    bright = linear(taken(FLAT, pose).color) > 0.4
+    for axis in (0, 1):
+        bright = bright & np.roll(bright, 1, axis) & np.roll(bright, -1, axis)
+    return bright
+
+
+def test_a_seed_determines_the_image_also_colour_alone() -> None:
+    camera = SimulatedCamera()
+    first, again, other = (camera.render(RenderedScene(), view(0.4), np.random.default_rng(seed)) for seed in (1, 1, 2))
+    alone = camera.render(RenderedScene(), view(0.4), np.random.default_rng(1), color_only=True)
+    np.testing.assert_array_equal(first.color, again.color)
+    np.testing.assert_array_equal(first.depth, again.depth)
+    np.testing.assert_array_equal(first.color, alone.color)
+    assert (first.color != other.color).mean() > 0.3
+    assert np.isnan(alone.depth).all()
+    assert np.isfinite(first.depth).mean() > 0.5
+
+
+@pytest.mark.parametrize("distance", [0.3, 0.8])
+def test_depth_noise_grows_with_the_square_of_the_distance(distance: float) -> None:
+    depth = taken(WALL, wall_at(distance), disparity_noise=0.15, disparity_step=0.125).depth
+    assert depth.std() == pytest.approx(DEFAULT.depth_noise(distance), rel=0.15)
+    assert depth.mean() == pytest.approx(distance, abs=0.1 * DEFAULT.depth_noise(distance))
+
+
+def test_depth_noise_correlates_over_its_width_only() -> None:
+    disparity = PER_INVERSE / taken(WALL, wall_at(0.8), disparity_noise=0.2, noise_width=5).depth
+    error = disparity - disparity.mean()
+    for axis in (0, 1):
+        for shift, expected in ((1, 0.8), (3, 0.4), (6, 0.0)):
+            alike = np.mean(error * np.roll(error, shift, axis)) / error.var()
+            assert alike == pytest.approx(expected, abs=0.05)
+
+
+def test_disparity_and_depth_have_steps() -> None:
+    steps = PER_INVERSE / taken(WALL, view(0.2, yaw=0.4), disparity_step=1 / 8).depth * 8
+    assert len(np.unique(np.rint(steps))) > 20
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-2)
+    depth = 1e3 * taken(WALL, view(0.2, yaw=0.4), whole_millimetres=True).depth
+    np.testing.assert_allclose(depth, np.rint(depth), atol=1e-3)
+
+
+def test_nothing_outside_the_stereo_range_has_depth() -> None:
+    assert pytest.approx(0.174, abs=1e-3) == DEFAULT.nearest
+    near, far = view(DEFAULT.nearest - 0.008), view(DEFAULT.nearest + 0.002)
+    for noise in (0.0, 5.0):
+        assert np.isnan(taken(FLAT, near, disparity_noise=noise).depth[metal(near)]).all()
+    assert np.isfinite(taken(FLAT, far).depth[metal(far)]).all()
+    noisy = SimulatedCamera().render(RenderedScene(), view(0.18, pitch=0.6), np.random.default_rng(3)).depth
+    assert 0.173 <= np.nanmin(noisy) < 0.18
+    for farthest, seen in ((2.9, False), (3.1, True)):
+        assert (np.isfinite(taken(WALL, wall_at(3.0), farthest=farthest).depth) == seen).all()
+
+
+def test_only_metal_has_holes_with_the_given_share() -> None:
+    pose = view(0.2)
+    solid = taken(FLAT, pose).depth < 0.2055
+    lost = np.array([np.isnan(taken(FLAT, pose, seed, hole_metal=0.4, hole_glare=0.4).depth) for seed in range(3)])
+    assert not lost[:, ~solid].any()
+    assert lost[:, metal(pose)].mean() == pytest.approx(0.4, abs=0.06)
+
+
+def test_glare_is_bright_and_costs_depth() -> None:
+    pose = view(0.3)
+    lit = dataclasses.replace(EVEN, highlight=1.5)
+    # Ahead of the bars the light is reflected to the camera; far aside it is not.
+    for light, bright in (((0.0, 0.0, -1.0), True), ((3.0, 0.0, -1.0), False)):
+        image = taken(RenderedScene(parameters=lit, light=light), pose, hole_metal=0.0, hole_glare=0.9)
+        inside = metal(pose)
+        assert ((image.color[inside] == 255).mean() > 0.3) == bright
+        assert (np.isnan(image.depth[inside]).mean() > 0.2) == bright
+
+
+def test_brushed_metal_varies_separately_along_and_across_its_brushing() -> None:
+    inside = metal(view(0.2))
+    upper = np.s_[np.flatnonzero(inside.any(axis=1))[2:18], 260:380]
+    for changed, steady, varying in (({"streaks": 0.1}, 1, 0), ({"mirrored": 0.1}, 0, 1)):
+        scene = RenderedScene(parameters=dataclasses.replace(EVEN, **changed))
+        light = linear(taken(scene, view(0.2)).color)[upper]
+        assert light.std(axis=varying).mean() / light.mean() > 0.02
+        assert light.std(axis=steady).mean() / light.mean() < 0.01
+
+
+def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
+    pose = view(0.35)
+    lost = np.isnan(taken(FLAT, pose, occlusion=True).depth[140])
+    plate, wall = 0.35 + 0.006, 0.35 + EVEN.wall_distance
+    half = 0.5 * PER_INVERSE * (1 / plate - 1 / wall)
+    outside = 0.5 * PER_INVERSE / wall
+    runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))))[::2]
+    assert runs == pytest.approx([outside, half, half, outside], abs=2.0)
+
+
+def test_near_depth_spreads_over_far_depth_but_not_along_a_slope() -> None:
+    plain, grown = (taken(FLAT, view(0.35), fattening=reach).depth < 0.4 for reach in (0, 2))
+    for axis in (0, 1):
+        assert grown.any(axis=axis).sum() == plain.any(axis=axis).sum() + 4
+    np.testing.assert_array_equal(*(taken(WALL, view(0.3, yaw=0.7), fattening=reach).depth for reach in (0, 2)))
+
+
+@pytest.mark.parametrize("exposure", [0.5, 2.5])
+def test_light_is_kept_until_it_saturates(exposure: float) -> None:
+    once, given = (linear(taken(FLAT, view(0.3), exposure=each).color) for each in (1.0, exposure))
+    np.testing.assert_allclose(given, np.minimum(exposure * once, 1.0), atol=0.02)
+    bright = taken(RenderedScene(), view(0.3), exposure=exposure).color[metal(view(0.3))]
+    assert ((bright == 255).mean() > 0.5) == (exposure > 1.0)
+
+
+@pytest.mark.parametrize("exposure", [0.2, 1.0, 2.0])
+def test_colour_noise_is_shot_noise_and_read_noise(exposure: float) -> None:
+    clean = linear(taken(WALL, view(0.5), exposure=exposure).color).mean()
+    light = linear(taken(WALL, view(0.5), exposure=exposure, shot_noise=0.04, read_noise=0.01).color)
+    assert light.mean() == pytest.approx(clean, rel=0.02)
+    assert light.std() == pytest.approx(np.hypot(0.01, 0.04 * np.sqrt(clean)), rel=0.05)
+
+
+@pytest.mark.parametrize(("x", "y"), [(9.0, 0.0), (0.0, 9.0), (-9.0, 0.0)])
+def test_motion_blurs_edges_only_along_itself(x: float, y: float) -> None:
+    moved = linear(taken(FLAT, view(0.3), motion_x=x, motion_y=y).color)
+    still = linear(taken(FLAT, view(0.3)).color)
+    assert moved.mean() == pytest.approx(still.mean(), rel=0.01)
+    sharpness = [np.abs(np.diff(moved, axis=axis)).max() / np.abs(np.diff(still, axis=axis)).max() for axis in (0, 1)]
+    assert sharpness[1 if x else 0] < 0.3
+    assert sharpness[0 if x else 1] > 0.8
+
+
+def test_defocus_is_a_gaussian() -> None:
+    # Across the plate's edge the light becomes its integral: a fifth to four fifths within 2 · 0.8416 σ.
+    light = linear(taken(FLAT, view(0.3), defocus=4.0).color)[150, :320]
+    low, high = light.min(), light.max()
+    within = (light > low + 0.2 * (high - low)) & (light < low + 0.8 * (high - low))
+    assert within.sum() == pytest.approx(2 * 0.8416 * 4.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("exposure", np.nan), ("baseline", -0.075), ("noise_width", 2.5), ("hole_metal", 1.1), ("disparity_step", 2.0)],
+)
+def test_parameters_have_bounds(key: str, value: Any) -> None:
+    with pytest.raises(ParameterError, match=key):
+        CameraParameters(**{key: value})
+    with pytest.raises(ParameterError, match="plate_width"):
+        SceneParameters(plate_width=20.0)
