@@ -57,11 +57,11 @@ def expected(count: int) -> list[dict[str, Any]]:
 
 
 def test_a_docking_depends_only_on_seed_and_number() -> None:
-    text = settings(3).to_json()
-    forward = run_batch(text, [0, 1, 2])
-    assert comparable(forward) == comparable(run_batch(text, [2, 1]) + run_batch(text, [0]))
-    assert len({row["seed"] for row in forward}) == 3
-    assert comparable(run_batch(settings(3, seed=4).to_json(), [0])) != comparable(forward[:1])
+    text = settings(2).to_json()
+    forward = run_batch(text, [0, 1])
+    assert comparable(forward) == comparable(run_batch(text, [1]) + run_batch(text, [0]))
+    assert forward[0]["seed"] != forward[1]["seed"]
+    assert comparable(run_batch(settings(2, seed=4).to_json(), [0])) != comparable(forward[:1])
 
 
 def test_a_row_has_every_column_and_its_type() -> None:

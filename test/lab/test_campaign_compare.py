@@ -74,8 +74,8 @@ def test_mcnemar_exactly(only_a: int, only_b: int, p: float) -> None:
 
 
 def written(folder: Path, **kind: Any) -> Path:
-    with Store(folder, settings(1, **kind)) as store:
-        store.add(run_batch(store.settings.to_json(), range(1)))
+    with Store(folder, settings(2, **kind)) as store:
+        store.add(run_batch(store.settings.to_json(), range(2)))
     return folder
 
 
@@ -83,7 +83,7 @@ def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp
     a, b = str(written(tmp_path / "a")), str(written(tmp_path / "b", approach="paper"))
     assert main(["campaign", "compare", a, b, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["pairs"], found["differs"]) == (1, ["approach: guarded → paper"])
+    assert (found["pairs"], found["differs"]) == (2, ["approach: guarded → paper"])
     assert found["rates"]["charged"]["difference"] == 0.0
     low, high = found["numbers"]["peak_push"]["interval"]
     assert low <= found["numbers"]["peak_push"]["difference"] <= high

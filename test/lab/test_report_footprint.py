@@ -89,8 +89,8 @@ def test_libraries_in_memory_and_in_plain_python_are_found(child: Child, tmp_pat
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     started = Started(tmp_path)
     for name, code in (
-        ("imports", "import importlib; importlib.import_module('mcap')"),
         ("ends", "import sys; sys.exit('x')"),
+        ("imports", "import importlib; importlib.import_module('mcap')"),
     ):
         started.start(name, code)
         started.processes[name].wait(DEADLINE)
