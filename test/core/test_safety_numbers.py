@@ -664,4 +664,5 @@ def test_limit(row: Limit) -> None:
 
 def test_numbers_that_need_more_than_a_row() -> None:
     assert estimator.PoseEstimator().threshold == 0.25  # N, below which readings are noise
+    assert not passes(frame_window.FrameWindow(lambda: 10.0).fresh, 1, 0.01)  # s; no frame, so no estimate
     assert (controller.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off
