@@ -91,6 +91,8 @@ def killer(mutant: Mutant, tree: Path) -> str:
 def main(words: list[str]) -> int:
     every = [Mutant(**row) for row in yaml.safe_load((ROOT / "test/mutants.yaml").read_text())]
     chosen = [one for one in every if one.place(ROOT) and (not words or any(word in one.name for word in words))]
+    if not chosen:
+        raise SystemExit(f"no mutant's name contains {' or '.join(words)}")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(SIDE_BY_SIDE) as workers:
         trees: queue.Queue[Path] = queue.Queue()
         for index in range(SIDE_BY_SIDE):
