@@ -21,7 +21,6 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D
 
-from ..marks import rest
 from ..vision.hand_eye_rig import ARM, Rig, squared
 from .command import Capture, answer, refuses, run
 
@@ -45,6 +44,15 @@ def taken(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def views(taken: Path, tmp_path: Path) -> Path:
     """A folder of views that a test may change."""
     return Path(shutil.copytree(taken, tmp_path / "views"))
+
+
+@pytest.fixture
+def blank(tmp_path: Path) -> Path:
+    """A folder of views that show nothing."""
+    folder = ViewsFolder(tmp_path / "views", OAK_D)
+    for number in range(COUNT):
+        folder.add(np.zeros((400, 640, 3), dtype=np.uint8), (0.1 * number, 0.0, 0.0))
+    return tmp_path / "views"
 
 
 def line(rig: Rig, folder: Path, *more: object) -> list[str]:
@@ -88,6 +96,7 @@ def test_views_give_the_mount_within_its_covariance_and_a_usable_file(
     assert about["board_offset"] == pytest.approx(rig.offset, abs=1e-6)
 
 
+@pytest.mark.rest
 def test_one_object_in_si_units(capsys: Capture, rig: Rig, taken: Path, tmp_path: Path) -> None:
     believed = tmp_path / "believed.yaml"
     Mount(rig.mount, np.eye(6)).save(believed)
@@ -138,6 +147,7 @@ def test_a_board_is_drawn_for_printing(capsys: Capture, tmp_path: Path) -> None:
     assert [run(capsys, *words, *force)[0] for force in ((), ("--force",))] == [2, 0]
 
 
+@pytest.mark.rest
 def test_a_wrong_sign_of_the_offset_is_detected_by_the_believed_mount(capsys: Capture, rig: Rig, taken: Path) -> None:
     words = line(rig, taken)
     words[5] = str(-float(words[5]))
@@ -169,34 +179,30 @@ def test_images_that_disagree_or_show_no_board_are_left_out(capsys: Capture, rig
     for path in (views / f"view_00{number}.png" for number in (1, 2)):
         assert cv2.imwrite(str(path), np.clip(cv2.imread(str(path)).astype(float) * 1.7, 0, 255).astype(np.uint8))
     _, found = answer(capsys, *line(rig, views))
-    assert (found["left_out"], found["without_board"]) == (["view_004.png"], ["view_003.png"])
+    assert ("view_004.png" in found["left_out"], found["without_board"]) == (True, ["view_003.png"])
     assert any("over-exposed" in note for note in found["notes"])
 
 
-@pytest.mark.parametrize(
-    ("board", "hint"),
-    [
-        ("apriltag:36h11:3", "apriltag 36h11 0"),
-        rest("charuco:4x4_50:5x4", "36h11"),
-        ("", "sharp"),
-    ],
-)
+@pytest.mark.rest
+@pytest.mark.parametrize(("board", "hint"), [("apriltag:36h11:3", "apriltag 36h11 0"), ("charuco:4x4_50:5x4", "36h11")])
 def test_another_board_is_named_if_no_image_shows_the_given_one(
-    capsys: Capture, rig: Rig, views: Path, board: str, hint: str
+    capsys: Capture, rig: Rig, taken: Path, board: str, hint: str
 ) -> None:
-    if not board:
-        for path in views.glob("*.png"):
-            assert cv2.imwrite(str(path), np.full((400, 640), 90, dtype=np.uint8))
-    refuses(capsys, shlex.join(line(rig, views, "--board", board or "apriltag:36h11:0")), hint, 1)
+    refuses(capsys, shlex.join(line(rig, taken, "--board", board)), hint, 1)
+
+
+@pytest.mark.rest
+def test_too_few_views_and_one_line_are_refused(capsys: Capture, rig: Rig, views: Path) -> None:
+    lines = lines_of(views)
+    rewrite(views, lines[:5])
+    refuses(capsys, shlex.join(line(rig, views)), "4 views")
+    names = [each.split(",")[0] for each in lines[1:]]
+    rewrite(views, ["image,x_mm,y_mm,z_mm", *(f"{name},{10 * n - 40},0,20" for n, name in enumerate(names))])
+    refuses(capsys, shlex.join(line(rig, views)), "one line, x")
 
 
 def shrunk(folder: Path) -> None:
     cv2.imwrite(str(folder / "view_002.png"), np.zeros((800, 1280, 3), dtype=np.uint8))
-
-
-def along_a_line(lines: list[str]) -> list[str]:
-    names = [each.split(",")[0] for each in lines[1:]]
-    return ["image,x_mm,y_mm,z_mm", *(f"{name},{10 * n - 30},0,20" for n, name in enumerate(names))]
 
 
 TABLES: dict[str, Callable[[list[str]], list[str]]] = {
@@ -212,8 +218,6 @@ TABLES: dict[str, Callable[[list[str]], list[str]]] = {
     "angle_0_rad is 'nan'": lambda lines: [lines[0], "view_001.png,nan,0,0"],
     "cannot have": lambda lines: ["image,x_m,y_m,z_m", "view_001.png,0,0,20"],
     "the position": lambda lines: ["image,x_mm,y_mm,z_mm", "view_001.png,0,0,900"],
-    "4 views": lambda lines: lines[:5],
-    "one line, x": along_a_line,
 }
 FOLDERS: dict[str, Callable[[Path], object]] = {
     "1280 × 800": shrunk,
@@ -224,34 +228,38 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("noun", [*TABLES, *FOLDERS])
-def test_a_wrong_folder_is_refused(capsys: Capture, rig: Rig, views: Path, noun: str) -> None:
+def test_a_wrong_folder_is_refused(capsys: Capture, rig: Rig, blank: Path, noun: str) -> None:
     if noun in TABLES:
-        rewrite(views, TABLES[noun](lines_of(views)))
+        rewrite(blank, TABLES[noun](lines_of(blank)))
     else:
-        FOLDERS[noun](views)
-    refuses(capsys, shlex.join(line(rig, views)), noun)
+        FOLDERS[noun](blank)
+    refuses(capsys, shlex.join(line(rig, blank)), noun)
+
+
+def test_images_without_a_board_end_with_1(capsys: Capture, rig: Rig, blank: Path) -> None:
+    refuses(capsys, shlex.join(line(rig, blank)), "sharp", 1)
 
 
 @pytest.mark.parametrize("option", ["--camera-info", "--geometry", "--mount"])
-def test_a_missing_file_is_named(capsys: Capture, rig: Rig, taken: Path, option: str) -> None:
-    refuses(capsys, shlex.join(line(rig, taken, option, "none.yaml")), "none.yaml")
+def test_a_missing_file_is_named(capsys: Capture, rig: Rig, blank: Path, option: str) -> None:
+    refuses(capsys, shlex.join(line(rig, blank, option, "none.yaml")), "none.yaml")
 
 
-def test_a_folder_resumes_only_with_the_same_settings(views: Path, tmp_path: Path) -> None:
-    folder = ViewsFolder(views, OAK_D)
+def test_a_folder_resumes_only_with_the_same_settings(blank: Path, tmp_path: Path) -> None:
+    folder = ViewsFolder(blank, OAK_D)
     assert len(folder.angles) == COUNT
     assert folder.add(np.zeros((400, 640, 3), dtype=np.uint8), (0.1, 0.2, 0.3)) == "view_010.png"
-    assert read_rows(views)[-1].angles == pytest.approx((0.1, 0.2, 0.3))
-    assert load_camera_info(views / "camera_info.yaml") == OAK_D
+    assert read_rows(blank)[-1].angles == pytest.approx((0.1, 0.2, 0.3))
+    assert load_camera_info(blank / "camera_info.yaml") == OAK_D
     with pytest.raises(ViewsError, match="other intrinsics"):
-        ViewsFolder(views, Intrinsics(640, 400, 440.0, 441.0, 319.5, 199.5))
+        ViewsFolder(blank, Intrinsics(640, 400, 440.0, 441.0, 319.5, 199.5))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "photo.png").touch()
     with pytest.raises(ViewsError, match="other files"):
         ViewsFolder(tmp_path / "other", OAK_D)
-    rewrite(views, ["image,x_mm,y_mm,z_mm", "view_001.png,0,0,20"])
+    rewrite(blank, ["image,x_mm,y_mm,z_mm", "view_001.png,0,0,20"])
     with pytest.raises(ViewsError, match="--take"):
-        ViewsFolder(views, OAK_D)
+        ViewsFolder(blank, OAK_D)
 
 
 def test_distortion_is_stored_and_loaded(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from deltacharger_kinematics.calibration.servo_checks import Gains
 from deltacharger_records.datasets.arm_guest import ArmError
 
 from ..chargers import Process, wait_until
-from ..marks import night
+from ..marks import night, rest
 
 pytestmark = pytest.mark.ros
 
@@ -165,8 +165,7 @@ def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process]
     assert found.position_p_gain == 434
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("how", [signal.SIGINT, night(signal.SIGTERM), night(signal.SIGHUP)])
+@pytest.mark.parametrize("how", [rest(signal.SIGINT), night(signal.SIGTERM), night(signal.SIGHUP)])
 def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
     measure: Callable[..., Process], charger: Any, old: Path, how: signal.Signals
 ) -> None:

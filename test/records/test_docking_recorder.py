@@ -76,7 +76,7 @@ def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal
 
 
 def test_long_charging_needs_little_space_and_its_ends_are_complete(tmp_path: Path) -> None:
-    recording, long = recorder(tmp_path), 240.0
+    recording, long = recorder(tmp_path), 150.0
     tape = (
         *docking(state(3.0, State.CHARGING, charging=True, docked=True)),
         *in_order(readings(3.0, 3.0 + long, 5.0, rate=4.0)),
@@ -91,7 +91,7 @@ def test_long_charging_needs_little_space_and_its_ends_are_complete(tmp_path: Pa
     assert found.recording.counts["servo_state"] < 75 + long + 50
     times = found.run.power.arrays()["time"]
     assert times[-1] - times[0] == pytest.approx(3.0 + long, abs=2.0)
-    assert found.as_dict()["dropped"]["thinned"][NAMES["tactile_frame"]] > 400
+    assert found.as_dict()["dropped"]["thinned"][NAMES["tactile_frame"]] > 200
 
 
 def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:

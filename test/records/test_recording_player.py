@@ -219,6 +219,7 @@ def test_unplayable_files_are_refused_at_the_start(
     assert error in str(caught.value)
 
 
+@pytest.mark.rest
 def test_one_charger_of_several_is_selected_by_name(context: Any, tmp_path: Path) -> None:
     player = alone(of_two(tmp_path), context, charger="b")
     player.close()

@@ -48,9 +48,9 @@ class Recorded(RunningCharger):
     def touches(self) -> bool:
         return self.world.snapshot().misalignment is not None
 
-    def assert_safe(self) -> None:
+    def assert_safe(self, told: object = "") -> None:
         """Check that the arm is home without torque, and nothing was ever live."""
-        assert math.dist(self.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
+        assert math.dist(self.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003, told
         assert not any(self.world.torque)
         assert self.world.record.energised == 0.0
 
@@ -165,8 +165,7 @@ def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     process.wait_for_line("1 of 9", process.err)
     wait_until(charger.touches, "the second contact")
     result = answer(process, INTERRUPTED, number)
-    print(result, process.err)
-    charger.assert_safe()
+    charger.assert_safe(process.err)
     assert (result["success"], result["recorded"], result["remaining"]) == (False, 1, 8)
     assert len(Dataset.load(tmp_path / "F.npz")) == 1
 

@@ -47,7 +47,7 @@ def poses(geometry: DeltaGeometry) -> Array:
     """Return the corners of the workspace and points inside."""
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 2).T, indexing="ij"), axis=-1).reshape(-1, 3)
-    drawn = np.random.default_rng(3).uniform(low, high, (12, 3))
+    drawn = np.random.default_rng(3).uniform(low, high, (6, 3))
     return np.concatenate([grid, drawn])
 
 
@@ -141,6 +141,7 @@ def two_chargers() -> ElementTree.Element:
     return ElementTree.fromstring(document.toxml())
 
 
+@pytest.mark.rest
 def test_the_macro_adds_two_chargers_to_one_robot() -> None:
     robot, alone = two_chargers(), ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
     for kind in ("link", "joint", "material"):

@@ -34,7 +34,7 @@ rr = pytest.importorskip("rerun", reason="`deltacharger view` needs deltacharger
 pyarrow = pytest.importorskip("pyarrow", reason="comes with rerun")
 pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
 
-TICKS = 150
+TICKS = 120
 """Of the tape, at 100 Hz: more than is shown."""
 
 
@@ -150,7 +150,7 @@ def test_the_drawn_rods_keep_their_length_and_the_arms_theirs(shown: Recording) 
 def test_a_calibrated_geometry_is_drawn(tmp_path: Path, capsys: Capture) -> None:
     scene = tmp_path / "long.yaml"
     scene.write_text("parameters: {kinematics_node: {arm: 0.11}}\nsimulation: {}\n")
-    tape = charge()[:60]
+    tape = charge()[:40]
     plain = write(tmp_path / "plain.mcap", tape)
     settled = write(tmp_path / "settled.mcap", tape, parameters={"arm": 0.11, "gravity_z": 9.81})
     for words in ((plain, "--scene", scene), (settled,)):
