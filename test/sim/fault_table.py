@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Required behaviour under every fault: of docking by phase, and of the drivers by kind.
 
-Three drivers check it. test/docking/test_machine_faults.py shows each input's fault to docking's machine in every
-phase, in virtual time. test_fault_matrix.py causes each kind on the wires of real nodes, and under real goals.
-test_fault_channel.py causes and ends each kind by request.
+Three drivers check it. In virtual time: test/docking/test_machine_faults.py shows each fault of the inputs to docking's
+machine in every phase, test/driver/test_servo_emulator_faults.py each kind to the servos' driver while the arm moves.
+On the bytes of real nodes: test_fault_matrix.py, under a real goal. By request: test_fault_channel.py.
 
 The limits are those of docs/docking.md. A board without packets opens within 0.1 s. The contactor's holder releases it
 within 0.35 s (lease and heartbeat), plus the time to notice the fault: 0.1 s for frames and latched errors, 0.2 s for a
@@ -91,7 +91,7 @@ class Row:
         at_once: servos that lose their torque by the fault itself; no driver can open the contactor before that.
         deaf: servos that cannot receive commands during the fault; their own watchdog stops them.
         unknown: servos whose values are NaN during it.
-        recovery: services that a person calls after it, in this order, in addition to set_torque and probe.
+        recovery: services that a person calls after it, in addition to docking again.
         shows: what docking sees of it, as in INPUTS; '' = nothing.
     """
 
@@ -154,24 +154,15 @@ SERVO_ROWS = (
 )
 
 BOARD_ROWS = (
-    Row("board_reboot", PADS, ("not tared",), opens=0.1, recovery=("tare",), shows="tactile_node"),
-    *(
-        Row("board_trip", POWER, ("latched fault", name), opens=0.1, amount=code, recovery=("open",), shows="trip")
-        for code, name in ((2.0, "short circuit"), (9.0, "over current"))
-    ),
+    Row("board_reboot", PADS, ("not tared",), opens=0.1, shows="tactile_node"),
+    Row("board_trip", POWER, ("latched fault", "short circuit"), opens=0.1, amount=2.0),
+    Row("board_trip", POWER, ("latched fault", "over current"), opens=0.1, amount=9.0, shows="trip"),
     Row("board_dead_taxel", PADS, ("dead taxel",), amount=44.0),
     Row("board_silent", LINK, ("no answer",), opens=0.45, shows="tactile_node"),
-    Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1, recovery=("open",)),
+    Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1),
     _tolerated("board_delay", LINK, "", 0.03),
     Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late frames"),
-    Row(
-        "board_unplugged",
-        LINK,
-        ("/board",),
-        opens=0.15,
-        recovery=("open",),
-        shows="tactile_node",
-    ),
+    Row("board_unplugged", LINK, ("/board",), opens=0.15, shows="tactile_node"),
     _tolerated("board_drop", LINK, "lost_tactile", 0.05),
     _tolerated("board_corrupt", LINK, "crc_errors", 0.05),
     _tolerated("board_truncate", LINK, "lost_tactile", 0.05),
