@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = [pytest.mark.night, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.night, pytest.mark.timeout(1800)]
 COMMAND = [sys.executable, "-m", "deltacharger_bringup.cli", "report"]
 
 
