@@ -71,7 +71,7 @@ def failure(tests: list[str], tree: Path) -> str:
     # The copy comes before the editable install in every process that a test starts, and it compiles its own files.
     env = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": str(90 + int(tree.name))}
     done = subprocess.run([*PYTEST, *tests], cwd=tree, env=os.environ | env, capture_output=True, text=True)
-    found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
     return "" if done.returncode in (0, 5) else found[1] if found else f"pytest ended with {done.returncode}"
 
 
