@@ -66,7 +66,7 @@ def test_what_a_failed_step_printed_becomes_one_line(builder: Any, printed: str,
     assert "\n" not in line
 
 
-@pytest.mark.rest
+@pytest.mark.night
 def test_without_a_network_the_build_ends_in_one_line(tmp_path: Path) -> None:
     environment = {
         "PATH": "/usr/bin:/bin",

@@ -78,7 +78,7 @@ def taking(charger: RunningCharger, start: Callable[..., Process]) -> Iterator[C
     wait_until(lambda: not torque(charger), "torque off")
 
 
-@pytest.mark.rest
+@pytest.mark.night
 def test_an_interrupted_command_leaves_the_arm_safe_and_keeps_its_views(
     taking: Callable[..., Process], charger: RunningCharger, tmp_path: Path
 ) -> None:

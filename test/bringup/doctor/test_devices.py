@@ -9,12 +9,13 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import pytest
 import serial
 
-from deltacharger_bringup.doctor.board import examine_board
+from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port, holders
 from deltacharger_bringup.doctor.servos import examine_servos
@@ -41,7 +42,7 @@ def servo_findings(port: str, speeds: Sequence[int] = LIKELY) -> list[Finding]:
 
 
 def board_findings(port: str, watched: float = 0.15, wired: bool = False) -> list[Finding]:
-    return list(examine_board(port, 1_000_000, watched, wired=wired))
+    return list(examiner.examine_board(port, 1_000_000, watched, wired=wired))
 
 
 def named(findings: Iterable[Finding], *expected: tuple[str, str, str]) -> None:
@@ -65,29 +66,28 @@ def test_a_healthy_board_is_ok_and_unchanged(board: BoardEmulator, board_port: s
     assert not board.contactor_commanded
 
 
-def bad_pads(board: BoardEmulator) -> None:
+def test_dead_taxels_are_named_and_too_many_are_wrong(board: BoardEmulator, board_port: str) -> None:
     board.set_dead(0, 3, 7)
     for column in range(4):
         board.set_dead(1, 0, column)
+    named(board_findings(board_port), ("hint", "left pad", "row 3 column 7"), ("wrong", "right pad", "4 of 100"))
 
 
-BOARDS: dict[str, tuple[Callable[[BoardEmulator], object], tuple[str, str, str]]] = {
-    "dead taxel": (bad_pads, ("hint", "left pad", "row 3 column 7")),
-    "many dead taxels": (bad_pads, ("wrong", "right pad", "4 of 100")),
-    "slow": (lambda board: setattr(board.faults, "delay", 0.04), ("hint", "board", "heartbeats")),
-}
+@pytest.mark.rest
+def test_a_slow_board_gives_a_hint(board: BoardEmulator, board_port: str) -> None:
+    board.faults.delay = 0.04
+    named(board_findings(board_port), ("hint", "board", "heartbeats"))
 
 
-@pytest.mark.parametrize("fault", ["dead taxel", "many dead taxels", rest("slow")])
-def test_a_fault_of_the_board_is_named(board: BoardEmulator, board_port: str, fault: str) -> None:
-    make, expected = BOARDS[fault]
-    make(board)
-    named(board_findings(board_port), expected)
+def test_lost_frames_are_counted(board: BoardEmulator, board_port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = examiner._stream
 
-
-def test_lost_frames_are_counted(board: BoardEmulator, board_port: str) -> None:
-    with BoardLink(board_port):  # greeted before it begins to lose
+    def lossy(*given: Any) -> Iterator[Finding]:
         board.faults.probability["drop"] = 0.1
+        yield from watch(*given)
+        board.faults.probability["drop"] = 0.0
+
+    monkeypatch.setattr(examiner, "_stream", lossy)
     named(board_findings(board_port, 0.4), ("wrong", "tactile link", "cables"))
 
 
