@@ -155,8 +155,9 @@ SERVO_ROWS = (
 
 BOARD_ROWS = (
     Row("board_reboot", PADS, ("not tared",), opens=0.1, shows="tactile_node"),
-    Row("board_trip", POWER, ("latched fault", "short circuit"), opens=0.1, amount=2.0),
-    Row("board_trip", POWER, ("latched fault", "over current"), opens=0.1, amount=9.0, shows="trip"),
+    # Docking clears the latched fault by its opening.
+    Row("board_trip", POWER, opens=0.1, amount=2.0),
+    Row("board_trip", POWER, opens=0.1, amount=9.0, shows="trip"),
     Row("board_dead_taxel", PADS, ("dead taxel",), amount=44.0),
     Row("board_silent", LINK, ("no answer",), opens=0.45, shows="tactile_node"),
     Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1),
