@@ -464,7 +464,7 @@ def _drawn(draw: st.DataObject) -> Answer:
     return answer
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.data(), st.one_of(st.none(), st.integers(0, 3000)), st.booleans())
 def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     data: st.DataObject, cancel_at: int | None, drives: bool
