@@ -35,6 +35,7 @@ from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
 from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot, thermal, trajectory
+from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_mission.machine import MissionMachine
@@ -564,6 +565,14 @@ SERVOS = (
     Limit("hottest, °C", lambda v: heated(v) > 0.0, 79.9, 80.1, (INF,)),
     Limit("current for ever, A", lambda v: heated(25.0, v) == INF, 0.51, 0.52),
 )
+
+
+def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
+    servo = ServoGoals(1, 0.83, 1.46)
+    servo.begin_at((0.0,))
+    servo.follow(trajectory.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
+    servo.advance(10.5)
+    assert servo.angles == (0.5,)
 
 
 # The pads.
