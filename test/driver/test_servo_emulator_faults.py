@@ -212,6 +212,9 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     assert any(all(word in each for word in warning) for each in told), told[-3:]
     faults.clear()
     until(lambda report: all(report.valid) and not any(rig.arm.torque_enabled()))
+    for _ in range(50):
+        assert rig.cycle().phase is ServoPhase.OFF
+        assert not any(rig.arm.torque_enabled()), "torque does not return by itself"
     if row.recovery:
         assert not rig.ask("torque_on").success
         assert rig.ask("reboot").success

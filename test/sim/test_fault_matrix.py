@@ -114,7 +114,8 @@ def test_fault(charger: Any, row: Row) -> None:
             assert world.circuit.current > 0.5, "charging did not go on"
         assert record.peak_push - push <= _PUSHES_MORE
         for servo in (1, 2, 3):
-            assert not world.since(first, servo, True), f"the torque of servo {servo} returned by itself"
+            # Docking may ask for torque again, for the way home, once all servos answer.
+            assert not any(event.live for event in world.since(first, servo, True))
             live = [event for event in world.since(first, servo, False) if event.live]
             assert all(servo in row.at_once and event.time <= at + _SLACK for event in live), live
     finally:
