@@ -22,13 +22,14 @@ IDS = (1, 2, 3)
 
 
 class Babbler:
-    """A device that always sends the same answer; b"" is an open cable."""
+    """A device that always sends the same answer, None: what it received; b"" is an open cable."""
 
-    def __init__(self, answer: bytes) -> None:
-        self._answer = answer
+    def __init__(self, answer: bytes | None = None) -> None:
+        self._answer, self.received = answer, b""
 
     def receive(self, data: bytes, now: float) -> bytes:
-        return self._answer
+        self.received += data
+        return data if self._answer is None else self._answer
 
     def poll(self, now: float) -> bytes:
         return b""

@@ -15,12 +15,12 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.snapshot import BusSettings
 
-from ..emulated_ports import board, board_port, servo_port, servos
+from ..emulated_ports import board, board_port, one_cable, servo_port, servos
 from .servo_host import Host
 from .servo_rig import START, Rig
 from .virtual_line import Clock, Line
 
-__all__ = ("board", "board_port", "servo_port", "servos")
+__all__ = ("board", "board_port", "one_cable", "servo_port", "servos")
 
 
 @pytest.fixture

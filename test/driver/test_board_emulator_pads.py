@@ -29,20 +29,6 @@ def test_every_sample_format(sample_format: SampleFormat) -> None:
     assert not np.isnan(left).any()
 
 
-def test_a_tare_subtracts_clips_and_is_flagged() -> None:
-    bench = Bench(offset=0.5, noise=0.05)
-    bench.send(PacketType.START)
-    before = tactile(bench.run(0.1))[-1]
-    assert before.flags == 0
-    assert np.mean(decode_samples(before.payload, before.format)) == pytest.approx(0.5, abs=0.03)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    after = tactile(bench.run(0.1))[-1]
-    assert after.flags == 1
-    forces = np.stack(decode_samples(after.payload, after.format))
-    assert forces.min() == 0.0
-    assert forces.mean() < 0.05
-
-
 def test_a_tare_is_refused_in_contact_even_if_contact_begins_during_it() -> None:
     bench = Bench()
     bench.plant.press(8.0)

@@ -5,23 +5,16 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_driver.board.protocol import Packet, PacketType
+from deltacharger_driver.board.protocol import PacketType
 
-from .board_bench import STEP, Bench
-
-
-def types(packets: list[Packet]) -> list[int]:
-    return [packet.type for packet in packets]
+from .board_bench import STEP, Bench, tactile
 
 
 def test_a_booting_board_neither_receives_nor_sends() -> None:
     bench = Bench(hooks={"boot_time": 0.5})
     assert bench.run(0.4) == bench.send(PacketType.START) == bench.run(0.095) == []
-    packets = bench.run(0.1)
-    assert types(packets)[0] == PacketType.HELLO
-    assert packets[0].device_time_us == 0  # its clock starts with it
-    assert PacketType.ACK not in types(packets)
-    assert PacketType.ACK in types(bench.send(PacketType.START))
+    first = bench.run(0.1)[0]
+    assert (first.type, first.device_time_us) == (PacketType.HELLO, 0)  # its clock starts with it
 
 
 def test_a_reboot_first_opens_the_contactor_and_lasts_its_boot_time() -> None:
@@ -31,10 +24,7 @@ def test_a_reboot_first_opens_the_contactor_and_lasts_its_boot_time() -> None:
     assert bench.board.next_event(bench.now) == 0.0
     assert bench.run(STEP) == []
     assert not bench.plant.read_power()[3]
-    assert not bench.board.contactor_commanded
     assert bench.board.next_event(bench.now) == pytest.approx(0.25)
-    assert bench.run(0.245) == []
-    assert PacketType.HELLO in types(bench.run(0.01))
 
 
 def test_a_late_wire_keeps_the_order_loses_nothing_and_wakes_the_server_when_due() -> None:
@@ -47,11 +37,11 @@ def test_a_late_wire_keeps_the_order_loses_nothing_and_wakes_the_server_when_due
     assert bench.run(0.1 - STEP) == []
     bench.run(0.2)
     bench.board.faults.delay = 0.0
-    first = bench.run(1.0)
-    sequences = [packet.sequence for packet in first if packet.type == PacketType.TACTILE]
-    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert len(sequences) == pytest.approx(120 + 12, abs=2)  # delayed ones arrived too
-    assert [packet.device_time_us for packet in first] == sorted(packet.device_time_us for packet in first)
+    bench.run(1.0)
+    assert [packet.sequence for packet in tactile(bench.packets)] == list(range(216))  # 1.8 s
+    assert [packet.device_time_us for packet in bench.packets] == sorted(
+        packet.device_time_us for packet in bench.packets
+    )
 
 
 def test_recorders_get_every_sampling_and_every_received_heartbeat() -> None:
@@ -60,7 +50,7 @@ def test_recorders_get_every_sampling_and_every_received_heartbeat() -> None:
     bench = Bench(hooks={"on_sample": lambda *sample: samples.append(sample), "on_heartbeat": beats.append})
     bench.send(PacketType.START)
     started, bench.beating = bench.now, True
-    frames = [packet for packet in bench.run(1.0) if packet.type == PacketType.TACTILE]
+    frames = tactile(bench.run(1.0))
     assert [sequence for sequence, _, _ in samples][-len(frames) :] == [packet.sequence for packet in frames]
     for number, (_, nominal, real) in enumerate(samples):
         assert nominal == pytest.approx(started + number / 120.0, abs=1e-6)

@@ -9,7 +9,7 @@ import os
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,7 @@ import serial
 from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import AckError, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import BoardFault, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.board.receiver import BoardReceiver
 from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import PowerSample, TactileSample
@@ -27,6 +27,7 @@ from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
+from ..emulated_ports import Babbler
 from ..waiting import host, wait_until
 
 
@@ -68,20 +69,6 @@ def link(rig: Rig) -> BoardLink:
     return rig.link
 
 
-def test_hello_ping_and_rate(link: BoardLink) -> None:
-    hello = link.hello()
-    assert (hello.major, hello.rows, hello.columns, hello.rate) == (1, 10, 10, 120.0)
-    assert 0.0 < link.ping() < host(0.2)
-    assert link.ping(b"x" * 64) > 0.0
-    with pytest.raises(ValueError, match="64"):
-        link.ping(bytes(65))
-    link.set_rate(60.0)
-    assert link.hello().rate == 60.0
-    with pytest.raises(CommandRefused) as refusal:
-        link.set_rate(0.0)
-    assert refusal.value.error == AckError.BAD_PAYLOAD
-
-
 def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> None:
     assert link.counters.heartbeats == 0
     link.probe()
@@ -96,17 +83,6 @@ def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> No
     assert link.counters.heartbeats <= 17
     link.contactor(False)
     wait_until(lambda: rig.powers[-1].power.fault == 0)
-
-
-def test_closing_the_link_opens_the_contactor_and_is_harmless_twice(rig: Rig, link: BoardLink) -> None:
-    link.probe()
-    link.keep_alive(math.inf)
-    link.contactor(True)
-    link.close()
-    link.close()
-    wait_until(lambda: rig.board.fault == BoardFault.HEARTBEAT_LOST)
-    with pytest.raises(PortGone):
-        link.start()
 
 
 def test_a_command_with_a_lost_answer_is_repeated_and_a_repeated_close_succeeds(rig: Rig, link: BoardLink) -> None:
@@ -232,54 +208,29 @@ def test_a_callback_may_fail_but_not_ask(tmp_path: Path) -> None:
     assert "another thread" in errors[0]
 
 
-class Puppet:
-    """A device that answers every packet with a function."""
-
-    def __init__(self, answer: Callable[[Packet], bytes]) -> None:
-        self._answer = answer
-        self._decoder = PacketDecoder()
-        self.received: list[int] = []
-
-    def receive(self, data: bytes, now: float) -> bytes:
-        packets = self._decoder.feed(data)
-        self.received += [packet.type for packet in packets]
-        return b"".join(self._answer(packet) for packet in packets)
-
-    def poll(self, now: float) -> bytes:
-        return b""
-
-    def next_event(self, now: float) -> float:
-        return math.inf
-
-
-def hello(*head: int) -> Callable[[Packet], bytes]:
-    """Answer with a HELLO that begins with these bytes, and acknowledge."""
-
-    def answer(packet: Packet) -> bytes:
-        ack = Packet(PacketType.ACK, bytes([3, 0]) + packet.sequence.to_bytes(2, "little"))
-        return encode_packet(Packet(PacketType.HELLO, bytes(head) + bytes(8))) + encode_packet(ack)
-
-    return answer
+def hello(*head: int, version: int = 1) -> bytes:
+    """Return a HELLO that begins with these bytes, and the ACK of the first one asked for."""
+    ack = Packet(PacketType.ACK, bytes((PacketType.HELLO, 0, 0, 0)))
+    return encode_packet(Packet(PacketType.HELLO, bytes(head).ljust(12, b"\0")), version) + encode_packet(ack, version)
 
 
 @pytest.mark.parametrize(
     ("answer", "error", "words"),
     [
-        (lambda p: encode_packet(Packet(PacketType.HELLO, bytes(12)), version=2), BoardMismatch, "version 2"),
-        (lambda p: b"Welcome to minicom\r\n", BoardMismatch, "baud rate"),
-        (lambda p: b"", NoAnswer, "^(?!.*other packets).*HELLO"),
+        (hello(version=2), BoardMismatch, "version 2"),
+        (b"Welcome to minicom\r\n", BoardMismatch, "baud rate"),
+        (b"", NoAnswer, "^(?!.*other packets).*HELLO"),
         (hello(2, 1, 10, 10), BoardMismatch, r"version 2\.1"),
         (hello(1, 0, 16, 8), BoardMismatch, "16 x 8"),
     ],
 )
-def test_an_incompatible_device_is_refused_with_the_reason(
-    answer: Callable[[Packet], bytes], error: type[Exception], words: str
-) -> None:
-    puppet = Puppet(answer)
+def test_an_incompatible_device_is_refused_with_the_reason(answer: bytes, error: type[Exception], words: str) -> None:
+    puppet = Babbler(answer)
     with PseudoTerminal(puppet) as cable, pytest.raises(error, match=words):
         BoardLink(cable.path).open()
-    assert set(puppet.received) == {PacketType.HELLO}, "an incompatible board receives only HELLO"
-    assert len(puppet.received) <= 3
+    received = [packet.type for packet in PacketDecoder().feed(puppet.received)]
+    assert set(received) == {PacketType.HELLO}, "an incompatible board receives only HELLO"
+    assert len(received) <= 3
 
 
 def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(rig: Rig) -> None:
@@ -308,3 +259,33 @@ def test_every_kind_of_hang_up_is_one_error(
         with pytest.raises(PortGone):
             wait_until(lambda: port.read(1.0))
     port.close()
+
+
+@pytest.mark.parametrize("priority", [0, 3])
+def test_only_the_heartbeat_thread_has_the_reported_priority(rig: Rig, priority: int) -> None:
+    link = BoardLink(rig.cable.path, heartbeat_priority=priority)
+    assert link.heartbeat_runs_with == ""
+    with link:
+        (thread,) = [each.native_id for each in threading.enumerate() if each.name.startswith("board heartbeat")]
+        assert thread is not None
+        kind, level = os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(thread).sched_priority
+        others = [each.native_id or 0 for each in threading.enumerate() if each.native_id != thread]
+        assert {os.sched_getscheduler(each) for each in others} == {os.SCHED_OTHER}
+        reported = link.heartbeat_runs_with
+    real_time = reported == f"real time {priority}"
+    assert (kind, level) == ((os.SCHED_FIFO, priority) if real_time else (os.SCHED_OTHER, 0))
+    assert real_time or reported.startswith("ordinary")
+    assert priority or not real_time
+
+
+def test_without_permission_for_real_time_the_heartbeat_works_and_reports_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with BoardLink(rig.cable.path, heartbeat_priority=3) as link:
+        assert link.heartbeat_runs_with.startswith("ordinary; ")
+        link.keep_alive(time.monotonic() + 1.0)
+        wait_until(lambda: link.counters.heartbeats >= 3)

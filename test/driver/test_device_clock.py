@@ -6,8 +6,13 @@ from __future__ import annotations
 import random
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from deltacharger_driver.board.device_clock import DeviceClock, SequenceUnwrapper
+from deltacharger_driver.rate_meter import Lateness, RateMeter
+
+from .virtual_line import Clock
 
 
 def run(
@@ -18,7 +23,9 @@ def run(
     for number in range(int(seconds * 120)):
         true = start + number / 120.0
         device = (true - start) * (1.0 + drift)
-        stamp = clock.update(device, true + offset + 0.0005 + delay.expovariate(1.0 / 0.002))
+        received = true + offset + 0.0005 + delay.expovariate(1.0 / 0.002)
+        stamp = clock.update(device, received)
+        assert stamp <= received
         if number > (seconds - 1.0) * 120:
             worst = max(worst, abs(stamp - (true + offset + 0.0005)))
     return worst
@@ -51,13 +58,6 @@ def test_seconds_of_growing_delay_do_not_tilt_the_line(drift: float) -> None:
     assert max(errors[600:]) < 0.001
 
 
-def test_never_later_than_the_reception() -> None:
-    clock, delay = DeviceClock(), random.Random(3)
-    for number in range(2000):
-        received = number / 120.0 + 7.0 + delay.expovariate(500.0)
-        assert clock.update(number / 120.0, received) <= received
-
-
 def test_a_reset_starts_from_the_first_packet() -> None:
     clock = DeviceClock()
     run(clock, 6.0, 0.0, 0.0, random.Random(4))
@@ -87,3 +87,38 @@ def test_a_reboot_continues_above_and_counts_missed_packets() -> None:
     counter.reboot()
     assert [counter.update(n) for n in (2, 3)] == [103, 104]
     assert counter.lost == 2
+
+
+def test_the_rate_counts_since_the_last_call() -> None:
+    clock = Clock()
+    meter = RateMeter(clock)
+    for number in range(50):
+        meter.count(late=number % 25 == 0)
+    clock.now += 0.5
+    assert meter.rate() == pytest.approx(100.0)
+    clock.now += 2.0
+    assert meter.rate() == 0.0
+    meter.count()
+    clock.now += 0.1
+    assert meter.rate() == pytest.approx(10.0)
+    assert meter.late == 2  # since the start
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=512), st.floats(0.0, 1.0))
+def test_a_percentile_is_a_value_that_its_share_does_not_exceed(values: list[float], share: float) -> None:
+    lateness = Lateness()
+    for value in values:
+        lateness.note(value)
+    found = lateness.percentile(share)
+    assert found in values
+    assert sum(value <= found for value in values) >= share * len(values) - 1e-9
+    assert lateness.percentile(1.0) == lateness.largest == max(values)
+
+
+def test_old_values_are_dropped_but_the_largest_is_kept() -> None:
+    lateness = Lateness()
+    lateness.note(1.0)
+    for _ in range(600):
+        lateness.note(0.001)
+    assert lateness.percentile(1.0) == 0.001
+    assert lateness.largest == 1.0

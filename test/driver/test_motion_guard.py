@@ -60,13 +60,6 @@ def test_a_wrong_or_old_stamp_frees_no_arm_that_was_stopped(age: float) -> None:
     assert later.state(0.05, False) is ContactorState.CLOSED
 
 
-def test_a_report_of_closed_overrides_reports_of_open() -> None:
-    found = guard(CLOSED)
-    for number in range(100):
-        found.observe(b"liar", **OPEN, age=0.0, now=0.001 * number)
-    assert found.state(0.1, False) is ContactorState.CLOSED
-
-
 def test_a_restarted_board_counts_once_its_old_report_is_stale() -> None:
     found = guard(CLOSED)
     found.observe(b"restarted", **OPEN, age=0.0, now=0.15)

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The servo's figures: registers, units, stiffness and heat."""
+
 from __future__ import annotations
 
 import math
@@ -6,7 +8,7 @@ import math
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
-from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.errors import RangeError
 from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
     REGISTERS,
@@ -17,6 +19,7 @@ from deltacharger_driver.servos.mx64 import (
     indirect_data,
     ticks_to_angle,
 )
+from deltacharger_driver.servos.thermal import HEAT_LIMIT, ThermalModel, reserve
 
 
 def test_no_two_registers_overlap():
@@ -58,19 +61,73 @@ def test_a_bound_is_never_rounded_up():
         assert current_to_counts(-current) == -current_to_counts(current)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
-def test_a_value_outside_a_registers_range_is_refused_by_name(value):
-    for encode in (lambda v: angle_to_ticks(v, 2048, 1), current_to_counts):
-        with pytest.raises(RangeError) as caught:
-            encode(value)
-        assert isinstance(caught.value, DriverError)
-        assert isinstance(caught.value, ValueError)
-        assert caught.value.value is value or caught.value.value == value
-
-
 def test_registers_refuse_too_large_numbers():
     with pytest.raises(RangeError):
         REGISTERS["bus_watchdog"].to_bytes(256)
     with pytest.raises(RangeError):
         REGISTERS["goal_current"].to_bytes(40_000)
     assert REGISTERS["goal_current"].from_bytes(REGISTERS["goal_current"].to_bytes(-1)) == -1
+
+
+def test_the_constants_match_their_sources():
+    assert reserve(0.0, 0.0) == math.inf
+    assert reserve(0.0, 0.5) >= 14_400
+    assert 60 <= reserve(0.0, 3.0) <= 180
+    assert 30 * 60 <= reserve(0.0, 0.8) <= 45 * 60
+
+
+def test_more_current_or_more_heat_never_lasts_longer():
+    currents = [0.01 * n for n in range(400)]
+    for heat in (0.0, 300.0, 900.0):
+        times = [reserve(heat, current) for current in currents]
+        assert times == sorted(times, reverse=True)
+    for current in (0.6, 1.0, 3.0):
+        times = [reserve(heat, current) for heat in range(0, 1100, 50)]
+        assert times == sorted(times, reverse=True)
+
+
+@pytest.mark.parametrize("current", [0.7, 1.5, 3.0])
+def test_the_model_reaches_the_limit_when_predicted(current):
+    model = ThermalModel(smoothing=0.0)
+    model.update(current, 0.0)
+    promised = model.reserve()
+    elapsed = 0.0
+    while model.reserve() > 0.0:
+        model.update(current, 1.0)
+        elapsed += 1.0
+    assert elapsed == pytest.approx(promised, abs=1.5)
+
+
+def test_it_cools_without_current():
+    model = ThermalModel()
+    model.update(3.0, 60.0)
+    hot = model.heat
+    model.update(0.0, 4000.0)
+    assert model.heat == pytest.approx(hot / math.e)
+    assert model.reserve() == math.inf
+
+
+def test_missing_data_never_cool_the_model():
+    model = ThermalModel()
+    model.update(2.0, 10.0)
+    before = model.heat
+    model.update(math.nan, 10.0)
+    assert model.heat > before
+
+
+def test_unknown_stays_unknown():
+    model = ThermalModel()
+    assert math.isnan(model.reserve())
+    model.update(math.nan, 1.0)
+    assert math.isnan(model.reserve())
+    assert math.isnan(reserve(math.nan, 1.0))
+
+
+def test_a_hot_servo_starts_with_the_heat_of_its_temperature():
+    model = ThermalModel()
+    model.start_at(math.nan)
+    assert model.heat == 0.0
+    model.start_at(80.0)
+    assert model.heat == HEAT_LIMIT
+    model.update(1.0, 0.0)
+    assert model.reserve() == 0.0

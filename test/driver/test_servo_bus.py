@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus: torque, goals and faults."""
+"""The servo bus: every servo is configured or reported with all its faults; torque, goals and faults."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.errors import DriverError, NoAnswer, PortGone, RangeError, ServoFault
+from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, PortGone, RangeError, ServoFault
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.control_table import OK, ControlTable
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
 from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_rig import BOUND, OVERLOAD
@@ -37,7 +38,6 @@ def test_signs_follow_the_mounting(line: Any, arm: BenchArm) -> None:
         ((math.nan, 0, 0), BOUND),
         ((0, 0, 0), (0.1, math.nan, 0.1)),
         ((0, 0, 0), (-0.1, 0.1, 0.1)),
-        ((0, 0, 0), (99.0, 0.1, 0.1)),
     ],
 )
 def test_impossible_goals_are_refused_before_anything_is_sent(
@@ -70,21 +70,18 @@ def test_a_bound_above_the_largest_is_refused_and_the_largest_itself_arrives(
     bus.close()
 
 
-def test_a_hardware_error_is_reported_and_forbids_torque(
+def test_a_missing_servo_and_a_hardware_error_forbid_torque(
     bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
 ) -> None:
+    emulator.faults.missing = {1}
+    with pytest.raises(NoAnswer, match="servo 1"):
+        bus.enable_torque(BOUND)
+    emulator.faults.missing = set()
     emulator.raise_hardware_error(3, OVERLOAD)
     assert bus.read().hardware_error == (0, 0, OVERLOAD)
     with pytest.raises(ServoFault, match=r"servo 3.*overload") as caught:
         bus.enable_torque(BOUND)
     assert caught.value.code == OVERLOAD
-    assert arm.torque_enabled() == [False, False, False]
-
-
-def test_a_missing_servo_forbids_torque(bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
-    emulator.faults.missing = {1}
-    with pytest.raises(NoAnswer, match="servo 1"):
-        bus.enable_torque(BOUND)
     assert arm.torque_enabled() == [False, False, False]
 
 
@@ -113,3 +110,153 @@ def test_goals_that_the_port_does_not_accept_are_an_error_and_sent_again(
     monkeypatch.setattr(bus._link._handler, "writePort", lambda packet: 0)
     with pytest.raises(PortGone):
         bus.exchange((0.1, 0.1, 0.1), BOUND)
+
+
+def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
+    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    write = ControlTable.write
+
+    def spy(table: ControlTable, address: int, data: bytes) -> Any:
+        written.extend(range(address, address + len(data)))
+        return write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", spy)
+    closed.open()
+    closed.read()
+    assert not {7, 8, 12, 13, 20, 21, 22, 23} & set(written)
+    closed.close()
+    written.clear()
+    closed.open()
+    assert not [address for address in written if address < 64]
+
+
+def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, line: Any) -> None:
+    emulator.line_speed = line.speed
+    emulator.set_speed(1, 1)
+    emulator.faults.missing = {2}
+    emulator.use_protocol_1(3)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    words = (("servo 1", "57600", "--set-baud"), ("servo 2", "any speed"), ("servo 3", "Protocol 1.0", "firmware"))
+    for fault, expected in zip(caught.value.faults, words, strict=True):
+        assert all(word in fault for word in expected)
+        assert fault in str(caught.value)
+    assert not closed.is_open
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("model", 1020, "1020"),
+        ("homing_offset", 12, "zero_ticks"),
+        ("drive_mode", 1, "direction"),
+        ("secondary_id", 5, "another servo"),
+        ("temperature_limit", 100, "60 to 80"),
+        ("temperature_limit", 40, "60 to 80"),
+        ("min_voltage", 125, "95 to 110"),
+        ("max_voltage", 120, "130 to 160"),
+        ("pwm_limit", 400, "885"),
+        ("current_limit", 297, "current_max"),
+        ("shutdown", 32, "overheating.*52|overheating.*36"),
+        ("shutdown", 4, "overload.*36"),
+        ("shutdown", 0, "overheating and overload.*36"),
+    ],
+)
+def test_an_unexpected_servo_is_named_and_not_changed(
+    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, reason: str
+) -> None:
+    emulator.servo(2).table.set(name, value)
+    with pytest.raises(HandshakeError, match=f"servo 2.*({reason})") as caught:
+        closed.open()
+    assert len(caught.value.faults) == 1
+    assert emulator.servo(2).table.get(name) == value
+    assert not closed.is_open
+
+
+def test_harmless_choices_are_accepted(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    choices = {"shutdown": 61, "temperature_limit": 70, "min_voltage": 110, "current_limit": 1220}
+    for name, value in choices.items():
+        emulator.servo(1).table.set(name, value)
+    emulator.servo(2).table.set("shutdown", 36)
+    closed.open()
+    assert closed.read().complete
+
+
+def test_every_fault_of_every_servo_is_reported_and_good_servos_are_configured(
+    closed: ServoBus, emulator: ServoBusEmulator
+) -> None:
+    emulator.servo(1).table.set("homing_offset", 12)
+    emulator.servo(1).table.set("shutdown", 0)
+    emulator.servo(1).table.set("torque_enable", 1)
+    emulator.servo(3).table.set("current_limit", 297)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
+    assert emulator.servo(1).table.get("torque_enable") == 0
+    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips after the port is closed
+    assert emulator.servo(3).table.get("operating_mode") == 3
+
+
+def refuse(emulator: ServoBusEmulator, addresses: set[int], answer: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make servo 2 answer `answer` to writes of some registers without executing them."""
+    write, stubborn = ControlTable.write, emulator.servo(2).table
+
+    def refusing(table: ControlTable, address: int, data: bytes) -> Any:
+        return (answer, {}) if table is stubborn and address in addresses else write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", refusing)
+
+
+def test_one_rejection_does_not_hide_the_next(
+    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("return_delay", "position_p_gain", "profile_acceleration")
+    refuse(emulator, {REGISTERS[name].address for name in names}, 6, monkeypatch)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert [name in fault for name, fault in zip(names, caught.value.faults, strict=True)] == [True] * 3
+
+
+@pytest.mark.parametrize("name", ["position_p_gain", "position_i_gain", "position_d_gain"])
+def test_a_gain_that_a_servo_does_not_keep_is_named(
+    line: Any, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    emulator.servo(2).table.set(name, 17)
+    refuse(emulator, {REGISTERS[name].address}, OK, monkeypatch)
+    bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
+    with pytest.raises(HandshakeError, match=f"servo 2: {name.replace('_', ' ')} reads 17"):
+        bus.open()
+
+
+def test_a_pending_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.servo(3).table.set("registered", 1)
+    with pytest.raises(HandshakeError, match=r"servo 3.*registered = 1.*restart it"):
+        closed.open()
+
+
+def test_two_servos_with_one_id_are_suggested_as_a_cause(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.servos = {2}
+    emulator.faults.rate["corrupt"] = 1.0
+    with pytest.raises(HandshakeError, match="two servos with this id"):
+        closed.open(scan=False)
+
+
+def test_servos_set_to_send_no_replies_are_set_to_reply(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    for servo, level in ((1, 0), (3, 1)):
+        emulator.servo(servo).table.set("status_return_level", level)
+    closed.open()
+    assert [emulator.servo(servo).table.get("status_return_level") for servo in (1, 2, 3)] == [2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"ids": (1, 1, 2)}, {"ids": (1, 2)}, {"direction": (1, 0, 1)}, {"watchdog": 7}, {"watchdog": 0}),
+        *({"gains": (-1, 0, 0)}, {"gains": (434, 0, 16384)}),
+    ],
+)
+def test_impossible_settings_are_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(DriverError):
+        BusSettings("/dev/null", **settings)

@@ -3,17 +3,12 @@
 
 from __future__ import annotations
 
-from deltacharger_driver.servos.control_table import (
-    ACCESS,
-    CHECKSUM,
-    INSTRUCTION,
-    LENGTH,
-    LIMIT,
-    OK,
-    RANGE,
-    RESULT_FAIL,
-)
-from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
+import pytest
+
+from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS
+from deltacharger_driver.servos import control_table as table
+from deltacharger_driver.servos.control_table import LIMIT, OK
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
 from deltacharger_driver.servos.packets import (
     ACTION,
     BROADCAST,
@@ -21,38 +16,31 @@ from deltacharger_driver.servos.packets import (
     READ,
     REG_WRITE,
     SYNC_READ,
-    SYNC_WRITE,
     WRITE,
 )
 
 from .servo_host import Host, parse, words
 
 
-def test_ping_returns_the_model_and_broadcast_ping_finds_all(host: Host) -> None:
-    assert host.ask(2, PING) == [(2, 0, bytes((0x37, 0x01, 45)))]
-    assert [servo for servo, _, _ in host.ask(BROADCAST, PING)] == [1, 2, 3]
-    assert host.ask(9, PING) == []
-
-
 def test_every_kind_of_rejection_has_its_number(host: Host) -> None:
-    assert host.write(1, "present_position", 1) == ACCESS
-    assert host.write(1, "torque_enable", 2) == RANGE
-    assert host.write(1, "operating_mode", 2) == RANGE
+    assert host.write(1, "present_position", 1) == table.ACCESS
+    assert host.write(1, "torque_enable", 2) == table.RANGE
+    assert host.write(1, "operating_mode", 2) == table.RANGE
     assert host.write(1, "goal_position", 5000) == LIMIT  # mode 3 has limits
     assert host.write(1, "current_limit", 100) == OK
     assert host.write(1, "goal_current", 101) == LIMIT
     ((_, error, _),) = host.ask(1, WRITE, words(116) + b"\1\2")
-    assert error == LENGTH
+    assert error == table.LENGTH
     ((_, error, _),) = host.ask(1, 0x77)
-    assert error == INSTRUCTION
-    assert parse(host.bus.receive(Host.packet(1, PING)[:-1] + b"\0", host.now))[0][1] == CHECKSUM
-    assert host.ask(1, READ, words(600, 200))[0][1] == ACCESS
+    assert error == table.INSTRUCTION
+    assert parse(host.bus.receive(Host.packet(1, PING)[:-1] + b"\0", host.now))[0][1] == table.CHECKSUM
+    assert host.ask(1, READ, words(600, 200))[0][1] == table.ACCESS
 
 
 def test_a_refused_write_changes_nothing(host: Host) -> None:
     before = host.read(1, "goal_velocity"), host.read(1, "goal_current")
     ((_, error, _),) = host.ask(1, WRITE, words(102) + words(50) + (9999).to_bytes(4, "little"))
-    assert error in (RANGE, LIMIT)
+    assert error in (table.RANGE, LIMIT)
     assert (host.read(1, "goal_velocity"), host.read(1, "goal_current")) == before
 
 
@@ -62,7 +50,7 @@ def test_registered_writes_wait_for_action(host: Host) -> None:
     assert host.read(1, "registered") == 1
     assert host.ask(1, ACTION) == [(1, OK, b"")]
     assert host.read(1, "led") == 1
-    assert host.ask(1, ACTION)[0][1] == RESULT_FAIL
+    assert host.ask(1, ACTION)[0][1] == table.RESULT_FAIL
 
 
 def test_sync_read_answers_in_the_requested_order_and_stops_at_a_missing_servo(host: Host) -> None:
@@ -70,11 +58,6 @@ def test_sync_read_answers_in_the_requested_order_and_stops_at_a_missing_servo(h
     assert [reply[0] for reply in host.ask(BROADCAST, SYNC_READ, request + bytes((3, 1, 2)))] == [3, 1, 2]
     host.bus.faults.missing = {1}
     assert [reply[0] for reply in host.ask(BROADCAST, SYNC_READ, request + bytes((3, 1, 2)))] == [3]
-
-
-def test_a_sync_write_reaches_the_named_servos(host: Host) -> None:
-    assert host.ask(BROADCAST, SYNC_WRITE, words(65, 1) + bytes((1, 1, 3, 1))) == []
-    assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
 
 
 def test_indirect_registers_read_and_write_what_they_point_to(host: Host) -> None:
@@ -85,9 +68,9 @@ def test_indirect_registers_read_and_write_what_they_point_to(host: Host) -> Non
     assert host.ask(1, WRITE, words(indirect_data(0)) + ticks)[0][1] == OK
     assert host.read(1, "goal_position") == -300
     assert host.ask(1, READ, words(indirect_data(0), 6))[0][2] == ticks + bytes((0, 30))
-    assert host.ask(1, WRITE, words(indirect_data(0)) + ticks[:2])[0][1] == LENGTH
-    assert host.ask(1, WRITE, words(indirect_data(4)) + b"\0")[0][1] == ACCESS
-    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == RANGE  # EEPROM cannot be a target
+    assert host.ask(1, WRITE, words(indirect_data(0)) + ticks[:2])[0][1] == table.LENGTH
+    assert host.ask(1, WRITE, words(indirect_data(4)) + b"\0")[0][1] == table.ACCESS
+    assert host.ask(1, WRITE, words(indirect_address(0), 8))[0][1] == table.RANGE  # EEPROM cannot be a target
 
 
 def test_the_return_delay_and_the_wire_delay_the_reply() -> None:
@@ -97,15 +80,6 @@ def test_the_return_delay_and_the_wire_delay_the_reply() -> None:
     on_wire = (10 + 14) * 10e-6
     assert host.advance(500e-6 + on_wire - 20e-6) == b""
     assert host.advance(40e-6)
-
-
-def test_status_return_level(host: Host) -> None:
-    host.write(1, "status_return_level", 1)
-    assert host.ask(1, WRITE, words(65) + b"\1") == []
-    assert host.read(1, "led") == 1
-    host.ask(1, WRITE, words(68) + b"\0")
-    assert host.ask(1, READ, words(65, 1)) == []
-    assert host.ask(1, PING)
 
 
 def test_servos_receive_only_at_their_own_speed() -> None:
@@ -141,3 +115,87 @@ def test_a_checksum_that_completes_a_header_is_no_header(host: Host) -> None:
         data = words(REGISTERS["goal_position"].address) + REGISTERS["goal_position"].to_bytes(goal)
         completed += Host.packet(1, WRITE, data)[-4:-1] == b"\xff\xff\xfd"
     assert completed
+
+
+def test_measurements_in_register_units(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "torque_enable", 1)
+    host.arm.load[0] = -0.6
+    host.advance(2.0)
+    assert host.read(1, "present_position") == 2048 + round(host.arm.angles[0] / TICK)
+    assert host.read(1, "present_current") * CURRENT_UNIT == pytest.approx(0.41, abs=0.01)
+    assert host.read(1, "input_voltage") == 120
+    assert host.read(1, "temperature") == 30
+
+
+def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
+    host.write(2, "operating_mode", 5)
+    assert host.arm.commands[1] is None or not host.arm.commands[1][0]
+    host.write(2, "goal_current", 100)
+    host.write(2, "torque_enable", 1)
+    on, reference, limit, _ = host.arm.commands[1]
+    assert on
+    assert reference == pytest.approx(-0.7, abs=TICK)
+    assert limit == pytest.approx(100 * CURRENT_UNIT)
+    host.write(2, "goal_position", 2048 + 100)
+    assert host.arm.commands[1][1] == pytest.approx(100 * TICK)
+
+
+def test_the_position_p_gain_is_the_stiffness(host: Host) -> None:
+    goal = host.read(1, "present_position")
+    host.write(1, "operating_mode", 5)
+    host.write(1, "goal_position", goal)
+    host.write(1, "torque_enable", 1)
+    host.arm.load[0] = -0.6
+
+    def yielded(gain: int) -> float:
+        host.write(1, "position_p_gain", gain)
+        host.advance(3.0)
+        return (goal - 2048) * TICK - host.arm.angles[0]
+
+    usual = yielded(POSITION_P_GAIN)
+    assert usual == pytest.approx(0.6 / SERVO_STIFFNESS, rel=1e-3)
+    assert yielded(POSITION_P_GAIN // 2) == pytest.approx(2.0 * usual, rel=1e-3)
+    assert yielded(2 * POSITION_P_GAIN) == pytest.approx(0.5 * usual, rel=1e-3)
+
+
+def test_the_homing_offset_is_added_to_positions_and_subtracted_from_goals(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    actual = host.read(1, "present_position")
+    assert host.write(1, "homing_offset", 300) == OK
+    assert host.read(1, "present_position") == actual + 300
+    host.write(1, "torque_enable", 1)
+    host.write(1, "goal_position", actual + 300 + 50)
+    host.advance(2.0)
+    assert host.read(1, "present_position") == pytest.approx(actual + 350, abs=1)
+    assert host.arm.angles[0] == pytest.approx((actual + 50 - 2048) * TICK, abs=2 * TICK)
+
+
+def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:
+    host.write(1, "bus_watchdog", 6)
+    host.advance(1.0)
+    assert host.read(1, "bus_watchdog") == 6
+    host.advance(1.0)
+    assert host.write(1, "torque_enable", 1) == OK  # earlier silence does not count
+    host.advance(0.115)
+    assert host.read(1, "bus_watchdog") == 6
+    host.advance(0.125)
+    assert host.read(1, "bus_watchdog") == 255
+
+
+@pytest.mark.parametrize("offset", [0, 500])
+def test_a_trip_sets_the_goal_to_the_present_angle(host: Host, offset: int) -> None:
+    host.write(1, "homing_offset", offset)
+    host.write(1, "operating_mode", 5)
+    host.write(1, "goal_current", 100)
+    host.write(1, "bus_watchdog", 6)
+    host.write(1, "torque_enable", 1)
+    host.write(1, "goal_position", 2048 + offset)
+    host.advance(0.119)
+    assert host.arm.commands[0][1] == pytest.approx(0.0, abs=TICK)
+    host.advance(0.002)
+    (_, reference, *_), angle = host.arm.commands[0], host.arm.angles[0]
+    assert reference < -0.1
+    host.advance(1.0)
+    assert host.arm.commands[0][1] == reference
+    assert reference == pytest.approx(angle, abs=TICK)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import signal
 import sys
-import time
 from array import array
 from collections.abc import Iterator
 from typing import Any
@@ -128,27 +127,25 @@ class Servos:
 
 
 @pytest.fixture(scope="module")
-def shared(context: Any) -> Iterator[tuple[Servos, ServoBusEmulator]]:
+def shared(context: Any) -> Iterator[Servos]:
     spinners: list[Spinner] = []
 
     def spin(node: Any) -> Any:
         spinners.append(Spinner(node))
         return node
 
-    emulator = ServoBusEmulator(arm := BenchArm(START))
-    with PseudoTerminal(emulator) as terminal:
-        yield Servos(context, terminal.path, arm, spin), emulator
+    with PseudoTerminal(ServoBusEmulator(arm := BenchArm(START))) as terminal:
+        yield Servos(context, terminal.path, arm, spin)
         for spinner in reversed(spinners):
             spinner.close()
 
 
 @pytest.fixture
-def servos(shared: tuple[Servos, ServoBusEmulator]) -> Servos:
+def servos(shared: Servos) -> Servos:
     """With torque off."""
-    servos, _ = shared
-    assert servos.client.set_torque(False).success
-    servos.client.statuses.clear()
-    return servos
+    assert shared.client.set_torque(False).success
+    shared.client.statuses.clear()
+    return shared
 
 
 @pytest.mark.version
@@ -194,34 +191,6 @@ def test_torque_trajectory_hold_torque_off_and_reboot(servos: Servos) -> None:
     assert servos.arm.torque_enabled() == [False] * 3
     assert list(client.fresh().torque_enabled) == [False] * 3
     assert call(client.reboot, Trigger.Request()).success
-
-
-def test_a_missing_servo_is_unknown(servos: Servos, shared: tuple[Servos, ServoBusEmulator]) -> None:
-    _, emulator = shared
-    emulator.faults.missing = {2}
-
-    def only_that_one() -> Any:
-        state = servos.client.states[-1]
-        return list(state.valid) == [True, False, True] and math.isnan(state.position[1]) and state
-
-    assert math.isnan(wait_until(only_that_one).temperature[1])
-    emulator.faults.missing = set()
-    wait_until(lambda: all(servos.client.states[-1].valid))
-
-
-@pytest.mark.rest
-def test_frequent_refusals_are_reported_at_a_bounded_rate(servos: Servos) -> None:
-    begin = time.monotonic()
-
-    def fed() -> bool:
-        servos.client.send((0.1, START))  # torque is off
-        time.sleep(0.02)  # the sender's pace
-        return time.monotonic() - begin > 1.0
-
-    wait_until(fed)
-    wait_until(lambda: servos.client.reports("set_torque"))
-    buses = [status for status in servos.client.statuses if status.name.endswith("servo bus")]
-    assert len(buses) <= (time.monotonic() - begin) / 0.2 + 2
 
 
 @pytest.mark.witness

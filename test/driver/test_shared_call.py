@@ -42,15 +42,6 @@ def together(shared: SharedCall[int], pool: ThreadPoolExecutor, count: int) -> l
     return jobs
 
 
-def test_a_caller_during_a_run_shares_its_result(slow: Slow) -> None:
-    shared = SharedCall(slow, 0.0)
-    with ThreadPoolExecutor(8) as pool:
-        jobs = together(shared, pool, 8)
-        slow.go_on.set()
-        assert [job.result(DEADLINE) for job in jobs] == [1] * 8
-    assert shared() == 2
-
-
 def test_callers_share_an_error_and_the_next_one_calls_again(slow: Slow) -> None:
     shared = SharedCall(slow, DEADLINE)
     slow.error = ValueError("no")

@@ -15,10 +15,10 @@ from deltacharger.msg import ChargerPower
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from deltacharger_core.machine import JOINTS, TORQUE_CONSTANT
+from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos import servo_node_io, trajectory_node_io
 from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.servo_node_io import ContactorClient
 from deltacharger_driver.servos.trajectory import JointLimits
 from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
@@ -58,11 +58,11 @@ def node(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     )
 
 
-def trajectory(secret: str, *points: tuple[float, Any], efforts: Any = ()) -> JointTrajectory:
+def trajectory(secret: str, *points: tuple[float, Any]) -> JointTrajectory:
     message = JointTrajectory(joint_names=list(JOINTS))
     message.header.frame_id = secret
     for seconds, angles in points:
-        point = JointTrajectoryPoint(positions=array("d", angles), effort=array("d", efforts))
+        point = JointTrajectoryPoint(positions=array("d", angles))
         point.time_from_start.sec, point.time_from_start.nanosec = int(seconds), int(seconds % 1 * 1e9)
         message.points.append(point)
     return message
@@ -136,14 +136,6 @@ def test_a_hold_is_always_accepted(servos: Arm, state: ContactorState) -> None:
     servos.receive((trajectory(""), STRANGER[1]))
     assert not servos.rig.controller._goals.are_moving
     assert servos.inbox.refused == 0
-
-
-def test_effort_bounds_the_current_in_the_order_of_the_names(servos: Arm) -> None:
-    message = trajectory("", (0.0, (0.3, -0.6, -0.4)), efforts=(3.0, 1.0, 2.0))
-    message.joint_names = [JOINTS[2], JOINTS[0], JOINTS[1]]
-    assert servos.receive((message, b"2")) == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
-    bounds = [effort / TORQUE_CONSTANT for effort in (1.0, 2.0, 3.0)]
-    assert servos.rig.bounds() == pytest.approx(bounds, abs=CURRENT_UNIT)
 
 
 HOSTILE: dict[str, Callable[[JointTrajectory], Any]] = {  # each changes a good message, or returns its bytes

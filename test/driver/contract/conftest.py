@@ -33,65 +33,43 @@ def ports(pytestconfig: pytest.Config) -> dict[str, str]:
     return dict(pytestconfig.getoption("--port"))
 
 
-class Real:
-    """A device on a given port, opened once beforehand.
-
-    Args:
-        device: "servo" or "board".
-        path: of its port; None if not given.
-        open: opens it and closes it again.
-    """
-
-    def __init__(self, device: str, path: str | None, open: Callable[[str], None]) -> None:
-        self.path = path or ""
-        self._problem = f"no --port {device}=PATH was given"
-        self._reported = path is None
-        if path is not None:
-            self._problem = ""
-            try:
-                open(path)
-            except DriverError as error:
-                self._problem = str(error)
-
-    def demand(self) -> str:
-        """Return the path. If the device cannot be opened, the first test fails with the driver's reason and the
-        others are skipped with it."""
-        if self._problem and self._reported:
-            pytest.skip(self._problem)
-        if self._problem:
-            self._reported = True
-            pytest.fail(self._problem, pytrace=False)
-        return self.path
+def opened(device: str, ports: dict[str, str], open: Callable[[str], None]) -> str:
+    """Return the device's port after opening it once: skip without one, fail with the driver's reason."""
+    if device not in ports:
+        pytest.skip(f"no --port {device}=PATH was given")
+    try:
+        open(ports[device])
+    except DriverError as error:
+        pytest.fail(str(error), pytrace=False)
+    return ports[device]
 
 
-def _open_servos(path: str) -> None:
+def open_servos(path: str) -> None:
     bus = ServoBus(ServoSite(path, real=True).settings)
     bus.open()
     bus.close()
 
 
-def _open_board(path: str) -> None:
+def open_board(path: str) -> None:
     with BoardLink(path):
         pass
 
 
 @pytest.fixture(scope="session")
-def real_servos(ports: dict[str, str]) -> Real:
-    """The servos on the given port."""
-    return Real("servo", ports.get("servo"), _open_servos)
+def real_servos(ports: dict[str, str]) -> str:
+    return opened("servo", ports, open_servos)
 
 
 @pytest.fixture(scope="session")
-def real_board(ports: dict[str, str]) -> Real:
-    """The board on the given port."""
-    return Real("board", ports.get("board"), _open_board)
+def real_board(ports: dict[str, str]) -> str:
+    return opened("board", ports, open_board)
 
 
 @pytest.fixture
 def servo_site(request: pytest.FixtureRequest, ports: dict[str, str]) -> Iterator[ServoSite]:
     """The servos of this run."""
     if ports:
-        yield ServoSite(request.getfixturevalue("real_servos").demand(), real=True)
+        yield ServoSite(request.getfixturevalue("real_servos"), real=True)
     else:
         with emulated_servos() as site:
             yield site
@@ -101,7 +79,7 @@ def servo_site(request: pytest.FixtureRequest, ports: dict[str, str]) -> Iterato
 def board_site(request: pytest.FixtureRequest, board_kind: str, tmp_path: Path) -> Iterator[BoardSite]:
     """The board of this run."""
     if board_kind == "port":
-        yield BoardSite(request.getfixturevalue("real_board").demand(), real=True)
+        yield BoardSite(request.getfixturevalue("real_board"), real=True)
     elif board_kind == "emulator":
         with emulated_board() as site:
             yield site

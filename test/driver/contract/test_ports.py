@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import Real, _open_servos
-from .sites import emulated_board, emulated_servos
+from .conftest import open_servos, opened
+from .sites import emulated_servos
 
 HERE = Path(__file__).parent
 REPOSITORY = HERE.parents[2]
@@ -33,12 +33,11 @@ def run(*words: str) -> tuple[int, str, dict[str, int]]:
     return done.returncode, output, {outcome.rstrip("s"): int(number) for number, outcome in counts}
 
 
-def test_a_device_that_cannot_be_opened_fails_once_and_is_then_skipped() -> None:
-    real = Real("servo", "/dev/nothing_here", _open_servos)
+def test_a_device_that_cannot_be_opened_fails_and_one_that_was_not_given_is_skipped() -> None:
     with pytest.raises(pytest.fail.Exception, match="nothing_here"):
-        real.demand()
-    with pytest.raises(pytest.skip.Exception, match="nothing_here"):
-        real.demand()
+        opened("servo", {"servo": "/dev/nothing_here"}, open_servos)
+    with pytest.raises(pytest.skip.Exception, match="--port board"):
+        opened("board", {"servo": "/dev/nothing_here"}, open_servos)
 
 
 @pytest.mark.rest
@@ -50,19 +49,8 @@ def test_missing_devices_and_moving_tests_are_skipped_with_the_reason() -> None:
         assert "--port board" in output
 
 
-@pytest.mark.night
-def test_allowed_tests_run() -> None:
-    with emulated_servos() as servos, emulated_board() as board:
-        board.connect_load()
-        ports = (f"--port=servo={servos.path}", f"--port=board={board.path}")
-        code, output, counts = run(*ports, "--move", "--close-contactor")
-        assert code == 0, output
-        assert counts["passed"] == 4
-        assert "skipped" not in counts
-
-
 @pytest.mark.rest
-def test_swapped_and_missing_ports_are_reported_once_with_the_drivers_error(tmp_path: Path) -> None:
+def test_swapped_and_missing_ports_fail_with_the_drivers_error(tmp_path: Path) -> None:
     with emulated_servos() as servos:
         nothing = tmp_path / "nothing"
         code, output, counts = run(f"--port=board={servos.path}", f"--port=servo={nothing}")

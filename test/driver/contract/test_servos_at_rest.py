@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 import statistics
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -15,17 +13,10 @@ import pytest
 from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
+from deltacharger_driver.servos import mx64
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import (
-    CURRENT_UNIT,
-    MODE_CURRENT_POSITION,
-    MODEL,
-    REGISTERS,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
-    WATCHDOG_TRIPPED,
-)
+from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.setup import configure, restart_watchdog
 from deltacharger_driver.servos.snapshot import (
     READ_ADDRESS,
@@ -45,32 +36,12 @@ from .sites import ServoSite
 OLDEST_FIRMWARE = 39
 CYCLES = 60
 RATE = 100.0  # Hz, of servo_node
-SET_UP = {
-    "torque_enable": 0,
-    "status_return_level": 2,
-    "return_delay": 0,
-    "drive_mode": 0,
-    "operating_mode": MODE_CURRENT_POSITION,
-    "secondary_id": 255,
-    "homing_offset": 0,
-    "position_p_gain": POSITION_P_GAIN,
-    "position_i_gain": 0,
-    "position_d_gain": 0,
-    "profile_acceleration": 0,
-    "profile_velocity": 0,
-    "hardware_error": 0,
-}
-JITTER = {
-    "present_current": 30,
-    "present_velocity": 5,
-    "present_position": 4,
-    "input_voltage": 3,
-    "temperature": 1,
-}
+ZERO = ("torque_enable", "return_delay", "drive_mode", "homing_offset", "position_i_gain", "position_d_gain")
+ZERO += ("profile_acceleration", "profile_velocity", "hardware_error")
+SET_UP = dict.fromkeys(ZERO, 0) | {"status_return_level": 2, "secondary_id": 255}
+SET_UP |= {"operating_mode": mx64.MODE_CURRENT_POSITION, "position_p_gain": POSITION_P_GAIN}
+JITTER = {"present_current": 30, "present_velocity": 5, "present_position": 4, "input_voltage": 3, "temperature": 1}
 """Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
-OPEN_AGAIN = (
-    "import sys; from deltacharger_driver.servos.link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
-)
 
 
 def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> None:
@@ -83,7 +54,7 @@ def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> No
 
 def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        assert link.ping(servo, attempts=2) == link.read(servo, "model") == MODEL
+        assert link.ping(servo, attempts=2) == link.read(servo, "model") == mx64.MODEL
         assert link.read(servo, "firmware") >= OLDEST_FIRMWARE
         assert link.read(servo, "id") == servo
 
@@ -91,7 +62,10 @@ def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: Ser
 def test_the_configuration_is_in_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
         assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
-        assert link.read(servo, "bus_watchdog") in (WATCHDOG, WATCHDOG_TRIPPED)  # a pause of this computer trips it
+        assert link.read(servo, "bus_watchdog") in (
+            WATCHDOG,
+            mx64.WATCHDOG_TRIPPED,
+        )  # a pause of this computer trips it
 
 
 def test_the_block_of_the_cycle_matches_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
@@ -142,9 +116,9 @@ def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
     for index, servo in enumerate(settings.ids):
         about = f"servo {servo}: {snapshot}"
         assert -math.pi <= snapshot.angle[index] <= math.pi, about
-        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * VELOCITY_UNIT, about
-        assert abs(snapshot.current[index]) <= JITTER["present_current"] * CURRENT_UNIT, about
-        low, high = (REGISTERS[name].default * VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
+        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * mx64.VELOCITY_UNIT, about
+        assert abs(snapshot.current[index]) <= JITTER["present_current"] * mx64.CURRENT_UNIT, about
+        low, high = (REGISTERS[name].default * mx64.VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
         assert low <= snapshot.voltage[index] <= high, about
         assert 0.0 <= snapshot.temperature[index] < REGISTERS["temperature_limit"].default, about
         assert snapshot.hardware_error[index] == 0, about
@@ -173,14 +147,14 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
 
     def back() -> bool:
         try:
-            return link.ping(servo) == MODEL
+            return link.ping(servo) == mx64.MODEL
         except DriverError:
             return False
 
     wait_until(back, f"servo {servo} to come back from its restart")
     assert has_restarted(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
-    assert link.read(servo, "operating_mode") == MODE_CURRENT_POSITION
+    assert link.read(servo, "operating_mode") == mx64.MODE_CURRENT_POSITION
     assert link.read(servo, "position_p_gain") == REGISTERS["position_p_gain"].default
     configure(link, servo, settings)
     assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
@@ -196,14 +170,3 @@ def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_si
     bus.configure(1)
     after = wait_until(lambda: (s := bus.read()).complete and s, "all servos to answer again")
     assert after.rebooted == after.torque_enabled == (False, False, False)
-
-
-@pytest.mark.rest
-def test_another_program_can_open_the_port_only_after_it_is_closed(bus: ServoBus, servo_site: ServoSite) -> None:
-    command = [sys.executable, "-c", OPEN_AGAIN, servo_site.path]
-    second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert second.returncode != 0
-    assert "PortBusy" in second.stderr
-    bus.close()
-    afterwards = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
-    assert afterwards.returncode == 0, afterwards.stderr

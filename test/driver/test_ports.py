@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every failure to open a port has its own error and advice, the same for servos and board."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import termios
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import Packet, PacketType, encode_packet
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.pads import EmulatedPads
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.errors import (
+    DriverError,
+    PortBusy,
+    PortDenied,
+    PortError,
+    PortMissing,
+    PortNotSerial,
+    WrongDevice,
+)
+from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.serial_open import open_serial
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import SPEEDS
+from deltacharger_driver.servos.packets import status
+from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_tactile.source import ContactSource
+
+from ..emulated_ports import Babbler, written
+from ..marks import rest
+from ..waiting import wait_until
+
+SIDES: dict[str, Callable[[str], object]] = {
+    "servos": lambda path: ServoLink(path, 1_000_000).open(),
+    "board": lambda path: BoardLink(path).open(),
+}
+
+
+def unix_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+
+
+def hung_up_terminal(path: Path) -> None:
+    master, slave = os.openpty()
+    path.symlink_to(os.ttyname(slave))
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (Path.mkdir, PortNotSerial, "a directory"),
+        (Path.touch, PortNotSerial, "an ordinary file"),
+        (os.mkfifo, PortNotSerial, "a named pipe"),
+        (unix_socket, PortNotSerial, "a socket"),
+        (lambda path: path.symlink_to(os.devnull), PortNotSerial, "serial line"),
+        (lambda path: None, PortMissing, "no such port"),
+        (lambda path: path.symlink_to("ttyUSB7"), PortMissing, "ttyUSB7"),
+        (hung_up_terminal, PortMissing, "no such port"),
+    ],
+)
+def test_a_path_that_is_not_a_port_is_named(
+    tmp_path: Path, side: str, make: Callable[[Path], object], error: type[PortError], words: str
+) -> None:
+    path = tmp_path / "port"
+    make(path)
+    with pytest.raises(PortError, match=words) as caught:
+        SIDES[side](str(path))
+    assert type(caught.value) is error
+    assert caught.value.port == str(path)
+    assert isinstance(caught.value, DriverError)
+    assert isinstance(caught.value, ConnectionError)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_port_in_use_is_busy_for_both_drivers(side: str, board_port: str) -> None:
+    with open_serial(board_port, 115200), pytest.raises(PortBusy):
+        SIDES[side](board_port)
+
+
+@pytest.mark.parametrize(
+    ("failure", "error", "words"),
+    [
+        ([serial.SerialException(errno.EACCES, "denied")], PortDenied, "dialout"),
+        ([serial.SerialException(errno.EPERM, "denied")], PortDenied, "dialout"),
+        ([serial.SerialException(errno.EBUSY, "busy")], PortBusy, "in use"),
+        ([serial.SerialException(errno.ENXIO, "no such address")], PortMissing, "no device"),
+        ([serial.SerialException(errno.ENODEV, "no such device")], PortMissing, "no device"),
+        ([serial.SerialException("cannot configure"), termios.error(errno.EIO, "I/O")], PortMissing, "no device"),
+        ([serial.SerialException("cannot configure"), termios.error(errno.ENOTTY, "")], PortNotSerial, "serial line"),
+        ([OSError(errno.ENOMEM, "out of memory")], PortError, "out of memory"),
+    ],
+)
+def test_the_systems_error_number_decides(
+    board_port: str, monkeypatch: pytest.MonkeyPatch, failure: list[Exception], error: type[PortError], words: str
+) -> None:
+    def refuse(*arguments: object, **options: object) -> None:
+        """Fail like pyserial: with its own error, caused by the system's."""
+        raise failure[0] from (failure[1] if len(failure) > 1 else None)
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(PortError, match=words) as caught:
+        open_serial(board_port, 1_000_000)
+    assert type(caught.value) is error
+
+
+def test_an_impossible_path_is_refused() -> None:
+    with pytest.raises(PortError, match="null byte"):
+        open_serial("/dev/tty\0USB0", 1_000_000)
+    with pytest.raises(PortMissing):
+        open_serial("", 1_000_000)
+
+
+class Echo(Babbler):
+    """Returns received bytes and counts its polls."""
+
+    polled = 0
+
+    def poll(self, now: float) -> bytes:
+        self.polled += 1
+        return b""
+
+    def next_event(self, now: float) -> float:
+        return 0.005
+
+
+def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_path: Path) -> None:
+    device = Echo()
+    with PseudoTerminal(device, tmp_path / "port") as cable:
+        cable.unplug()
+        assert not os.path.lexists(cable.path)
+        before = device.polled
+        wait_until(lambda: device.polled > before + 5)
+        cable.replug()
+        with serial.Serial(cable.path, timeout=5.0) as port:
+            port.write(b"hello")
+            assert port.read(5) == b"hello"
+
+
+def test_it_returns_the_speed_set_by_its_host(tmp_path: Path) -> None:
+    with PseudoTerminal(Echo(), tmp_path / "port") as cable:
+        for speed in (9600, 57600, 1_000_000, 4_000_000):
+            with serial.Serial(cable.path, speed):
+                assert cable.speed() == speed
+        with serial.Serial(cable.path, 38400):  # of no servo
+            assert cable.speed() == 0
+        cable.unplug()
+        assert cable.speed() == 0
+    assert cable.speed() == 0
+
+
+def test_a_second_terminal_on_the_same_link_keeps_it_when_the_first_ends(tmp_path: Path) -> None:
+    first = PseudoTerminal(Echo(), tmp_path / "port").start()
+    second = PseudoTerminal(Echo(), tmp_path / "port").start()
+    first.stop()
+    assert os.path.exists(tmp_path / "port")
+    second.stop()
+    assert not os.path.lexists(tmp_path / "port")
+
+
+@pytest.mark.parametrize("rig", [0, 25, 45])
+def test_every_rig_can_be_tared_in_free_air(rig: int) -> None:
+    source = ContactSource(None, rig_seed=rig, seed=rig)
+    plant = BenchPlant()
+    moment = iter(np.arange(0.0, 10.0, 0.004))
+    plant.read_taxels = lambda: source.sample(float(next(moment)), None, 0.0)  # type: ignore[method-assign]
+    for _ in range(5):
+        pads = EmulatedPads(plant)
+        pads.start_tare(0.0)
+        pads.poll_tare(1.0)
+        assert pads.tared
+
+
+@pytest.mark.parametrize("speeds", [(3, 1, 3), rest((0, 1, 2)), rest((4, 5, 6))])
+def test_servos_are_found_at_the_speed_of_each(
+    servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]
+) -> None:
+    for servo, speed in enumerate(speeds, 1):
+        servos.set_speed(servo, speed)
+    servos.faults.next_reply("drop", 1)  # a lost reply loses no servo
+    before = written(servos)
+    found = identify(servo_port)
+    assert (found.kind, found.hello) == ("servos", None)
+    assert {(s.servo, s.speed, s.protocol, s.model, s.garbled) for s in found.servos} == {
+        (servo, SPEEDS[speed], 2, 311, False) for servo, speed in enumerate(speeds, 1)
+    }
+    assert all(f"id {servo}" in found.details for servo in (1, 2, 3))
+    assert written(servos) == before
+    assert set(SERVO_SPEEDS) == set(SPEEDS.values())
+
+
+def test_old_firmware_is_found(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.use_protocol_1(3)
+    found = identify(servo_port, speeds=(1_000_000,))
+    assert [(s.servo, s.protocol) for s in found.servos] == [(1, 2), (2, 2), (3, 1)]
+    assert "Protocol 1.0" in found.details
+
+
+def test_two_servos_with_one_id_are_reported_as_garbled() -> None:
+    with PseudoTerminal(ServoBusEmulator(BenchArm(), ids=(1, 2, 2))) as terminal:
+        found = identify(terminal.path, speeds=(1_000_000,))
+    assert [(s.servo, s.garbled) for s in found.servos if s.servo == 1] == [(1, False)]
+    twins = [s for s in found.servos if s.servo == 2]
+    assert len(twins) > 1 or twins[0].garbled
+
+
+def test_a_board_is_identified_without_changing_its_state(board_port: str) -> None:
+    found = identify(board_port)
+    assert (found.kind, found.version, found.servos) == ("board", 1, ())
+    assert found.hello is not None
+    assert (found.hello.rows, found.hello.columns) == (10, 10)
+    with BoardLink(board_port) as link:
+        assert link.counters.tactile == 0  # the stream was not started
+        link.tare()
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind", "version"),
+    [
+        (encode_packet(Packet(PacketType.POWER, bytes(16)), version=3), "board", 3),
+        (b"", "silent", None),
+        (b"login: ", "other", None),
+    ],
+    ids=["a board of another version", "silence", "another device"],
+)
+def test_other_devices_are_reported(answer: bytes, kind: str, version: int | None) -> None:
+    with PseudoTerminal(Babbler(answer)) as terminal:
+        found = identify(terminal.path, speeds=(1_000_000,))
+    assert (found.kind, found.version or None, found.hello, found.servos) == (kind, version, None, ())
+
+
+def test_swapped_cables_are_reported_by_both_drivers(board_port: str, servo_port: str) -> None:
+    with pytest.raises(WrongDevice, match="swap") as caught:
+        ServoBus(BusSettings(port=board_port)).open(scan=False)
+    assert (caught.value.expected, caught.value.port) == ("the servos", board_port)
+    with BoardLink(board_port) as link:  # the port is free again
+        link.ping()
+    with pytest.raises(WrongDevice, match="swap") as caught:
+        BoardLink(servo_port).open()
+    assert caught.value.found == "the servos"
+
+
+def test_replies_among_noise_are_found_and_damaged_ones_are_not() -> None:
+    good = status(7, 0, bytes((0x37, 0x01, 45)))
+    damaged = bytearray(status(9, 0, bytes((0x37, 0x01, 45))))
+    damaged[10] ^= 4
+    noise = b"\xff\xff\xfd" + good[:9] + b"\x17" + bytes(damaged) + good + b"\xff\xff\xfd\0"
+    with PseudoTerminal(Babbler(noise)) as terminal, contextlib.closing(BoardPort(terminal.path, 1_000_000)) as port:
+        found = find_servos(port, (1_000_000,), ids=())
+    assert [(s.servo, s.model, s.firmware) for s in found] == [(7, 311, 45)]
