@@ -294,12 +294,14 @@ class _Sessions:
         while numbers := self._call.left(self._part)[:size]:
             before = self._call.count
             outcome = self._session(numbers)
+            what = outcome.message if outcome.code is Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
             if interrupts.event.is_set():
+                if self._machine.status.docked or outcome.code not in (Code.NONE, Code.CANCELED):
+                    raise CommandError(f"interrupted; {what}", INTERRUPTED)  # the arm is not home
                 break
             if outcome.success:
                 continue
             failures = 1 if self._call.count > before else failures + 1
-            what = outcome.message if outcome.code is Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
             if not outcome.retriable:
                 raise CommandError(what, code=int(outcome.code))
             if failures == _TRIES:

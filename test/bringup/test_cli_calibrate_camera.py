@@ -176,11 +176,11 @@ def test_images_that_disagree_or_show_no_board_are_left_out(capsys: Capture, rig
     lines[4] = ",".join([wrong[0], *(f"{float(angle) + 0.1:.6f}" for angle in wrong[1:])])
     rewrite(views, lines)
     assert cv2.imwrite(str(views / "view_003.png"), np.full((400, 640, 3), 90, dtype=np.uint8))
-    for path in (views / f"view_00{number}.png" for number in (1, 2)):
-        assert cv2.imwrite(str(path), np.clip(cv2.imread(str(path)).astype(float) * 1.7, 0, 255).astype(np.uint8))
     _, found = answer(capsys, *line(rig, views))
-    assert ("view_004.png" in found["left_out"], found["without_board"]) == (True, ["view_003.png"])
-    assert any("over-exposed" in note for note in found["notes"])
+    assert (found["left_out"], found["without_board"]) == (["view_004.png"], ["view_003.png"])
+    for path in views.glob("*.png"):
+        assert cv2.imwrite(str(path), np.clip(cv2.imread(str(path)).astype(float) * 1.7, 0, 255).astype(np.uint8))
+    assert any("over-exposed" in note for note in answer(capsys, *line(rig, views))[1]["notes"])
 
 
 @pytest.mark.rest
@@ -240,7 +240,7 @@ def test_images_without_a_board_end_with_1(capsys: Capture, rig: Rig, blank: Pat
     refuses(capsys, shlex.join(line(rig, blank)), "sharp", 1)
 
 
-@pytest.mark.parametrize("option", ["--camera-info", "--geometry", "--mount"])
+@pytest.mark.parametrize("option", ["--camera-info", "--geometry"])
 def test_a_missing_file_is_named(capsys: Capture, rig: Rig, blank: Path, option: str) -> None:
     refuses(capsys, shlex.join(line(rig, blank, option, "none.yaml")), "none.yaml")
 

@@ -27,14 +27,21 @@ from deltacharger_scenes.scene import parse_scene
 from deltacharger_tactile.dataset import SUBSET_POSITION, Dataset
 
 from ..marks import night, rest
-from ..quick import DAMPING, STEPS
 from ..running_charger import PATIENT, RunningCharger
 
 pytestmark = pytest.mark.ros
 
 FRAMES = 3
 NODES = ["servo_node", "tactile_node", "docking_node"]
-WORLD = {"target": {"x": 0.0, "y": 0.0, "z": 0.080, "roll": 0.0}, "servo": {"damping": DAMPING}}
+STEPS = {
+    "standoff": 0.006,
+    "search_depth": 0.005,
+    "coarse_step": 0.005,
+    "search_speed": 0.1,
+    "press_speed": 0.1,
+    "travel_speed": 0.5,
+}
+WORLD = {"target": {"x": 0.0, "y": 0.0, "z": 0.080, "roll": 0.0}}
 SCENE = {
     "nodes": NODES,
     "simulation": {"seed": 3, "rig_seed": 602, "world": WORLD},
@@ -165,7 +172,7 @@ def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     process.wait_for_line("1 of 9", process.err)
     wait_until(charger.touches, "the second contact")
     result = answer(process, INTERRUPTED, number)
-    charger.assert_safe(process.err)
+    charger.assert_safe("\n".join(process.err))
     assert (result["success"], result["recorded"], result["remaining"]) == (False, 1, 8)
     assert len(Dataset.load(tmp_path / "F.npz")) == 1
 
