@@ -46,7 +46,7 @@ CMAKE_ARGS := --cmake-args -G Ninja -DCMAKE_BUILD_TYPE=Release -DPython3_EXECUTA
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := $(PYTEST) -n 4 --dist loadfile --host-deadlines 3
 
-.PHONY: dock test test-rest test-night mutants check lint types colcon wheel trainers navigation transforms optional cross bench clean
+.PHONY: dock test test-rest test-night mutants check lint types colcon wheel trainers navigation transforms optional pages cross bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -56,7 +56,7 @@ test: $(INSTALLED)  ## what a change needs
 	$(SIDE_BY_SIDE) -m '$(SELECTED)'
 
 test-rest: $(INSTALLED)  ## what CI runs besides
-	$(SIDE_BY_SIDE) -m rest
+	$(SIDE_BY_SIDE) -m 'rest and not night'
 
 # Deadlines of this computer are strict here. docs/tests.md says what runs, and when to run it.
 test-night: $(INSTALLED)  ## what no CI runs: hours; before a release, and a subject's files when it changes
@@ -64,7 +64,7 @@ test-night: $(INSTALLED)  ## what no CI runs: hours; before a release, and a sub
 
 # Safety code with one line changed: the quick tests must notice.
 mutants: $(INSTALLED)  ## how many changed lines of safety code the tests notice
-	$(BIN)/python test/mutants.py run
+	$(BIN)/python test/mutants.py
 
 check: lint types test  ## what a change needs; `.ci/run` adds the rest
 
@@ -119,6 +119,12 @@ $(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
 
 optional: trainers navigation transforms  ## every optional library; without one its tests are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
+
+# After a change of nodes, parameters or messages. In CI they must be what is committed.
+pages: $(INSTALLED)  ## write the generated pages docs/parameters.md and docs/topics.md, and check config/security
+	$(BIN)/python -m deltacharger_lab.pages.parameters > docs/parameters.md
+	$(BIN)/python -m deltacharger_lab.pages.topics > docs/topics.md
+	$(BIN)/python -m deltacharger_lab.pages.policies
 
 # Tools that are not on PyPI. All names are Debian packages; run as root, needs no terminal.
 CROSS := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
