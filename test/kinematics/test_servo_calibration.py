@@ -146,38 +146,34 @@ def test_too_few_readings_are_refused(count: int) -> None:
         fit_servos(synthetic(5, np.random.default_rng(0))[:count], QUICK)
 
 
-class TestPlan:
-    def test_every_move_turns_every_servo_and_stays_in_the_workspace(self) -> None:
-        planner, delta = PosePlanner(QUICK), Delta(QUICK.geometry)
-        model = ServoModel(np.full(3, 12.0), np.full(3, 0.08))
-        angles = np.asarray(delta.inverse((0.0, 0.0, 0.05)).angles)
-        goals = whole_ticks(angles)
-        low, high = np.array(QUICK.geometry.workspace_min) - 0.005, np.array(QUICK.geometry.workspace_max) + 0.005
-        for _ in range(50):
-            way = planner.next(goals, angles, model, 0.03, 1.0)
-            assert (np.array(way.directions) * (way.angles - angles) >= 0.03).all()
-            between = angles + np.linspace(0.0, 1.0, 9)[:, None] * (way.angles - angles)
-            points = delta.forward(between).position
-            assert ((points >= low) & (points <= high)).all()
-            planner.learn(loads_at(way.angles[None], QUICK)[0], way.directions)
-            goals, angles = way.goals, way.angles
+def test_every_move_turns_every_servo_and_stays_in_the_workspace() -> None:
+    planner, delta = PosePlanner(QUICK), Delta(QUICK.geometry)
+    model = ServoModel(np.full(3, 12.0), np.full(3, 0.08))
+    angles = np.asarray(delta.inverse((0.0, 0.0, 0.05)).angles)
+    goals = whole_ticks(angles)
+    low, high = np.array(QUICK.geometry.workspace_min) - 0.005, np.array(QUICK.geometry.workspace_max) + 0.005
+    for _ in range(50):
+        way = planner.next(goals, angles, model, 0.03, 1.0)
+        assert tuple(way.goals) == tuple(whole_ticks(np.array(way.goals)))
+        assert (np.array(way.directions) * (way.angles - angles) >= 0.03).all()
+        between = angles + np.linspace(0.0, 1.0, 9)[:, None] * (way.angles - angles)
+        points = delta.forward(between).position
+        assert ((points >= low) & (points <= high)).all()
+        planner.learn(loads_at(way.angles[None], QUICK)[0], way.directions)
+        goals, angles = way.goals, way.angles
 
-    def test_goals_are_whole_ticks(self) -> None:
-        way = PosePlanner(QUICK).middle(np.array((-0.5, -0.5, -0.5)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
-        assert [goal / TICK for goal in way.goals] == pytest.approx(
-            [round(goal / TICK) for goal in way.goals], abs=1e-9
-        )
 
-    def test_the_error_for_an_arm_out_of_reach_says_to_push_it(self) -> None:
-        with pytest.raises(ServoTrouble, match="by hand"):
-            PosePlanner(QUICK).middle(np.array((3.0, -3.0, 0.0)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
+def test_the_error_for_an_arm_out_of_reach_says_to_push_it() -> None:
+    with pytest.raises(ServoTrouble, match="by hand"):
+        PosePlanner(QUICK).middle(np.array((3.0, -3.0, 0.0)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
 
-    def test_a_move_decelerates_and_ends_at_its_goal(self) -> None:
-        points = eased((0.0, 0.0, 0.0), (0.3, -0.3, 0.0), 0.5)
-        turns = np.diff([0.0, *(goals[0] for _, goals in points)])
-        assert (turns > 0.0).all()
-        assert (np.diff(turns) < 0.0).all()
-        assert points[-1] == (pytest.approx(0.5), (pytest.approx(0.3), pytest.approx(-0.3), 0.0))
+
+def test_a_move_decelerates_and_ends_at_its_goal() -> None:
+    points = eased((0.0, 0.0, 0.0), (0.3, -0.3, 0.0), 0.5)
+    turns = np.diff([0.0, *(goals[0] for _, goals in points)])
+    assert (turns > 0.0).all()
+    assert (np.diff(turns) < 0.0).all()
+    assert points[-1] == (pytest.approx(0.5), (pytest.approx(0.3), pytest.approx(-0.3), 0.0))
 
 
 @pytest.mark.parametrize("play", [0.0, 0.003, 0.01])
@@ -203,7 +199,7 @@ class Shaken(VirtualArm):
 
 
 LIGHT = dataclasses.replace(SERVO, torque_constant=TORQUE_CONSTANT)
-ALL, PLAIN = (1.0, 1.0, 1.0), WorldParameters(servo=SERVO, target=ALONE)
+PLAIN = WorldParameters(servo=SERVO, target=ALONE)
 
 
 @pytest.mark.parametrize(
@@ -212,11 +208,7 @@ ALL, PLAIN = (1.0, 1.0, 1.0), WorldParameters(servo=SERVO, target=ALONE)
         rest(arm, (0.0, 9.81, 0.0), "does not grow with the weight"),
         night(arm, (0.0, -9.81 * 0.866, -4.905), "look like gravity"),
         night(lambda: arm(LIGHT, weight=0.6), GRAVITY, "weighs 0.6"),
-        night(
-            lambda: Rattling(WorldParameters(servo=SERVO, target=ALONE), 1, None, ALL, TORQUE_CONSTANT),
-            GRAVITY,
-            "loose",
-        ),
+        night(lambda: Rattling(PLAIN, 1, None, (1.0,) * 3, TORQUE_CONSTANT), GRAVITY, "loose"),
         rest(lambda: arm(target=TargetParameters(z=0.045)), GRAVITY, "block"),
         rest(lambda: Shaken(PLAIN), GRAVITY, "come to rest"),
         night(lambda: arm(gains=(5.0, 5.0, 5.0)), GRAVITY, r"position_p_gain of servo_node to about [456]\d\d"),
