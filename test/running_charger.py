@@ -33,7 +33,7 @@ from .quick import SCENE, STEPS
 from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
-PATIENT = {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0}
+PATIENT = {"servo_age_max": 1.0, "live_servo_age_max": 0.5, "tactile_age_max": 1.0, "power_age_max": 1.0}
 """Of docking_node: a busy computer is not a broken cable."""
 QUICK = {
     **SCENE,
