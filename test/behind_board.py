@@ -11,20 +11,14 @@ from typing import ClassVar
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_driver.servos.port import ServoPort
 
 from .borrowed import anew, borrowed_tests
 from .driver.virtual_line import RealClock
 from .waiting import wait_until
 
-SERVO_TESTS = (
-    "conftest",
-    "test_servo_node",
-    "test_servo_bus",
-    "test_servo_controller",
-)
+SERVO_TESTS = ("conftest", "test_servo_node", "test_servo_bus", "test_servo_controller")
 """Driver test modules that also apply to servos behind a board, and their fixtures."""
 SOME = {
     "test_torque_on_holds_and_off_releases",
@@ -46,14 +40,14 @@ class BehindEmulator:
 
     handler = ServoPort
 
-    def __init__(self, device: ServoBusEmulator, clock: object = None) -> None:
+    def __init__(self, device: ByteDevice, clock: object = None) -> None:
         self._folder = tempfile.TemporaryDirectory("", "deltacharger-")
         self._board_port = Path(self._folder.name) / "board"
         self.path = str(self._board_port.with_name("servos"))
         self._keeper: BoardKeeper | None = None
         self._serve(device)
 
-    def _serve(self, device: ServoBusEmulator) -> None:
+    def _serve(self, device: ByteDevice) -> None:
         self.plant = BenchPlant()
         self.board = BoardEmulator(self.plant, servos=device)
         self._cable = PseudoTerminal(self.board, self._board_port)
@@ -96,7 +90,7 @@ class BehindFirmware(BehindEmulator):
 
     program: ClassVar[Path]
 
-    def _serve(self, device: ServoBusEmulator) -> None:
+    def _serve(self, device: ByteDevice) -> None:
         self._bus = PseudoTerminal(device, Path(self._folder.name) / "bus")
 
     def speed(self) -> int:

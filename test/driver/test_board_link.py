@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import math
 import os
 import termios
@@ -11,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import serial
@@ -248,14 +250,8 @@ def test_every_kind_of_hang_up_is_one_error(
     board_port: str, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes
 ) -> None:
     port = BoardPort(board_port, 1_000_000)
-
-    def read(descriptor: int, size: int) -> bytes:
-        if isinstance(hang_up, bytes):
-            return hang_up
-        raise hang_up
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, "read", read)
+        patch.setattr(os, "read", Mock(side_effect=itertools.repeat(hang_up)))  # returns or raises it
         with pytest.raises(PortGone):
             wait_until(lambda: port.read(1.0))
     port.close()

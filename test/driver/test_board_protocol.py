@@ -14,24 +14,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_driver.board import cobs
-from deltacharger_driver.board.payloads import (
-    Ack,
-    Hello,
-    Power,
-    decode_ack,
-    decode_hello,
-    decode_power,
-    decode_probe,
-    decode_rate,
-    decode_samples,
-    encode_ack,
-    encode_hello,
-    encode_power,
-    encode_probe,
-    encode_rate,
-    encode_samples,
-)
+from deltacharger_driver.board import cobs, payloads
+from deltacharger_driver.board.payloads import Hello, Power
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,
     Packet,
@@ -50,20 +34,23 @@ GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),
     (Packet(8, b"\1", 0x1234), "0005010834120101010101010101010101060154a95a8b00"),
-    (Packet(7, encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
+    (Packet(7, payloads.encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
     (
-        Packet(2, encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
+        Packet(2, payloads.encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
         "00040102070460e3160101010101010101010103d4410103c0410104c07f01010105c33ed60300",
     ),
     (
-        Packet(3, encode_hello(Hello(1, 0, 10, 10, 0xDEADBEEF, 120.0))),
+        Packet(3, payloads.encode_hello(Hello(1, 0, 10, 10, 0xDEADBEEF, 120.0))),
         "00030103010101010101010101010101010201070a0aefbeadde0107f04236f06b1e00",
     ),
     (
-        Packet(10, encode_ack(Ack(11, 0, 9, encode_probe(25.5, 24.0))), 3, 2_000_000),
+        Packet(10, payloads.encode_ack(payloads.Ack(11, 0, 9, payloads.encode_probe(25.5, 24.0))), 3, 2_000_000),
         "0004010a030480841e0101010101010101020b0209010103cc410107c041e651230c00",
     ),
-    (Packet(10, encode_ack(Ack(8, 3, 1)), 0, 1), "0003010a010201010101010101010101010408030105d98d266700"),
+    (
+        Packet(10, payloads.encode_ack(payloads.Ack(8, 3, 1)), 0, 1),
+        "0003010a010201010101010101010101010408030105d98d266700",
+    ),
 ]
 
 
@@ -219,7 +206,7 @@ def test_u12_puts_two_samples_into_three_bytes() -> None:
     left = np.full((10, 10), np.nan)
     right = np.zeros((10, 10))
     left[0, 0], left[0, 1] = 0xABC * FULL_SCALE / 4094, 0x123 * FULL_SCALE / 4094
-    payload = encode_samples(left, right, SampleFormat.U12)
+    payload = payloads.encode_samples(left, right, SampleFormat.U12)
     assert payload[:3].hex() == "bc3a12"
     assert payload[3:150] == b"\xff" * 147
     assert payload[150:] == bytes(150)
@@ -233,7 +220,7 @@ def test_samples_round_trip_within_half_a_code(sample_format: SampleFormat, seed
     pads = random.uniform(-1.0, FULL_SCALE + 1.0, (2, 10, 10))
     dead = random.random(pads.shape) < 0.1
     pads[dead] = np.nan
-    back = np.stack(decode_samples(encode_samples(pads[0], pads[1], sample_format), sample_format))
+    back = np.stack(payloads.decode_samples(payloads.encode_samples(pads[0], pads[1], sample_format), sample_format))
     assert np.array_equal(np.isnan(back), dead)
     assert np.nanmax(np.abs(back - pads.clip(0.0, FULL_SCALE))) <= FULL_SCALE / (sample_format.top - 1) / 2 + 1e-6
     assert back.dtype == np.float32
@@ -248,22 +235,25 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
 
 @pytest.mark.parametrize("at", [14, 15])
 def test_reserved_bytes_of_power_must_be_zero(at: int) -> None:
-    assert decode_power(POWER).fault == 9
+    assert payloads.decode_power(POWER).fault == 9
     with pytest.raises(PacketError):
-        decode_power(spoiled(POWER, at, b"\1"))
+        payloads.decode_power(spoiled(POWER, at, b"\1"))
 
 
 def test_impossible_numbers_are_refused() -> None:
-    assert decode_probe(encode_probe(math.inf, 0.0)) == (math.inf, 0.0)  # only an open circuit is infinite
-    assert all(map(math.isnan, decode_probe(encode_probe(math.nan, math.nan))))
+    assert payloads.decode_probe(payloads.encode_probe(math.inf, 0.0)) == (
+        math.inf,
+        0.0,
+    )  # only an open circuit is infinite
+    assert all(map(math.isnan, payloads.decode_probe(payloads.encode_probe(math.nan, math.nan))))
     for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
         with pytest.raises(PacketError):
-            decode_probe(encode_probe(resistance, voltage))
+            payloads.decode_probe(payloads.encode_probe(resistance, voltage))
     for rate in (math.inf, -math.inf, math.nan, -1.0):
         with pytest.raises(PacketError):
-            decode_rate(encode_rate(rate))
+            payloads.decode_rate(payloads.encode_rate(rate))
         with pytest.raises(PacketError):
-            decode_hello(encode_hello(Hello(1, 0, 10, 10, 1, rate)))
+            payloads.decode_hello(payloads.encode_hello(Hello(1, 0, 10, 10, 1, rate)))
 
 
 def bad_packets(time: int) -> list[Packet]:
@@ -271,7 +261,7 @@ def bad_packets(time: int) -> list[Packet]:
     return [
         Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
         Packet(PacketType.POWER, POWER, 2, time, format=1),
-        Packet(PacketType.HELLO, encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
+        Packet(PacketType.HELLO, payloads.encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
         Packet(PacketType.ACK, b"\1", 0, time),
         Packet(PacketType.PING, bytes(65), 0, time),
         Packet(PacketType.TACTILE, bytes(200), 0, time),
@@ -281,7 +271,7 @@ def bad_packets(time: int) -> list[Packet]:
 def test_an_impossible_packet_is_only_counted() -> None:
     powers, boots = [], []
     receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
-    hello = encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
+    hello = payloads.encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
     receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
     for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
         receiver.take(packet, 100.0)
@@ -293,9 +283,15 @@ def test_an_impossible_packet_is_only_counted() -> None:
 
 
 def test_payloads_of_the_wrong_length_or_format_are_refused() -> None:
-    for decode in (decode_power, decode_hello, decode_ack, decode_probe, decode_rate):
+    for decode in (
+        payloads.decode_power,
+        payloads.decode_hello,
+        payloads.decode_ack,
+        payloads.decode_probe,
+        payloads.decode_rate,
+    ):
         with pytest.raises(PacketError):
             decode(b"\1\2")
     for length, sample_format in ((300, 1), (299, 2), (200, 3), (200, 0), (200, 9)):
         with pytest.raises(PacketError):
-            decode_samples(bytes(length), sample_format)
+            payloads.decode_samples(bytes(length), sample_format)

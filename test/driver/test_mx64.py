@@ -9,23 +9,15 @@ import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
 from deltacharger_driver.errors import RangeError
-from deltacharger_driver.servos.mx64 import (
-    CURRENT_UNIT,
-    REGISTERS,
-    TICK,
-    angle_to_ticks,
-    current_to_counts,
-    indirect_address,
-    indirect_data,
-    ticks_to_angle,
-)
+from deltacharger_driver.servos import mx64
+from deltacharger_driver.servos.mx64 import REGISTERS, TICK
 from deltacharger_driver.servos.thermal import HEAT_LIMIT, ThermalModel, reserve
 
 
 def test_no_two_registers_overlap():
     taken: dict[int, str] = {}
-    blocks = {f"indirect address {n}": (indirect_address(n), 2) for n in range(56)}
-    blocks |= {f"indirect data {n}": (indirect_data(n), 1) for n in range(56)}
+    blocks = {f"indirect address {n}": (mx64.indirect_address(n), 2) for n in range(56)}
+    blocks |= {f"indirect data {n}": (mx64.indirect_data(n), 1) for n in range(56)}
     blocks |= {name: (register.address, register.size) for name, register in REGISTERS.items()}
     for name, (address, size) in blocks.items():
         for place in range(address, address + size):
@@ -43,22 +35,22 @@ def test_the_vendors_figures_give_the_assumed_stiffness():
 @pytest.mark.parametrize("zero", [0, 2048, -511, 4095])
 def test_every_tick_survives_the_round_trip(direction, zero):
     for ticks in range(-8192, 8193, 37):
-        angle = ticks_to_angle(ticks, zero, direction)
-        assert angle_to_ticks(angle, zero, direction) == ticks
+        angle = mx64.ticks_to_angle(ticks, zero, direction)
+        assert mx64.angle_to_ticks(angle, zero, direction) == ticks
 
 
 def test_angle_convention():
-    assert ticks_to_angle(2048, 2048, 1) == 0.0
-    assert ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
-    assert ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
-    assert abs(ticks_to_angle(angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
+    assert mx64.ticks_to_angle(2048, 2048, 1) == 0.0
+    assert mx64.ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
+    assert mx64.ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
+    assert abs(mx64.ticks_to_angle(mx64.angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
 
 
 def test_a_bound_is_never_rounded_up():
     for tenth_milliampere in range(0, 42_000, 7):
         current = tenth_milliampere * 1e-4
-        assert current_to_counts(current) * CURRENT_UNIT <= current + 1e-9
-        assert current_to_counts(-current) == -current_to_counts(current)
+        assert mx64.current_to_counts(current) * mx64.CURRENT_UNIT <= current + 1e-9
+        assert mx64.current_to_counts(-current) == -mx64.current_to_counts(current)
 
 
 def test_registers_refuse_too_large_numbers():

@@ -21,15 +21,12 @@ from std_srvs.srv import SetBool
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_driver.board import contactor_guard
-from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.pass_through import PassThrough
 from deltacharger_driver.board.protocol import LONGEST_SERVO, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.serial_open import open_serial
 from deltacharger_driver.servos import servo_node
 from deltacharger_driver.servos.bus import ServoBus
@@ -47,25 +44,16 @@ pytestmark = pytest.mark.ros
 ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 
 
-def test_bytes_pass_unchanged(tmp_path: Path) -> None:
-    echo = Babbler()
-    tmp_path.chmod(0o700)
-    with PseudoTerminal(BoardEmulator(BenchPlant(), servos=echo)) as cable:
-        link = BoardLink(cable.path, on_servo=lambda data: port.take(data))
-        port = PassThrough(link, tmp_path / "servos")
-        assert link.open().carries_servos
-        port.open()
-        with open_serial(str(port.path), 1_000_000) as line:
-            source = random.Random(24)
-            for size in (1, 10, LONGEST_SERVO, LONGEST_SERVO + 1, 1000):
-                sent, back = source.randbytes(size), bytearray()
-                line.write(sent)
-                wait_until(lambda back=back, size=size: back.extend(line.read(4096)) or len(back) >= size)
-                assert back == sent
-                assert echo.received.endswith(sent)
-        port.close()
-        assert not port.path.is_symlink()
-        link.close()
+def test_bytes_pass_unchanged() -> None:
+    echo, source = Babbler(), random.Random(24)
+    with BehindEmulator(echo) as terminal, open_serial(terminal.path, 1_000_000) as line:
+        for size in (1, 10, LONGEST_SERVO, LONGEST_SERVO + 1, 1000):
+            sent, back = source.randbytes(size), bytearray()
+            line.write(sent)
+            wait_until(lambda back=back, size=size: back.extend(line.read(4096)) or len(back) >= size)
+            assert back == sent
+            assert echo.received.endswith(sent)
+    assert not Path(terminal.path).is_symlink()
 
 
 def test_a_host_that_does_not_use_the_bus_receives_nothing_from_it() -> None:

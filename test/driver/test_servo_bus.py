@@ -34,11 +34,7 @@ def test_signs_follow_the_mounting(line: Any, arm: BenchArm) -> None:
 
 @pytest.mark.parametrize(
     ("angles", "currents"),
-    [
-        ((math.nan, 0, 0), BOUND),
-        ((0, 0, 0), (0.1, math.nan, 0.1)),
-        ((0, 0, 0), (-0.1, 0.1, 0.1)),
-    ],
+    [((math.nan, 0, 0), BOUND), ((0, 0, 0), (0.1, math.nan, 0.1)), ((0, 0, 0), (-0.1, 0.1, 0.1))],
 )
 def test_impossible_goals_are_refused_before_anything_is_sent(
     bus: ServoBus, arm: BenchArm, angles: tuple[float, ...], currents: tuple[float, ...]

@@ -9,15 +9,7 @@ from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS
 from deltacharger_driver.servos import control_table as table
 from deltacharger_driver.servos.control_table import LIMIT, OK
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
-from deltacharger_driver.servos.packets import (
-    ACTION,
-    BROADCAST,
-    PING,
-    READ,
-    REG_WRITE,
-    SYNC_READ,
-    WRITE,
-)
+from deltacharger_driver.servos.packets import ACTION, BROADCAST, PING, READ, REG_WRITE, SYNC_READ, WRITE
 
 from .servo_host import Host, parse, words
 
@@ -157,18 +149,6 @@ def test_the_position_p_gain_is_the_stiffness(host: Host) -> None:
     assert usual == pytest.approx(0.6 / SERVO_STIFFNESS, rel=1e-3)
     assert yielded(POSITION_P_GAIN // 2) == pytest.approx(2.0 * usual, rel=1e-3)
     assert yielded(2 * POSITION_P_GAIN) == pytest.approx(0.5 * usual, rel=1e-3)
-
-
-def test_the_homing_offset_is_added_to_positions_and_subtracted_from_goals(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
-    actual = host.read(1, "present_position")
-    assert host.write(1, "homing_offset", 300) == OK
-    assert host.read(1, "present_position") == actual + 300
-    host.write(1, "torque_enable", 1)
-    host.write(1, "goal_position", actual + 300 + 50)
-    host.advance(2.0)
-    assert host.read(1, "present_position") == pytest.approx(actual + 350, abs=1)
-    assert host.arm.angles[0] == pytest.approx((actual + 50 - 2048) * TICK, abs=2 * TICK)
 
 
 def test_the_watchdog_is_active_only_while_torque_is_on(host: Host) -> None:

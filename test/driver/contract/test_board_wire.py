@@ -10,18 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.board import cobs
+from deltacharger_driver.board import cobs, protocol
 from deltacharger_driver.board.payloads import Ack, decode_ack, encode_rate
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import (
-    LONGEST_PING,
-    VERSION,
-    AckError,
-    Packet,
-    PacketDecoder,
-    PacketType,
-    encode_packet,
-)
+from deltacharger_driver.board.protocol import AckError, Packet, PacketDecoder, PacketType, encode_packet
 
 from .sites import BoardSite
 
@@ -99,17 +91,17 @@ def test_a_command_with_a_wrong_payload_is_refused(wire: Wire) -> None:
 
 
 def test_another_version_and_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
-    assert wire.is_silent_on(encode_packet(Packet(PacketType.HELLO), version=VERSION + 1))
+    assert wire.is_silent_on(encode_packet(Packet(PacketType.HELLO), version=protocol.VERSION + 1))
     packet = cobs.decode(STOP.strip(b"\0"))
     body = packet[:14] + b"\1\0" + packet[16:-4]
     assert wire.is_silent_on(b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
 
 
 def test_pings_return_their_bytes(wire: Wire) -> None:
-    for data in (b"", bytes(LONGEST_PING), bytes(range(192, 256)), b"\0\xff" * 20):
+    for data in (b"", bytes(protocol.LONGEST_PING), bytes(range(192, 256)), b"\0\xff" * 20):
         (back,) = wire.exchange(encode_packet(Packet(PacketType.PING, data)))
         assert (back.type, back.payload) == (PacketType.PING, data)
-    assert wire.is_silent_on(encode_packet(Packet(PacketType.PING, bytes(LONGEST_PING + 1))))
+    assert wire.is_silent_on(encode_packet(Packet(PacketType.PING, bytes(protocol.LONGEST_PING + 1))))
 
 
 def test_commands_sent_together_are_answered_in_order(wire: Wire) -> None:

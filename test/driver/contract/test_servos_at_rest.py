@@ -14,20 +14,12 @@ from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.servos import mx64
+from deltacharger_driver.servos import snapshot as block
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.setup import configure, restart_watchdog
-from deltacharger_driver.servos.snapshot import (
-    READ_ADDRESS,
-    READ_BLOCK,
-    READ_LENGTH,
-    WATCHDOG,
-    WRITE_ADDRESS,
-    BusSettings,
-    BusSnapshot,
-    has_restarted,
-)
+from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot, has_restarted
 
 from ...marks import rest
 from ...waiting import wait_until
@@ -63,15 +55,15 @@ def test_the_configuration_is_in_the_registers(link: ServoLink, servo_site: Serv
     for servo in servo_site.settings.ids:
         assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
         assert link.read(servo, "bus_watchdog") in (
-            WATCHDOG,
+            block.WATCHDOG,
             mx64.WATCHDOG_TRIPPED,
         )  # a pause of this computer trips it
 
 
 def test_the_block_of_the_cycle_matches_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        data = link.read_bytes(servo, READ_ADDRESS, READ_LENGTH)
-        for name in READ_BLOCK:
+        data = link.read_bytes(servo, block.READ_ADDRESS, block.READ_LENGTH)
+        for name in block.READ_BLOCK:
             size = REGISTERS[name].size
             in_block, data = REGISTERS[name].from_bytes(data[:size]), data[size:]
             difference = abs(in_block - link.read(servo, name))
@@ -84,7 +76,7 @@ def test_goals_written_to_the_block_of_the_cycle_reach_their_registers(link: Ser
         restart_watchdog(link, servo)  # a tripped one would lock them
     current, position = REGISTERS["goal_current"], REGISTERS["goal_position"]
     for servo, (amount, ticks) in goals.items():
-        link.write_bytes(servo, WRITE_ADDRESS, current.to_bytes(amount) + position.to_bytes(ticks))
+        link.write_bytes(servo, block.WRITE_ADDRESS, current.to_bytes(amount) + position.to_bytes(ticks))
     found = {servo: (link.read(servo, "goal_current"), link.read(servo, "goal_position")) for servo in goals}
     assert found == goals
 
@@ -152,7 +144,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
             return False
 
     wait_until(back, f"servo {servo} to come back from its restart")
-    assert has_restarted(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH))
+    assert has_restarted(link.read_bytes(servo, block.READ_ADDRESS, block.READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
     assert link.read(servo, "operating_mode") == mx64.MODE_CURRENT_POSITION
     assert link.read(servo, "position_p_gain") == REGISTERS["position_p_gain"].default
