@@ -11,6 +11,7 @@ import socket
 import sys
 import urllib.request
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -28,10 +29,11 @@ from ..bringup.command import Capture, answer, refuses, run
 from ..chargers import Process, new_namespace, wait_until
 from .docking_tapes import KINDS, NAMES, decision, in_order, raw, state, write
 
-pytestmark = pytest.mark.ros
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.skipif(find_spec("rerun") is None, reason="`deltacharger view` needs deltacharger[view]"),
+]
 
-rr = pytest.importorskip("rerun", reason="`deltacharger view` needs deltacharger[view]")
-pyarrow = pytest.importorskip("pyarrow", reason="comes with rerun")
 pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
 
 TICKS = 120
@@ -78,6 +80,9 @@ class Recording:
     """A Rerun file: rows of each entity in the order of the timeline `run`."""
 
     def __init__(self, path: Path) -> None:
+        import pyarrow
+        import rerun as rr
+
         self._rows: dict[str, list[dict[str, Any]]] = {}
         for chunk in rr.chunk.RrdReader(str(path)).stream().to_chunks():
             batch = chunk.to_record_batch()
@@ -230,6 +235,7 @@ def test_a_running_charger_is_shown_live(
 
 
 def test_a_message_that_cannot_be_shown_does_not_stop_the_others(tmp_path: Path) -> None:
+    import rerun as rr
     from deltacharger.msg import DockingState, TactileFrame
     from sensor_msgs.msg import Image
 
