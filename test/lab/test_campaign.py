@@ -9,7 +9,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.campaigns import batch, docking
+from deltacharger_lab.campaigns import batch, docking, runner
 from deltacharger_lab.campaigns.batch import batches, run_batch
 from deltacharger_lab.campaigns.compare import compare_campaigns
 from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
@@ -75,19 +75,58 @@ def test_a_row_has_every_column_and_its_type() -> None:
     assert abs(row["goal_x"] - row["place_x"]) < 0.003
 
 
-@pytest.mark.parametrize(("workers", "count"), [(1, 2), rest(2, 6)])
-def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, workers: int, count: int) -> None:
+@contextlib.contextmanager
+def workers(kind: str, processes: bool) -> Iterator[tuple[int, str]]:
+    """Yield a number of workers on this computer, or a Dask scheduler of two."""
+    if kind != "dask":
+        yield int(kind), ""
+        return
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
+    of_each = {"n_workers": 2 if processes else 1, "threads_per_worker": 1 if processes else 2}
+    with distributed.LocalCluster(dashboard_address=":0", silence_logs=50, processes=processes, **of_each) as running:
+        yield 1, running.scheduler_address
+
+
+@pytest.mark.parametrize(("kind", "count"), [("1", 2), rest("2", 6), rest("dask", 12)])
+def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, kind: str, count: int) -> None:
     written: list[int] = []
 
     def report(rows: Sequence[dict[str, Any]]) -> None:
         written.extend(row["number"] for row in rows)
 
-    for goes_on in (False, True):
-        with Store(tmp_path, settings(count)) as store:
-            run_missing(store, workers, "", 1, report, lambda goes_on=goes_on: not goes_on and bool(written), print)
-            assert goes_on == (store.missing() == [])
+    with workers(kind, processes=False) as (number, scheduler):
+        for goes_on in (False, True):
+            with Store(tmp_path, settings(count)) as store:
+                stop = lambda goes_on=goes_on: not goes_on and bool(written)  # noqa: E731
+                run_missing(store, number, scheduler, 1, report, stop, print)
+                assert goes_on == (store.missing() == [])
     assert sorted(written) == list(range(count))
     assert stored(tmp_path) == expected(count)
+
+
+@pytest.mark.night
+@pytest.mark.parametrize("kind", ["2", "dask"])
+def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path, kind: str) -> None:
+    messages: list[str] = []
+
+    def report(rows: Sequence[dict[str, Any]]) -> None:
+        if not messages:
+            messages.append("killed")
+            os.kill(min(children(os.getpid(), "spawn_main")), signal.SIGKILL)
+
+    with workers(kind, processes=True) as (number, scheduler), Store(tmp_path, settings(12)) as store:
+        run_missing(store, number, scheduler, 1, report, lambda: False, messages.append)
+        assert store.missing() == []
+    assert messages[0] == "killed"
+    assert kind == "dask" or "a worker process died" in messages[1]
+    assert stored(tmp_path) == expected(12)
+
+
+def test_a_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
+    monkeypatch.setattr(runner, "_CONNECT", 0.1)
+    with Store(tmp_path, settings(1)) as store, pytest.raises(CampaignError, match="no Dask scheduler"):
+        run_missing(store, 1, "tcp://127.0.0.1:9", 0, lambda rows: None, lambda: False, print)
 
 
 @pytest.mark.rest
@@ -138,22 +177,6 @@ def test_a_killed_or_stopped_command_leaves_a_resumable_file_and_no_worker(
         assert len(store.missing()) == 2000 - count
     known = dict(enumerate(expected(3)))
     assert all(row == known.get(row["number"], row) for row in stored(out))
-
-
-@pytest.mark.night
-def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
-    messages: list[str] = []
-
-    def report(rows: Sequence[dict[str, Any]]) -> None:
-        if not messages:
-            messages.append("killed")
-            os.kill(min(children(os.getpid(), "spawn_main")), signal.SIGKILL)
-
-    with Store(tmp_path, settings(12)) as store:
-        run_missing(store, 2, "", 1, report, lambda: False, messages.append)
-        assert store.missing() == []
-    assert "a worker process died" in messages[1]
-    assert stored(tmp_path) == expected(12)
 
 
 def test_different_settings_are_refused_and_named(tmp_path: Path) -> None:
@@ -252,31 +275,6 @@ def test_wilson_intervals_have_their_nominal_coverage() -> None:
         low, high = wilson(hits, 80)
         held += math.comb(80, hits) * 0.93**hits * 0.07 ** (80 - hits) * (low <= 0.93 <= high)
     assert held == pytest.approx(0.95, abs=0.02)
-
-
-def test_the_commands_refuse_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
-    out = ("--out", str(tmp_path / "x"))
-    for words, named in (
-        ((), "--out"),
-        (("--out", str(Path(quick) / "no" / "where")), "cannot be created"),
-        ((*out, "--scenes", "defualt"), "'default'"),
-        ((*out, "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
-        (("--out", quick, "--scenes", quick), "is a file"),
-        (("compare", str(tmp_path), str(tmp_path)), "no campaign"),
-        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "must end in"),
-    ):
-        code, answer, _ = run(capsys, *words)
-        assert (code, answer["success"]) == (2, False), words
-        assert named in answer["error"]
-
-
-def test_without_pyarrow_the_error_names_what_to_install(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    code, answer, _ = run(capsys, "-n", "1", "--out", str(tmp_path / "x"))
-    assert (code, "deltacharger[campaign]" in answer["error"]) == (1, True)
-    assert not (tmp_path / "x").exists()
 
 
 def test_an_unreached_condition_ends_at_the_limit() -> None:

@@ -89,12 +89,3 @@ def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp
     assert low <= found["numbers"]["peak_push"]["difference"] <= high
     assert main(["campaign", "compare", a, str(written(tmp_path / "c", seed=9)), "--json"]) == 2
     assert "pairs" in json.loads(capsys.readouterr().out)["error"]
-
-
-@pytest.mark.rest
-def test_the_command_draws_differences(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra report)")
-    a, b, picture = written(tmp_path / "a"), written(tmp_path / "b", approach="paper"), tmp_path / "differences.png"
-    assert main(["campaign", "compare", str(a), str(b), "--picture", str(picture)]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert picture.stat().st_size > 20_000

@@ -81,19 +81,3 @@ def test_interface_files_are_read_as_the_generator_of_code_reads_them() -> None:
             for constant in part.constants:
                 name, value = constant.split()
                 assert getattr(generated, name) == int(value), path.name
-
-
-def test_a_comment_may_continue_on_the_next_line_and_invalid_files_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "Odd.msg"
-    file.write_text(
-        "# What it is.\n# And more.\n\nfloat64 x 1.5   # m along x,\n                # of end_effector\nuint8 A=3\n"
-    )
-    interface = read(file)
-    assert interface.text == "What it is. And more."
-    (field,) = interface.parts[0].fields
-    assert (field.name, field.type, field.default, field.text) == ("x", "float64", "1.5", "m along x, of end_effector")
-    assert interface.parts[0].constants == ["A 3"]
-    for text in ("float64\n", "float64 x\n---\nfloat64 y\n"):  # no name; a part too many
-        file.write_text(text)
-        with pytest.raises(ValueError, match=r"Odd\.msg"):
-            read(file)

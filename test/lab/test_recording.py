@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
+from deltacharger_bringup.cli.output import DONE, FAILED
 from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns import recording
@@ -97,16 +97,6 @@ def test_a_docking_that_fails_three_times_is_named(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(recording, "_seen", lambda *words: dataclasses.replace(blind(*words), success=False))
     with pytest.raises(DockingError, match=r"angle 2°: a docking failed 3 times, ELECTRODES_NOT_FOUND"):
         record_part(SMALL, SMALL.parts()[2])
-
-
-@pytest.mark.parametrize("words", ["--set angle", "--compose", "--repeat 2", "--namespace a", "--x-mm 3"])
-def test_options_for_a_running_charger_are_refused_with_a_protocol(
-    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "data.npz"
-    assert main(["tactile", "record", "--protocol", "paper", *words.split(), "--out", str(out)]) == WRONG_INPUT
-    assert words.split()[0] in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_the_command_writes_the_data_set_or_names_the_failure(

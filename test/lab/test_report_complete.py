@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Complete quick reports, run as commands: their files, and the laws of their figures. Only at night."""
+"""Complete quick reports, run as commands: their files and targets. Only at night."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,60 +16,6 @@ import pytest
 
 pytestmark = [pytest.mark.night, pytest.mark.timeout(1800)]
 COMMAND = [sys.executable, "-m", "deltacharger_bringup.cli", "report"]
-
-
-def kinematics(figures: dict[str, Any]) -> None:
-    assert not [each for each in figures["extremes"] if not each["ok"]]
-    # The usual form differs, so the sets tell the forms apart.
-    assert figures["edge"]["curves"]["single atan2"][0] > 1e-9
-    for robot in figures["robots"]:
-        assert robot["wrong_decisions"] == 0 < robot["count"], robot
-        assert max(robot["precise"] / 4e-16, robot["array"] / 1e-15, robot["point"] / 1e-15) <= 1.0, robot
-
-
-def simulation(figures: dict[str, Any]) -> None:
-    from deltacharger_lab.reports.simulation import stability
-    from deltacharger_lab.reports.simulation.scenes import LIGHT
-    from deltacharger_sim import stability_map
-    from deltacharger_sim.proven import proven
-
-    for row in figures["strikes"]:
-        assert row["grazes"] or abs(row["percent"]) <= 15.0, row
-    for row in figures["tiny_steps"]:
-        assert 0.8 < row["order"] < 1.2, row
-    for row in figures["energy"]:
-        assert row["gain"] < 0.01 * row["released"], row["scene"]
-        assert min(row["lost"].values()) > -1e-3 * row["released"], row["scene"]
-    for point in figures["map"]:
-        if point["model"] == LIGHT:
-            servo = stability_map.SERVO_STIFFNESSES.index(point["servo"])
-            contact = stability_map.CONTACT_STIFFNESSES.index(point["contact"])
-            known = proven(servo, contact, stability_map.STEPS.index(point["step"]))
-            assert known == (point["cell"] == stability.PROVEN), point
-
-
-def tactile(figures: dict[str, Any]) -> None:
-    for name in figures["models"]:
-        assert min(figures["accuracy"][name][target]["mean"] for target in ("angle", "vertical", "horizontal")) > 0.6
-    more = {row["name"].split(",")[0]: row["horizontal"] for row in figures["ceiling"]}
-    assert more["1 docking"] < more["3 dockings"] >= 0.98
-    assert {row["physics"] for row in figures["second"]["estimates"]} == {"first", "second"}
-
-
-def vision(figures: dict[str, Any]) -> None:
-    from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, OBSTRUCTED, key, members
-    from deltacharger_lab.reports.vision.measure import LEVELS
-
-    rows, mount = figures["rows"], figures["mount"]
-    plain = [rows[key(each)] for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
-    assert sum(each["found"] for each in plain) >= 0.95 * sum(each["images"] for each in plain)
-    assert sum(each["wrong"] for each in plain) == 0
-    assert all(each["xy_mm_p95"] < 2.0 for each in plain)
-    assert sum(rows[key(each)]["sure"] for each in members(OBSTRUCTED) if key(each) in rows) == 0
-    exact, half, whole = (mount[name] for name in LEVELS)
-    assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
-    near = [rows[key(each)] for each in members(BY_RANGE) if 0.18 < each.away < 0.35]
-    assert max(each[f"{axis}_rms"] for each in near for axis in ("yaw", "pitch")) < 0.5
 
 
 def written(tmp_path: Path, *words: str) -> tuple[dict[str, Any], str]:
@@ -90,15 +35,15 @@ def written(tmp_path: Path, *words: str) -> tuple[dict[str, Any], str]:
 
 
 @pytest.mark.parametrize(
-    ("words", "needs", "laws"),
+    ("words", "needs"),
     [
-        ("kinematics", "matplotlib mpmath", kinematics),
-        ("simulation", "matplotlib", simulation),
-        ("tactile", "sklearn torch matplotlib", tactile),
-        ("vision --images 2", "cv2 matplotlib scipy", vision),
+        ("kinematics", "matplotlib mpmath"),
+        ("simulation", "matplotlib"),
+        ("tactile", "sklearn torch matplotlib"),
+        ("vision --images 2", "cv2 matplotlib scipy"),
     ],
 )
-def test_a_complete_report(tmp_path: Path, words: str, needs: str, laws: Callable[[dict[str, Any]], None]) -> None:
+def test_a_complete_report(tmp_path: Path, words: str, needs: str) -> None:
     for module in needs.split():
         pytest.importorskip(module, reason="`make optional` installs what all reports need")
     answer, page = written(tmp_path, *words.split())
@@ -110,7 +55,6 @@ def test_a_complete_report(tmp_path: Path, words: str, needs: str, laws: Callabl
     machine = re.compile("in motion|run time|10 ms")
     if subject in ("kinematics", "simulation"):  # few images and rigs miss the others'
         assert [each for each in figures["targets"] if each["met"] is False and not machine.search(each["name"])] == []
-    laws(figures)
 
 
 @pytest.mark.ros

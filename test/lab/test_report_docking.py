@@ -14,11 +14,11 @@ import pytest
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.summary import upper_bound
-from deltacharger_lab.reports.docking import grounds, lean, lean_picture
+from deltacharger_lab.reports.docking import lean, lean_picture
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
 from deltacharger_lab.reports.docking.pictures import PICTURES
-from deltacharger_lab.reports.docking.plan import PARTS, QUICK, SEED, make_plan
+from deltacharger_lab.reports.docking.plan import PARTS, QUICK, make_plan
 from deltacharger_lab.reports.docking.summary import Columns
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
@@ -135,16 +135,6 @@ def test_a_report_runs_missing_dockings_and_shows_present_ones(
     monkeypatch.setattr(docking_report, "versions", lambda: {"code": "other"})
     code, answer, _ = report("--only", "random", "-n", "3")
     assert (code, "version of code" in answer["error"]) == (2, True)
-
-
-def test_thresholds_name_where_they_were_chosen_and_headlines_every_contradicting_campaign() -> None:
-    thresholds = list(grounds.thresholds())
-    known = {name for choice in grounds.CHOICES for name in choice.names}
-    assert sum(values.count(",") + 1 for values, _ in thresholds) == len(known)
-    assert SEED not in grounds.CHOSEN
-    names, beside = {part.name for part in PARTS}, {world.name for world in grounds.WORLDS}
-    contradicting = {name for name in names if name.startswith(("assumed_", "second", "random_second"))}
-    assert contradicting | {"high_row", "parked", "nudged"} <= beside <= names
 
 
 def test_nudges_count_opened_and_unsafe_dockings() -> None:

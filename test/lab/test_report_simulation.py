@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report simulation`: its plan and its arithmetic."""
+"""`deltacharger report simulation`: its converged reference (kinematics, energy, statics, models), and arithmetic."""
 
 from __future__ import annotations
 
@@ -7,17 +7,102 @@ import math
 
 import pytest
 
-from deltacharger_lab.reports.simulation import impact, stability
-from deltacharger_lab.reports.simulation import plan as simulation_plan
-from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
-from deltacharger_sim import stability_map
+from deltacharger_lab.reports.simulation import impact, reference, stability
+from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
+from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
+from deltacharger_lab.reports.simulation.reference import angle, on_axis
+from deltacharger_lab.reports.simulation.scenes import DELTA, LIGHT, docking, rms, settled_exactly, world
+from deltacharger_sim.mechanics import GEAR_BRISTLE
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.world import World
+
+from ..marks import rest
+
+pytest.importorskip("scipy")
 
 
-def test_the_packaged_map_has_the_points_of_the_full_plan() -> None:
-    plan = simulation_plan.SimulationPlan()
-    assert plan.map_steps == stability_map.STEPS
-    assert plan.map_contacts == stability_map.CONTACT_STIFFNESSES
-    assert plan.map_servos == stability_map.SERVO_STIFFNESSES
+@pytest.mark.parametrize("z", [0.0, 0.0199, 0.0201, 0.05, 0.08, 0.1])
+def test_its_kinematics_equal_the_deltas(z: float) -> None:
+    theta, first, second = angle(z)
+    assert theta == pytest.approx(DELTA.inverse(0.0, 0.0, z)[0], abs=1e-12)
+    assert first == pytest.approx(1.0 / (3.0 * DELTA.jacobian(0.0, 0.0, z)[6]), rel=1e-8)
+    assert second == pytest.approx((angle(z + 1e-5)[1] - angle(z - 1e-5)[1]) / 2e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize("contact", [1e5, 1e6, 1e8])
+def test_the_spring_stores_the_magnets_work_at_the_peak(contact: float) -> None:
+    parameters = axis_world(contact, 15.0)
+    gap, magnets = 0.003, parameters.magnets
+    found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)  # bound 0: the servos are limp
+    work = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range))
+    k = 2.0 * contact
+    # ½ K x² = W + F x
+    depth = (magnets.force + math.sqrt(magnets.force**2 + 2.0 * k * work)) / k
+    assert depth < parameters.contact.hard_stop
+    assert found.peak == pytest.approx(k * depth, rel=1e-6)
+    assert 0.5 * 1.235 * found.speed**2 == pytest.approx(work, rel=0.01)
+
+
+def test_the_gears_friction_takes_its_work_from_a_strike() -> None:
+    gap, contact, torque = 0.003, 1e6, 0.06
+    parameters = world(contact, 15.0, friction=torque, gravity_y=0.0)
+    found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)
+    magnets, depth = parameters.magnets, found.peak / (2.0 * contact)
+    given = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range)) + magnets.force * depth
+    turned = angle(parameters.target.z + depth)[0] - angle(parameters.target.z - gap)[0]
+    slips = 3.0 * torque * (turned - 0.5 * torque / GEAR_BRISTLE)  # its bristle is stretched first
+    held = contact * depth * depth
+    assert held == pytest.approx(given - slips, rel=1e-5)
+
+
+@pytest.mark.parametrize("contact", [1e3, 1e5, rest(1e7)])
+def test_it_converges_and_comes_to_rest_where_springs_and_magnets_balance(contact: float) -> None:
+    parameters = axis_world(contact, 15.0)
+    orders = [(0.0, angle(0.086)[0], 4.1)]
+    rough, fine = (on_axis(parameters, 0.07, orders, 1.0, tolerance=each) for each in (1e-6, 1e-9))
+    assert rough.peak == pytest.approx(fine.peak, rel=1e-5)
+    assert fine.force == pytest.approx(settled_exactly(parameters, 0.086), rel=1e-5)
+    assert fine.left < 1e-5
+    assert fine.peak > fine.force
+
+
+def test_a_motion_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "_MOST_PIECES", 1)
+    with pytest.raises(ArithmeticError, match=r"1 pieces.* s, before 1\.0 s"):
+        on_axis(axis_world(1e5, 15.0), 0.07, [(0.0, angle(0.086)[0], 4.1)], 1.0)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("strike", STRIKES, ids=lambda strike: strike.name)
+def test_peaks_in_steps_of_docking_are_within_the_stated_limits(strike: object) -> None:
+    parameters = axis_world(1e6, 15.0, strike.magnets)  # type: ignore[attr-defined]
+    start, orders, duration = strike_orders(parameters, strike)  # type: ignore[arg-type]
+    exact = on_axis(parameters, start, orders, duration).peak
+    for step in (0.001, 0.005, 0.01, 0.02):
+        moved = World(parameters, start=(0.0, 0.0, start))
+        obey(moved, orders, duration, step)
+        assert moved.record.peak_force == pytest.approx(exact, rel=0.15)
+
+
+def test_the_light_models_path_converges_with_the_step_and_the_extrapolated_one_faster() -> None:
+    exact = axis_docking(1e5, 15.0)
+    parameters = axis_world(1e5, 15.0)
+    off = [rms(docking("light", parameters, step)["trace"], exact["trace"]) for step in (0.01, 0.005, 0.001)]
+    assert off == sorted(off, reverse=True)
+    assert off[-1] < 2e-5
+    assert rms(docking("light, extrapolated", parameters, 0.01)["trace"], exact["trace"]) < 0.5 * off[0]
+
+
+def test_the_extrapolated_step_rests_where_the_plain_one_does() -> None:
+    forces = []
+    for made in (World(WorldParameters()), World(WorldParameters(), mechanics=ExtrapolatedMechanics)):
+        for z in (0.06, 0.086):
+            for index, goal in enumerate(DELTA.inverse(0.0, 0.0, z)):
+                made.command(index, True, goal, 4.1)
+            for _ in range(200):
+                made.step(0.01)
+        forces.append(made.mechanics.contact_force)
+    assert forces[1] == pytest.approx(forces[0], rel=0.05)
 
 
 def test_a_path_has_distance_0_from_itself_at_any_sampling() -> None:

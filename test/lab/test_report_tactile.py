@@ -5,28 +5,115 @@ from __future__ import annotations
 
 import importlib
 import sys
-from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
-from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, accuracies, shifts
+from deltacharger_lab.reports.tactile import second
+from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, _second_targets, accuracies, shifts
+from deltacharger_tactile import PoseEstimator
 from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.dataset import SUBSET_ANGLE
+from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.estimator import to_seat
+from deltacharger_tactile.generator import generate_continuous, generate_paper
 
 TARGETS = ("angle", "vertical", "horizontal")
+KEYS = ("threshold", "frames", "physics")
+PLAN = tactile_plan.quick_plan(1)
+
+
+def refuse(*_: Any, **__: Any) -> None:
+    raise AssertionError("nothing is trained on the second physics")
+
+
+@pytest.mark.rest
+def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PoseEstimator, "fit", refuse)
+    rows = second.judge_estimates(860, 3, PLAN)
+    keys = {(row["physics"], row["threshold"], row["frames"]) for row in rows}
+    assert keys == {
+        (physics, cut, count) for physics in ("first", "second") for cut in (0.25, 1.0) for count in (12, 1)
+    }
+    summed = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
+    for (cut, frames, physics), row in summed.items():
+        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"] == 2 * 60
+        if physics == "first":
+            assert summed[cut, frames, "second"]["in_range"] < row["in_range"], "a dead band hides most of a contact"
+    bad = [row | {"unsafe": 3} for row in summed.values()]
+    families = [{"variant": "unchanged", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
+    assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
+    assert second.worst_z(summed.values()) == max(summed[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
+
+
+class Telling:
+    """Estimates given poses (N, 3), or one for all frames, with `stddev`."""
+
+    def __init__(self, pose: np.ndarray, stddev: float) -> None:
+        self._pose, self._stddev = pose, stddev
+
+    def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
+        x, y, angle = np.broadcast_to(self._pose, (len(left), 3)).T
+        small, yes, none = np.full(len(left), self._stddev), np.ones(len(left), dtype=bool), np.zeros(len(left))
+        chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
+        across = to_seat(np.column_stack([x, y, angle]))[:, 1]
+        return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
+
+    def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        return np.zeros(len(left), dtype=bool)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize(("exact", "most"), [(True, 0.0), (False, 0.9)])
+def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch, exact: bool, most: float) -> None:
+    data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
+    told = Telling(data.contact_pose, 1e-6) if exact else Telling(np.zeros(3), 1e-4)
+    monkeypatch.setattr(second, "default_model", lambda cut: told)
+    row = second._counts(data, 0.25)
+    assert row["acts"] > 50
+    assert 0.2 * most * row["n"] <= row["unsafe"] <= most * row["n"], "most of ±12 mm and ±20° leaves no clearance"
+
+
+@pytest.mark.rest
+def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    from deltacharger_lab.reports.tactile.measure import _calibrate, fitted
+    from deltacharger_tactile.classifiers import labels
+
+    known = generate_paper(rigs=(860,), seed=3, threshold=0.0)
+    rows = labels.examples(known, "angle")
+    model = fitted("lda", "angle", rows, 3)
+    half = np.arange(len(rows)) % 2 == 0
+    _calibrate(model, rows, np.flatnonzero(half), np.flatnonzero(~half))
+    monkeypatch.setattr(Classifier, "fit", refuse)
+    models, subset = {("lda", "angle"): model}, known.subset == SUBSET_ANGLE
+    (found,) = second.judge_models(models, known, subset, (860, 3), lambda *_: [0.5, 1.0])
+    usual = {"model": "lda", "target": "angle", "accuracy": 0.95, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0}
+    (row,) = second.table([found, found], [usual | {"windows": [0.0, 0.0]}])
+    assert row["first"]["accuracy"] == 0.95
+    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second.SHARES, "windows")}
+    assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
+    assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
+
+
+def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
+    calm = {"accuracy": 0.9, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0, "windows": [0.0, 0.0]}
+    cases = (calm, calm | {"coverage": 0.5, "windows": [0.0, 0.9]}, calm | {"coverage": 0.5})
+    models = [{"model": "lda", "target": "angle", "first": calm, "second": case} for case in cases]
+    unsafe, sigma, blind = _second_targets({"models": models, "estimates": [], "variants": []})
+    assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
+    assert unsafe["met"] is None, "nothing was measured"
+    assert sigma["met"] is None
 
 
 def test_without_libraries_their_rows_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("xgboost", "torch"):
         monkeypatch.setitem(sys.modules, module, None)
     assert set(tactile_plan.absent()) == {"xgboost", "torch"}
-    names = tactile_plan.full_plan(1).names
-    assert not {"xgboost", "nn", "cnn"} & set(names)
-    assert "forest" in names
-    monkeypatch.setitem(sys.modules, "sklearn", None)
-    assert tactile_plan.full_plan(1).names == ()
+    assert {"xgboost", "nn", "cnn", "forest"} & set(tactile_plan.full_plan(1).names) == {"forest"}
 
 
 def test_a_verdict_needs_coverage_or_an_alarm() -> None:
@@ -63,15 +150,3 @@ def test_results_are_in_the_order_of_tasks_and_a_failing_one_ends_the_work_with_
     with pytest.raises(ModuleNotFoundError) as missing:
         work([ReportTask("import", importlib.import_module, ("no_such_library",))], messages.append)
     assert missing.value.name == "no_such_library"
-
-
-def test_the_html_file_contains_its_pictures(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(b"\x89PNG")
-    (tmp_path / "page.md").write_text(
-        "# A & B\n\n| x | y |\n|---|---|\n| 1 | **2** |\n\n![c](a.png)\n\n- one\n", "utf-8"
-    )
-    write_html(tmp_path / "page.md", tmp_path / "page.html")
-    whole = (tmp_path / "page.html").read_text("utf-8")
-    assert "<h1>A &amp; B</h1>" in whole
-    assert "<td><strong>2</strong></td>" in whole
-    assert 'src="data:image/png;base64,iVBORw=="' in whole
