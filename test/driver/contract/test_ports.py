@@ -17,12 +17,6 @@ HERE = Path(__file__).parent
 REPOSITORY = HERE.parents[2]
 
 
-@pytest.fixture(autouse=True)
-def only_over_the_emulators(ports: dict[str, str]) -> None:
-    if ports:
-        pytest.skip("does not test devices")
-
-
 def run(*words: str) -> tuple[int, str, dict[str, int]]:
     """Run the contract's shortest tests and return exit code, output, and the count of each outcome."""
     chosen = ["-k", "the_port_is_identified or torque_is_off or no_close_without_a_heartbeat"]
