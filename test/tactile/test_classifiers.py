@@ -28,8 +28,9 @@ from deltacharger_tactile.sensor import Rig
 from ..marks import night, rest
 from .small_paper import small_paper
 
+Frames = NDArray[np.float64]
 NEEDS = {"gbdt": "sklearn", "xgboost": "xgboost", "nn": "torch", "cnn": "torch"}
-SIMPLE = "lda"
+SIMPLE, RIG, THRESHOLD = "lda", 311, 0.25
 
 
 def marked(name: str) -> Any:
@@ -60,7 +61,7 @@ def test_numpy_matches_the_trainer_its_file_and_the_same_seed(name: str, angle: 
     found = model.predict_proba(rows.frames)
     np.testing.assert_allclose(found, model.trainer_proba(rows.frames), atol=1e-6)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-9)
-    assert np.mean(found.argmax(axis=1) == rows.labels) > 0.35  # few examples; chance is one in six
+    assert np.mean(found.argmax(axis=1) == rows.labels) > (0.35 if name == "svm" else 0.5)  # few examples
     model.save(tmp_path / "model.npz")
     again = Classifier.load(tmp_path / "model.npz")
     np.testing.assert_allclose(again.predict_proba(rows.frames), found, atol=1e-12)
@@ -76,21 +77,6 @@ def test_a_dead_taxel_counts_as_zero(angle: Examples) -> None:
     np.testing.assert_array_equal(model.predict_proba(dead), model.predict_proba(nothing))
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("target", labels.TARGETS)
-def test_conformal_sets_reach_their_nominal_coverage(target: str) -> None:
-    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
-    rows, covered = examples(generate_paper(rigs=(301,), seed=5), target), []
-    for seed in range(8):
-        learns, others = splits.by_docking(rows, seed)
-        judged = rows.part(others)
-        checks, judges = splits.by_docking(judged, seed, 0.5)
-        model = Classifier(SIMPLE, target).fit(rows.frames[learns], rows.labels[learns])
-        model.calibrate(judged.frames[checks], judged.labels[checks])
-        covered.append(evaluate(model, judged.part(judges))["coverage"])
-    assert np.mean(covered) >= reliability.NOMINAL - 0.03
-
-
 def test_frames_unlike_training_are_detected_after_calibration(angle: Examples) -> None:
     model, rows = trained(SIMPLE, angle)
     before = evaluate(model, rows)
@@ -99,7 +85,9 @@ def test_frames_unlike_training_are_detected_after_calibration(angle: Examples) 
         model.calibrate(rows.frames[:5], rows.labels[:5])
     model.calibrate(rows.frames, rows.labels)
     assert model.reliability is not None
-    assert evaluate(model, rows)["drift_rate"] < 0.05
+    after = evaluate(model, rows)
+    assert after["drift_rate"] < 0.05
+    assert after["coverage"] >= reliability.NOMINAL
     for strange in (0.5 * rows.frames, 2.0 * rows.frames, np.zeros_like(rows.frames)):
         assert model.reliability.familiar.strange(strange, model.threshold).mean() > 0.9
 
@@ -117,7 +105,7 @@ def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:
     assert (examples(continuous, "angle").values <= np.radians(5.5)).all()
 
 
-def test_a_split_never_separates_a_docking(angle: Examples) -> None:
+def test_a_split_never_separates_a_docking_and_leaves_each_rig_out_once(angle: Examples) -> None:
     double = Examples(*(np.repeat(getattr(angle, name), 2, axis=0) for name in Examples.__dataclass_fields__))
     learns, judges = splits.by_docking(double, seed=3)
     assert not set(double.groups[learns]) & set(double.groups[judges])
@@ -127,30 +115,22 @@ def test_a_split_never_separates_a_docking(angle: Examples) -> None:
     assert sum(map(len, judged)) == len(angle)
     mixed, others = splits.by_frame(double, seed=3)
     assert set(double.groups[mixed]) & set(double.groups[others])
-
-
-def test_each_rig_is_left_out_once() -> None:
-    rows = examples(small_paper((1, 2), angles=1, positions=1), "vertical")
-    parts = splits.leave_one_out(rows, "rigs")
-    assert [set(rows.rigs[judges]) for _, judges in parts] == [{1}, {2}]
+    rigs = examples(small_paper((1, 2), angles=1, positions=1), "vertical")
+    parts = splits.leave_one_out(rigs, "rigs")
+    assert [set(rigs.rigs[judges]) for _, judges in parts] == [{1}, {2}]
     with pytest.raises(DatasetError, match="only one"):
-        splits.leave_one_out(rows.part(rows.rigs == 1), "rigs")
+        splits.leave_one_out(rigs.part(rigs.rigs == 1), "rigs")
 
 
-def test_unknown_names_targets_and_classes_without_examples_are_refused(angle: Examples) -> None:
+def test_unknown_names_classes_without_examples_and_references_to_a_tree_are_refused(angle: Examples) -> None:
     for name, target in (("cnn2", "angle"), ("cnn", "pose")):
         with pytest.raises(ModelError, match="known"):
             Classifier(name, target)
     some = angle.part(angle.labels < 4)
     with pytest.raises(ModelError, match="class 0 to 5"):
         Classifier(SIMPLE, "angle").fit(some.frames, some.labels)
-
-
-THRESHOLD = 0.25
-
-
-def accuracy(model: Classifier, frames: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.mean(model.predict(frames) == wanted))
+    with pytest.raises(ModelError, match="train lda or pose"):
+        packaged.load("tree")["vertical"].refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
 
 
 def test_probabilities_of_independent_dockings_multiply() -> None:
@@ -200,26 +180,19 @@ def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
         frames[readings["dead"]] = np.nan
         return frames
 
+    def accuracy(frames: np.ndarray) -> float:
+        return float(np.mean(model.predict(frames) == wanted))
+
     wanted = np.repeat(np.arange(5), 60)
     new, usual = (dockings(device, 0.005 * wanted - 0.010, 3) for device in (tilted, rig))
-    before, as_trained = accuracy(model, new, wanted), accuracy(model, usual, wanted)
+    before, as_trained = accuracy(new), accuracy(usual)
     ten = np.full(10, 2)
     with pytest.raises(ModelError, match="too few"):
         model.refer(new[:1], wanted[:1])
     model.refer(dockings(rig, np.zeros(10), 4), ten)
-    assert accuracy(model, usual, wanted) > as_trained - 0.04, "little loss without a change"
+    assert accuracy(usual) > as_trained - 0.04, "little loss without a change"
     model.refer(dockings(tilted, np.zeros(10), 5), ten)
-    assert accuracy(model, new, wanted) > before + 0.1
-
-
-def test_classifiers_without_references_refuse_them() -> None:
-    tree = packaged.load("tree")["vertical"]
-    with pytest.raises(ModelError, match="train lda or pose"):
-        tree.refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
-
-
-Frames = NDArray[np.float64]
-RIG, THRESHOLD = 311, 0.25
+    assert accuracy(new) > before + 0.1
 
 
 def docked(target: str, seed: int, parameters: TactileParameters | None = None, rig: int = RIG) -> Frames:

@@ -12,6 +12,8 @@ import pytest
 
 from deltacharger_tactile.contact import ContactModel, Waviness
 from deltacharger_tactile.parameters import PadContactParameters, SensorParameters, TactileParameters
+from deltacharger_tactile.second.equilibrium import Equilibrium
+from deltacharger_tactile.second.foundation import Ridges
 from deltacharger_tactile.second.source import SecondSource
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 from deltacharger_tactile.source import ContactSource
@@ -40,13 +42,22 @@ def test_the_pads_carry_the_entire_force() -> None:
     assert contact.taxels.min() >= 0.0
 
 
-def test_a_batch_equals_its_single_contacts() -> None:
-    many = poses(20, 3)
-    ridges = Waviness.draw(PadContactParameters(), np.random.default_rng(1))
-    batch = MODEL.solve(many, 60.0, (0.0005, -0.001), ridges)
+RIDGES = Ridges(np.array([3e-5, -2e-5]), np.array([-1e-5, 4e-5]))
+WAVES = Waviness.draw(PadContactParameters(), np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("solve", "error"),
+    [
+        (lambda pose: MODEL.solve(pose, 60.0, (0.0005, -0.001), WAVES), 1e-9),
+        (lambda pose: Equilibrium().solve(pose, 60.0, ridges=RIDGES), 1e-3),
+    ],
+)
+def test_a_batch_equals_its_single_contacts(solve: Any, error: float) -> None:
+    many = poses(8, 3)
+    batch = solve(many).taxels
     for index, pose in enumerate(many):
-        one = MODEL.solve(pose, 60.0, (0.0005, -0.001), ridges)
-        assert np.allclose(batch.taxels[index], one.taxels[0], atol=1e-9)
+        assert np.allclose(batch[index], solve(pose).taxels[0], atol=error)
 
 
 def test_mirroring_the_pose_mirrors_the_pads() -> None:
@@ -78,14 +89,15 @@ def test_signs_follow_the_target() -> None:
 
 
 def test_a_missed_ridge_exerts_no_force() -> None:
-    both = MODEL.solve((0.0, 0.020, 0.0), 60.0)
-    assert not both.touching[0]
-    assert not both.taxels.any()
-    assert np.isnan(both.approach[0])
+    for model in (MODEL, Equilibrium()):
+        missed, free = model.solve((0.0, 0.05, 0.0), 60.0), model.solve((0.0, 0.0, 0.0), 0.0)
+        assert not missed.taxels.any()
+        assert not free.taxels.any()
+    missed = MODEL.solve((0.0, 0.020, 0.0), 60.0)
+    assert (missed.touching[0], missed.taxels.any(), np.isnan(missed.approach[0])) == (False, False, True)
     one = MODEL.solve((0.0, 0.012, np.radians(12.0)), 60.0).taxels[0]
     assert not one[0].any()
     assert one[1].sum() == pytest.approx(60.0)
-    assert not MODEL.solve((0.0, 0.0, 0.0), 0.0).taxels.any()
 
 
 PERFECT = SensorParameters(
@@ -133,16 +145,23 @@ def test_noise_has_the_stated_size_and_memory() -> None:
     assert memory == pytest.approx(0.3 * np.exp(-step / 120 / 0.25), abs=0.05)
 
 
-def test_a_source_reads_force_only_in_contact() -> None:
-    source = ContactSource(rig_seed=4, seed=9)
-    free = np.mean([source.sample(i / 120, None, 0.0) for i in range(60)], axis=0)
-    assert abs(np.nanmean(free) - 0.5) < 0.05
-    jitter = source.begin_docking()
-    assert np.all(np.abs(jitter) < [0.005, 0.005, 0.02])
-    readings = source.sample(1.0, jitter, 70.0) - free
-    assert 60.0 < np.nansum(readings) < 90.0
-    after = source.sample(2.0, None, 0.0) - free
-    assert np.nanmax(np.abs(after)) < 0.6
+@pytest.mark.parametrize("kind", [ContactSource, SecondSource])
+def test_seeds_determine_readings_and_force_is_read_only_in_contact(kind: Any) -> None:
+    def run(rig: int, seed: int) -> Any:
+        source = kind(rig_seed=rig, seed=seed)
+        free = [source.sample(i / 120, None, 0.0) for i in range(30)]
+        jitter = source.begin_docking()
+        assert np.all(np.abs(jitter) < [0.005, 0.005, 0.02])
+        pressed = [source.sample(1.0 + i / 120, jitter, 70.0) for i in range(3)]
+        return np.array([*free, *pressed, source.sample(9.0, None, 0.0)])
+
+    first, again, other, device = (run(*seeds) for seeds in ((1, 2), (1, 2), (1, 3), (2, 2)))
+    assert np.array_equal(first, again, equal_nan=True)
+    assert not np.array_equal(first, other, equal_nan=True)
+    assert not np.array_equal(np.isnan(first), np.isnan(device))
+    free = first[:30].mean(axis=0)
+    assert np.nansum(first[30] - free) > (60.0 if kind is ContactSource else 5.0)
+    assert np.nanmax(np.abs(first[33] - free)) < 0.7
 
 
 @pytest.mark.parametrize("kind", [ContactSource, SecondSource])
@@ -150,18 +169,6 @@ def test_the_first_touch_builds_no_model(kind: Any, monkeypatch: pytest.MonkeyPa
     source = kind()
     monkeypatch.setattr(f"{kind.__module__}._model", None)  # it takes longer than emulated servos may be silent
     assert np.nansum(source.sample(0.0, (0.0, 0.0, 0.05), 15.0)) > 10.0
-
-
-def test_seeds_determine_the_run() -> None:
-    def run(rig: int, seed: int) -> Any:
-        source = ContactSource(rig_seed=rig, seed=seed)
-        jitter = source.begin_docking()
-        return np.nan_to_num([source.sample(i / 120, jitter, 60.0) for i in range(3)], nan=-1.0)
-
-    first, again, other, device = (run(*seeds) for seeds in ((1, 2), (1, 2), (1, 3), (2, 2)))
-    assert (first == again).all()
-    assert (first != other).any()
-    assert (first != device).any()
 
 
 def test_frames_at_rest_share_one_solution_with_equal_readings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import threading
-import zipfile
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_tactile import default_model
+from deltacharger_tactile import MODEL_PATH, default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers import files, packaged
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
@@ -48,14 +47,8 @@ def row_at_full_scale(pad: Any) -> Any:
 @pytest.mark.parametrize(
     ("bad", "contact"),
     [
-        (0.0, False),
-        (np.nan, False),
-        (9.0, True),
-        (np.inf, False),
-        (1e30, False),
-        (-5.0, False),
-        (half_dead, True),
-        (row_at_full_scale, True),
+        *((value, False) for value in (0.0, np.nan, np.inf, 1e30, -5.0)),
+        *((value, True) for value in (9.0, half_dead, row_at_full_scale)),
     ],
 )
 def test_invalid_readings_are_out_of_range(bad: Any, contact: bool, calibrated: bool, both: bool) -> None:
@@ -66,7 +59,7 @@ def test_invalid_readings_are_out_of_range(bad: Any, contact: bool, calibrated: 
     found = perception.predict(left, right if both else docked()[0][1])
     assert (found.in_range, found.sure, found.contact) == (False, False, contact or not both)
     if not found.contact:
-        assert np.isnan([found.angle, found.vertical, found.horizontal]).all()
+        assert np.isnan([found.angle, found.vertical, found.horizontal, found.vertical_stddev]).all()
     good = perception.predict(*docked()[0])
     assert (good.contact, good.in_range, good.sure) == (True, True, True)
 
@@ -132,21 +125,14 @@ def test_a_packaged_model_answers_and_a_failing_one_is_never_sure() -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files to refuse; other faults are in the tests of each reader."""
     folder = tmp_path_factory.mktemp("files")
-    model = folder / "model.npz"
-    default_model().save(model)
-    (folder / "cut.npz").write_bytes(model.read_bytes()[:5000])
+    (folder / "cut.npz").write_bytes(MODEL_PATH.read_bytes()[:5000])
     generate_continuous(rigs=(1,), count=5, seed=1).save(folder / "data.npz")
-    TactileCalibration().save(folder / "pads.yaml")
     (folder / "zero").symlink_to("/dev/zero")
     os.mkfifo(folder / "pipe")
-    with zipfile.ZipFile(model) as good, zipfile.ZipFile(folder / "header.npz", "w") as bad:
-        for name in good.namelist():  # unparsable header in a valid archive
-            bad.writestr(name, good.read(name).replace(b"'descr'", b"'" + b"(" * 6))
-    (folder / "laughs.yaml").write_text("a: &a [1]\n" + "".join(f"b{n}: *a\n" for n in range(9)))
     return folder
 
 
-@pytest.mark.parametrize("name", ["missing", "data.npz", ".", "zero", "pipe", "cut.npz", "header.npz", "laughs.yaml"])
+@pytest.mark.parametrize("name", ["missing", "data.npz", ".", "zero", "pipe", "cut.npz"])
 @pytest.mark.parametrize("parameter", ["model", "calibration", "classifiers"])
 def test_unusable_files_are_refused_with_their_parameter(folder: Path, parameter: str, name: str) -> None:
     path = str(folder / name)
@@ -181,9 +167,6 @@ def test_frames_from_before_the_request_never_count(jump: float) -> None:
         window.add(frame(NOW + jump - 0.5 + 0.01 * index))  # the clock was set back by `jump` since
     after = [frame(NOW + 0.01 * index) for index in range(1, 4)]
     assert ask(window, 3, after) == after
-
-
-def test_frames_that_arrive_late_do_not_count() -> None:
     with pytest.raises(Refused, match="0 of 1"):
         ask(FrameWindow(lambda: NOW), 1, [frame(NOW - 0.2)])
 

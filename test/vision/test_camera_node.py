@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -30,7 +28,7 @@ from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
 
-from ..chargers import DEADLINE, Spin, wait_until
+from ..chargers import Spin, wait_until
 from ..nodes import options
 
 pytestmark = pytest.mark.ros
@@ -194,12 +192,3 @@ def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, values: d
             pass
     with pytest.raises(StartupError, match=noun):
         start(**values)
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize("words", ["--replay no.mcap --ros-args -r a:=b", "--ros-args -p replay:=no.mcap", "--no.mcap"])
-def test_the_executable_takes_a_recording_and_ros_arguments(words: str) -> None:
-    pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    command = [sys.executable, "-m", "deltacharger_vision.cameras.camera_node", *words.split()]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE, check=False)
-    assert (ended.returncode, "no.mcap" in ended.stderr) == (2, True), ended

@@ -130,13 +130,3 @@ def test_a_truncated_or_damaged_recording_is_read_as_far_as_it_goes(tmp_path: Pa
     assert CameraRecording(path).images == 50
     with pytest.raises(RecordingError, match="damaged"):
         list(CameraRecording(path).messages())
-
-
-@pytest.mark.parametrize("content", [b"", b"no recording at all", b"\x89MCAP0\r\n"])
-def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "rec.mcap"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError):
-        CameraRecording(path)
-    with pytest.raises(FileNotFoundError):
-        CameraRecording(tmp_path / "none.mcap")

@@ -33,7 +33,6 @@ from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import numbers, options
 from ..scenes.camera_driver import TARGET, Driver, picture, stamp
 from ..transforms import Robot, transforms
-from .detector_scenes import without_depth
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -123,15 +122,6 @@ def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(node: N
     assert found.header.frame_id == "charger_base"
     assert 0.2 < found.range < 0.3
     assert 0.5 < found.confidence <= 1.0
-
-
-def test_without_expected_depth_no_normal_is_published(node: NodeMaker, seen: RgbdImage) -> None:
-    made = node()
-    found = asked(made, [shot(made, without_depth(seen))]).detection
-    turn, unknown = found.pose.pose.orientation, np.isnan(np.reshape(found.pose.covariance, (6, 6)))
-    assert (turn.x, turn.y, 2.0 * math.atan2(turn.z, turn.w)) == pytest.approx((0.0, 0.0, found.roll))
-    assert unknown[3:5].all()
-    assert unknown.sum() == 20, "position and roll have their errors"
 
 
 def test_a_mount_file_replaces_the_mount(node: NodeMaker, seen: RgbdImage, tmp_path: Path) -> None:

@@ -71,24 +71,14 @@ def flat(depth: np.ndarray) -> np.ndarray:
     return eroded(~bent)
 
 
-@pytest.mark.parametrize("pose", [rest(pose) for pose in VIEWS])
-def test_depth_inside_faces_matches_the_ray_caster(camera: MujocoCamera, pose: np.ndarray) -> None:
-    scene = dataclasses.replace(draw_scene(np.random.default_rng(3), clutter=6), parameters=EVEN)
-    ours, theirs = (ideal(scene, pose, each).depth for each in (camera, SimulatedCamera(parameters=IDEAL)))
-    inside = flat(theirs) & np.isfinite(theirs)
-    assert inside.mean() > 0.5
-    near = inside & (theirs < 1.5)
-    assert near.sum() > 10_000
-    assert np.abs(ours - theirs)[near].max() < 2e-5
-    np.testing.assert_allclose(ours[inside], theirs[inside], rtol=1e-4)
-
-
 @pytest.mark.parametrize("lens", [OAK_D, OTHER])
 def test_edges_and_depth_of_a_view_match_the_ray_caster(lens: Intrinsics) -> None:
     pose = view(0.25, 0.3, 0.2, 0.4)
     with opened(lens, IDEAL) as other:
         image = ideal(FACES, pose, other)
-    assert np.abs(edge_errors(image, pose)).max() < 0.5
+    errors = np.abs(edge_errors(image, pose))
+    assert errors.max() < 0.5
+    assert errors.mean() < 0.15
     theirs = ideal(FACES, pose, SimulatedCamera(lens, IDEAL)).depth
     inside = flat(theirs) & np.isfinite(theirs)
     assert np.abs(image.depth - theirs)[inside & (theirs < 0.8)].max() < 2e-5
@@ -119,14 +109,13 @@ def test_light_shadow_highlight_and_streaks_are_those_of_the_scene(camera: Mujoc
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_holes_are_in_metal(share: float) -> None:
+def test_holes_are_in_metal_only() -> None:
     pose = view(0.3, 0.3)
-    with opened(OAK_D, dataclasses.replace(IDEAL, hole_metal=share, hole_glare=share)) as holed:
+    with opened(OAK_D, dataclasses.replace(IDEAL, hole_metal=1.0, hole_glare=1.0)) as holed:
         depth = ideal(RenderedScene(parameters=EVEN), pose, holed).depth
     metal = eroded(linear(ideal(FACES, pose, SimulatedCamera(parameters=IDEAL)).color) > 0.4)
     assert metal.sum() > 500
-    assert np.isnan(depth[metal]).mean() == share
+    assert np.isnan(depth[metal]).all()
     column, row = np.rint(shown(np.array([0.06, 0.03, 0.006]), pose, OAK_D)).astype(int)
     assert np.isfinite(depth[row, column])
 
@@ -143,14 +132,6 @@ def test_edges_are_as_wide_as_asked(width: float, sizes: tuple[float, float]) ->
     spreads = (step * (places - (step * places).sum(axis=0)) ** 2).sum(axis=0)
     # A ramp has the variance w²/12; sampling it once a pixel adds 1/12.
     assert sizes[0] ** 2 / 12 < np.median(spreads) - 1.0 / 12.0 < sizes[1] ** 2 / 12
-
-
-@pytest.mark.parametrize("pose", [VIEWS[1], *map(rest, VIEWS)])
-def test_the_bars_edges_are_where_their_corners_project(camera: MujocoCamera, pose: np.ndarray) -> None:
-    errors = edge_errors(ideal(FACES, pose, camera), pose)
-    assert len(errors) == 24
-    assert np.abs(errors).max() < 0.5
-    assert np.abs(errors).mean() < 0.15
 
 
 @pytest.mark.parametrize("pose", [VIEWS[2], *map(rest, VIEWS)])
@@ -224,16 +205,3 @@ def test_it_draws_after_mujoco_has_simulated_a_world(camera: MujocoCamera) -> No
         "MujocoCamera().close()"
     )
     assert (ended.returncode, ended.stderr) == (0, "")
-
-
-@pytest.mark.rest
-def test_the_detector_finds_what_it_draws(camera: MujocoCamera) -> None:
-    pytest.importorskip("cv2", reason="the detector needs deltacharger[vision]")
-    from deltacharger_vision.detector.detector import ElectrodeDetector
-
-    with MujocoCamera() as noisy:
-        for seed, away in enumerate((0.16, 0.25, 0.5)):
-            pose = view(away, 0.3, 0.1, 0.2)
-            found = ElectrodeDetector().detect(noisy.render(RenderedScene(), pose, np.random.default_rng(seed)))
-            assert found is not None
-            assert np.linalg.norm(found.position - pose[:3, 3]) < 0.002

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 
 PERIOD = 33_333_333  # ns, of 30 images a second
-SECOND = 1_000_000_000
 COLOR, DEPTH = "color", "depth"
 
 Arrival = tuple[str, int]
@@ -95,15 +94,7 @@ def test_simultaneous_images_are_paired_despite_losses(
 
 
 @settings(max_examples=25)
-@given(data=st.data(), offset=st.integers(-(PERIOD // 2 - 1), PERIOD // 2 - 1))
-def test_unsynchronised_cameras_pair_each_color_with_the_nearest_depth(data: st.DataObject, offset: int) -> None:
-    colors = [SECOND + each * PERIOD for each in range(20)]
-    items = data.draw(interleaved(colors, [stamp + offset for stamp in colors], 6))
-    assert pairs(StampMatcher(PERIOD // 2), items) == [(stamp, stamp + offset) for stamp in colors]
-
-
-@settings(max_examples=25)
-@given(st.data(), st.integers(2 * SECOND, 10**18), st.integers(0, 6))
+@given(st.data(), st.integers(2 * 10**9, 10**18), st.integers(0, 6))
 def test_setting_back_the_clock_loses_no_image(data: st.DataObject, start: int, late: int) -> None:
     """Also if the last old depth images arrive after colour has restarted."""
     stamps = [each * PERIOD for each in range(12)]
@@ -115,18 +106,13 @@ def test_setting_back_the_clock_loses_no_image(data: st.DataObject, start: int, 
     assert [pair for pair in found if pair[0] < start] == [(stamp, stamp) for stamp in stamps]
 
 
-def test_an_exact_match_the_first_of_equals_and_nothing_older_than_the_last_pair() -> None:
+def test_the_first_of_equals_is_paired_once_and_clearing_accepts_older_items() -> None:
     matcher: StampMatcher[str, str] = StampMatcher(10)
-    for stamp in (92, 100, 108):
-        assert matcher.add_depth(stamp, f"depth {stamp}") is None
-    assert matcher.add_color(100, "color") == (100, "color", "depth 100")
-    assert matcher.add_color(99, "older than the one given") is None
-    assert matcher.add_color(110, "next") == (110, "next", "depth 108")
     for name in ("first", "second"):
         assert matcher.add_color(150, name) is None
     assert matcher.add_depth(150, "depth") == (150, "first", "depth")
     assert matcher.add_depth(150, "again") is None
     matcher.clear()
     assert len(matcher) == 0
-    assert matcher.add_color(3, "color") is None, "after clearing older items are accepted"
+    assert matcher.add_color(3, "color") is None
     assert matcher.add_depth(3, "depth") == (3, "color", "depth")

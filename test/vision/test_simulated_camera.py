@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated camera: geometry without noise, then noise, saturation, blur and depth of stereo matching."""
+"""The simulated camera: geometry, noise, saturation, blur, depth of stereo matching; then scenes and obstructions."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.errors import RenderingError
-from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.mount import look_at
 from deltacharger_vision.projection import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction, hidden_share
+from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import cover
+from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, shown, view
@@ -26,14 +29,20 @@ PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
 WALL, FLAT = RenderedScene(parameters=EVEN, target=False), RenderedScene(parameters=EVEN)
 
 
-def rendered(scene: RenderedScene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:
-    return (camera or SimulatedCamera(parameters=IDEAL)).render(scene, pose, np.random.default_rng(seed))
+def taken(scene: RenderedScene, pose: np.ndarray, seed: int = 0, lens: Intrinsics = OAK_D, **changed: Any) -> RgbdImage:
+    """Return an image without errors, except those of changed camera parameters."""
+    camera = SimulatedCamera(lens, dataclasses.replace(IDEAL, **changed))
+    return camera.render(scene, pose, np.random.default_rng(seed))
+
+
+def image(scene: RenderedScene, pose: np.ndarray) -> np.ndarray:
+    return SimulatedCamera(parameters=IDEAL).render(scene, pose, np.random.default_rng(0), color_only=True).color
 
 
 @pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS, (*DISTORTIONS, *DISTORTIONS), strict=False)])
 def test_the_bars_edges_are_where_their_corners_project(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
-    camera = SimulatedCamera(dataclasses.replace(OAK_D, distortion=distortion), IDEAL)
-    errors = edge_errors(rendered(FACES, pose, camera), pose)
+    lens = dataclasses.replace(OAK_D, distortion=distortion)
+    errors = edge_errors(taken(FACES, pose, lens=lens), pose)
     assert len(errors) == 24
     assert np.abs(errors).max() < 0.5
     assert np.abs(errors).mean() < 0.15
@@ -42,7 +51,7 @@ def test_the_bars_edges_are_where_their_corners_project(pose: np.ndarray, distor
 @pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS[1:], DISTORTIONS[:2] * 2, strict=True)])
 def test_depth_of_the_plate_is_where_the_ray_meets_it(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
     intrinsics = dataclasses.replace(OAK_D, distortion=distortion)
-    depth = rendered(RenderedScene(), pose, SimulatedCamera(intrinsics, IDEAL)).depth
+    depth = taken(RenderedScene(), pose, lens=intrinsics).depth
     # Points of the plate, beside the bars; each is read from its pixel.
     x, y = np.meshgrid(np.linspace(-0.095, 0.095, 60), np.linspace(-0.055, 0.055, 40))
     beside = (np.abs(x) > 0.05) | (np.abs(y) > 0.025)
@@ -58,46 +67,13 @@ def test_depth_of_the_plate_is_where_the_ray_meets_it(pose: np.ndarray, distorti
     np.testing.assert_allclose(depth[rows, columns], expected, atol=1e-4)
 
 
-def test_a_mirrored_scene_gives_the_mirrored_image() -> None:
-    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
-    pose = view(0.35, 0.2, 0.3, 0.4, x=0.03)
-    camera = SimulatedCamera(parameters=dataclasses.replace(IDEAL, occlusion=True, fattening=2))
-    parameters = dataclasses.replace(SceneParameters(), streaks=0.0, mirrored=0.0, unevenness=0.0)
-    one = RenderedScene(parameters=parameters, light=(0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=1),))
-    other = RenderedScene(parameters=parameters, light=(-0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=-1),))
-    image, twin = rendered(one, pose, camera), rendered(other, mirror @ pose @ mirror, camera)
-    assert np.abs(image.color[:, ::-1].astype(int) - twin.color).max() <= 1
-    differ = ~np.isclose(image.depth[:, ::-1], twin.depth, atol=1e-4, equal_nan=True)
-    assert differ.mean() < 1e-3  # rounding decides where a pixel's centre lies on an edge
-    assert np.isnan(image.depth).mean() > 0.01
-
-
-@pytest.mark.parametrize(
-    ("bar", "side", "share"), [(UPPER, -1, 0.25), (LOWER, 1, 0.8), (UPPER, 1, 0.5), (LOWER, -1, 0.0)]
-)
-def test_a_cover_hides_its_share_of_its_bar(bar: int, side: int, share: float) -> None:
-    pose = view(0.4)
-    whole = linear(rendered(FACES, pose).color)
-    hidden = linear(rendered(dataclasses.replace(FACES, foreground=(cover(Terminal(), share, bar, side),)), pose).color)
-    middle = shown(Terminal().corners().mean(axis=1), pose, OAK_D)
-    for index, (x, y) in enumerate(middle):
-        row, column = round(y), round(x)
-        before, after = whole[row] > 0.3, hidden[row] > 0.3
-        lost = 1.0 - after.sum() / before.sum()
-        assert lost == pytest.approx(share if index == bar else 0.0, abs=0.02)
-        # +x of the terminal is to the left in the image.
-        gone = np.flatnonzero(before & ~after)
-        if len(gone) and index == bar:
-            assert np.sign(column - gone.mean()) == side
-
-
 def box(x: float, z: float, size: tuple[float, float, float], red: float) -> Box:
     return Box(shifted((x, 0.0, z)), size, (red, 0.0, 0.9 - red), in_camera=True)
 
 
 def pixel(boxes: tuple[Box, ...], column: int) -> tuple[bool, float]:
     """Return whether a pixel of the middle row is red, and its depth."""
-    image = rendered(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
+    image = taken(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
     red, _, blue = image.color[200, column].astype(int)
     return bool(red > blue), float(image.depth[200, column])
 
@@ -114,7 +90,7 @@ def test_near_things_hide_far_ones_in_any_order() -> None:
 
 def test_a_box_that_extends_behind_the_camera_is_complete_and_one_out_of_sight_changes_nothing() -> None:
     beside = box(0.125, 0.0, (0.15, 1.0, 0.2), 0.9)
-    image = rendered(RenderedScene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
+    image = taken(RenderedScene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
     # Its inner wall begins at x = 50 mm, z = 100 mm, and passes out of the image nearer to the camera.
     edge = int(319.5 + 441.0 * 0.5)
     red = image.color[:, :, 0].astype(int) - image.color[:, :, 2] > 20
@@ -122,13 +98,13 @@ def test_a_box_that_extends_behind_the_camera_is_complete_and_one_out_of_sight_c
     assert not red[:, : edge - 1].any()
     hidden = tuple(box(x, z, (0.1, 0.1, 0.1), 0.9) for x, z in ((0.0, -0.5), (0.0, 0.0), (5.0, 0.5)))
     with_boxes, nothing = (RenderedScene(parameters=EVEN, foreground=boxes, target=False) for boxes in (hidden, ()))
-    np.testing.assert_array_equal(rendered(with_boxes, view(0.5)).color, rendered(nothing, view(0.5)).color)
+    np.testing.assert_array_equal(taken(with_boxes, view(0.5)).color, taken(nothing, view(0.5)).color)
 
 
 def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
     scene = dataclasses.replace(FACES, light=(0.0, 1.0, -0.2))  # from above: upper sides are brightest
-    light = linear(rendered(scene, view(0.25, pitch=0.5)).color)
-    below = linear(rendered(scene, view(0.25, pitch=-0.5)).color)
+    light = linear(taken(scene, view(0.25, pitch=0.5)).color)
+    below = linear(taken(scene, view(0.25, pitch=-0.5)).color)
     assert (light > 0.4).sum() > 300 > 10 > (below > 0.4).sum()
 
 
@@ -138,11 +114,6 @@ def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
 def test_an_invalid_pose_is_refused(pose: np.ndarray) -> None:
     with pytest.raises(RenderingError, match="camera_T_terminal"):
         SimulatedCamera().render(RenderedScene(), pose, np.random.default_rng(0))
-
-
-def taken(scene: RenderedScene, pose: np.ndarray, seed: int = 0, **changed: Any) -> RgbdImage:
-    parameters = dataclasses.replace(IDEAL, **changed)
-    return SimulatedCamera(parameters=parameters).render(scene, pose, np.random.default_rng(seed))
 
 
 def wall_at(distance: float) -> np.ndarray:
@@ -285,12 +256,107 @@ def test_defocus_is_a_gaussian() -> None:
     assert within.sum() == pytest.approx(2 * 0.8416 * 4.0, abs=1.0)
 
 
+PLACE = (0.1, 0.2, 0.3)
+
+
+def test_a_seed_determines_the_scene() -> None:
+    first, again, other = (draw_scene(np.random.default_rng(seed), clutter=5, decoys=3) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(image(first, view(0.5)), image(again, view(0.5)))
+    assert (image(first, view(0.5)) != image(other, view(0.5))).mean() > 0.5
+
+
+def test_surroundings_never_hide_the_terminal() -> None:
+    for seed in range(4):
+        scene = draw_scene(np.random.default_rng(seed), clutter=10, decoys=5)
+        even = dataclasses.replace(scene.parameters, streaks=0.0, mirrored=0.0, unevenness=0.0)
+        scene = dataclasses.replace(scene, parameters=even)
+        alone = dataclasses.replace(scene, background=())
+        # Within the plate, seen from straight ahead.
+        window = np.s_[100:300, 160:480]
+        np.testing.assert_array_equal(image(scene, view(0.2))[window], image(alone, view(0.2))[window])
+
+
+def test_clutter_and_decoys_are_visible() -> None:
+    seen = []
+    for seed in range(4):
+        bare = draw_scene(np.random.default_rng(seed), target=False)
+        full = draw_scene(np.random.default_rng(seed), clutter=4, decoys=4, target=False)
+        seen.append((image(full, view(0.6)) != image(bare, view(0.6))).any(axis=2).mean())
+    assert np.mean(seen) > 0.05
+
+
+def test_a_decoy_has_its_given_pose_and_never_the_terminals_dimensions() -> None:
+    terminal, kinds = Terminal(), set()
+    for seed in range(60):
+        boxes, moved = (draw_decoy(np.random.default_rng(seed), terminal, shifted(by)) for by in ((0.0,) * 3, PLACE))
+        for box, other in zip(moved, boxes, strict=True):
+            np.testing.assert_allclose(box.pose[:3, 3] - other.pose[:3, 3], PLACE, atol=1e-12)
+        metal = [box for box in boxes if box.metal]
+        kinds.add((len(boxes), len(metal)))
+        for box, other in itertools.pairwise(metal):
+            spacing = np.linalg.norm(box.pose[:3, 3] - other.pose[:3, 3])
+            assert abs(np.log(spacing / terminal.spacing)) > 0.15
+    assert kinds == {(1, 0), (1, 1), (2, 2), (3, 2), (6, 6)}
+
+
+def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
+    mount = look_at((0.0, 0.12, -0.12), (0.0, 0.0, 0.08))
+    pose = np.linalg.inv(mount) @ shifted((0.0, 0.0, 0.08))
+    bright = []
+    for z in (-0.2, 0.075):
+        parts = charger_parts(mount, (0.0, 0.0, z))
+        assert all(box.in_camera for box in parts)
+        bright.append((image(RenderedScene(foreground=tuple(parts)), pose) > 180).sum())
+    assert bright[1] < 0.3 * bright[0]
+
+
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("exposure", np.nan), ("baseline", -0.075), ("noise_width", 2.5), ("hole_metal", 1.1), ("disparity_step", 2.0)],
+    "make",
+    [
+        lambda: cover(Terminal(), 1.2),
+        lambda: cover(Terminal(), float("nan")),
+        lambda: draw_scene(np.random.default_rng(0), clutter=-1),
+        lambda: RenderedScene(light=(0.0, 0.0, 0.0)),
+        lambda: Box(2 * np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 0.5)),
+        lambda: Box(np.eye(4), (0.1, -0.1, float("nan")), (0.5, 0.5, 0.5)),
+        lambda: Box(np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 1.5)),
+    ],
 )
-def test_parameters_have_bounds(key: str, value: Any) -> None:
-    with pytest.raises(ParameterError, match=key):
-        CameraParameters(**{key: value})
-    with pytest.raises(ParameterError, match="plate_width"):
-        SceneParameters(plate_width=20.0)
+def test_impossible_values_are_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(RenderingError):
+        make()
+
+
+def obstructed(kind: str, seed: int) -> np.ndarray:
+    boxes = draw_obstruction(np.random.default_rng(seed), kind, Terminal(), 0.1)
+    return image(RenderedScene(parameters=EVEN, foreground=boxes), view(0.4))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_seed_determines_an_obstruction_visible_at_the_bars(kind: str) -> None:
+    bare = image(RenderedScene(parameters=EVEN), view(0.4))
+    for seed in range(2):
+        np.testing.assert_array_equal(obstructed(kind, seed), obstructed(kind, seed))
+        # Within 5 cm of the middle of the bars, seen from straight ahead.
+        window = np.s_[145:255, 265:375]
+        assert (obstructed(kind, seed)[window] != bare[window]).any()
+
+
+@pytest.mark.parametrize(
+    ("share", "bar", "side", "behind"),
+    [(0.25, UPPER, -1, False), (1.0, LOWER, 1, False), (0.5, LOWER, 1, False), (1.0, UPPER, 1, True)],
+)
+def test_a_cover_hides_its_share_of_its_bar_if_in_front(share: float, bar: int, side: int, behind: bool) -> None:
+    box = cover(Terminal(), share, bar, side)
+    end, height = Terminal().corners()[bar, :, 0].max(), Terminal().corners()[bar, :, 1].mean()
+    assert box.pose[0, 3] + side * box.size[0] / 2 == pytest.approx(side * end)
+    assert box.pose[1, 3] == pytest.approx(height)
+    box.pose[2, 3] = 0.01 if behind else box.pose[2, 3]
+    found = hidden_share([box], Terminal(), view(10.0))
+    assert found == pytest.approx(0.0 if behind else 0.5 * share, abs=0.02)
+
+
+def test_unknown_kinds_and_no_room_are_refused() -> None:
+    for kind, room in (("fog", 0.1), ("cable", 0.0), ("cable", float("nan"))):
+        with pytest.raises(RenderingError, match="give"):
+            draw_obstruction(np.random.default_rng(0), kind, Terminal(), room)
