@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns: a docking depends only on seed and number, not on the worker or on earlier dockings."""
+"""Campaigns: a docking depends only on seed and number, not on the worker or earlier dockings; comparisons."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns import batch, docking, runner
 from deltacharger_lab.campaigns.batch import batches, run_batch
-from deltacharger_lab.campaigns.compare import compare_campaigns
+from deltacharger_lab.campaigns.compare import compare_campaigns, compare_numbers, compare_rates, mcnemar
 from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.runner import run_missing
@@ -30,7 +31,7 @@ from deltacharger_lab.campaigns.summary import summarise, wilson
 from deltacharger_lab.campaigns.virtual_charger import TICK, VirtualCharger
 
 from ..chargers import Process, wait_until
-from ..marks import rest
+from ..marks import night, rest
 from .campaigns import QUICK, comparable, scene, settings, stored
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
@@ -135,11 +136,8 @@ def test_the_command_reports_progress_and_figures(
 ) -> None:
     words = ("-n", "2", "--seed", "3", "--scenes", quick, "--out", str(tmp_path / "runs" / "one"))
     code, figures, err = run(capsys, *words)
-    assert (code, figures["n"], figures["complete"]) == (0, 2, True)
-    assert "100 %" in err
-    assert "2 of 2 dockings exist already" in run(capsys, *words)[2]
-    contract = {"n", "charged", "refused", "shorts", "energised_unsafe", "aligned", "time", "moves"}
-    assert contract | {"final_misalignment", "peak_push", "time_above_band"} <= set(figures)
+    assert (code, figures["n"], figures["complete"], "100 %" in err) == (0, 2, True, True)
+    assert {"charged", "refused", "shorts", "energised_unsafe", "aligned", "time", "moves", "peak_push"} <= set(figures)
     code, answer, _ = run(capsys, *words, "--approach", "paper")
     assert (code, "approach" in answer["error"]) == (2, True)
 
@@ -284,3 +282,63 @@ def test_an_unreached_condition_ends_at_the_limit() -> None:
     with pytest.raises(TimeoutError):
         charger.finish(0.05)
     assert charger.now <= 0.1 + TICK
+
+
+@pytest.mark.parametrize("trials", [20, night(200)])
+def test_intervals_of_numbers_have_their_nominal_coverage(trials: int) -> None:
+    random = np.random.default_rng(2)
+    held = seen = 0
+    for trial in range(trials):
+        common = random.gamma(2.0, 5.0, 80)
+        a, b = common + random.normal(0.0, 1.0, 80), common + 0.5 + random.normal(0.0, 1.0, 80)
+        found = compare_numbers(a, b, trial)
+        low, high = found["interval"]
+        held += low <= 0.5 <= high
+        seen += low > 0.0
+    assert held / trials == pytest.approx(0.95, abs=0.64 / trials**0.5)
+    assert seen / trials > 0.7  # unpaired, 14 s of scatter between dockings would hide half a second
+
+
+def test_intervals_cover_zero_without_a_difference() -> None:
+    same = np.linspace(1.0, 9.0, 50)
+    found = compare_numbers(same, same)
+    assert (found["difference"], found["interval"]) == (0.0, [0.0, 0.0])
+    nothing = compare_numbers(np.array([math.nan, 1.0]), np.array([2.0, math.nan]))
+    assert (nothing["n"], math.isnan(nothing["difference"])) == (0, True)
+    pairs = np.random.default_rng(4).random((300, 2, 150)) < 0.9
+    intervals = np.array([compare_rates(*pair)["interval"] for pair in pairs])
+    assert np.mean((intervals[:, 0] <= 0.0) & (intervals[:, 1] >= 0.0)) == pytest.approx(0.95, abs=0.04)
+
+
+def test_a_known_difference_of_rates_is_found() -> None:
+    a = np.arange(200) % 10 > 0  # 90 %
+    b = a.copy()
+    b[:20] = False
+    found = compare_rates(a, b)
+    assert found["difference"] == pytest.approx(-0.09)
+    assert found["interval"][1] < 0.0
+    assert (found["only_a"], found["only_b"]) == (18, 0)
+    assert found["p"] == pytest.approx(2.0**-17)
+
+
+@pytest.mark.parametrize(
+    ("only_a", "only_b", "p"), [(0, 0, 1.0), (1, 0, 1.0), (5, 5, 1.0), (0, 6, 2.0**-5), (2, 8, 0.109375)]
+)
+def test_mcnemar_exactly(only_a: int, only_b: int, p: float) -> None:
+    assert mcnemar(only_a, only_b) == pytest.approx(p)
+    assert mcnemar(only_b, only_a) == pytest.approx(p)
+    assert mcnemar(40_000, 40_000) == pytest.approx(1.0)
+
+
+def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for name, kind in (("a", {}), ("b", {"approach": "paper"}), ("c", {"seed": 9})):
+        with Store(tmp_path / name, settings(2, **kind)) as store:
+            store.add(run_batch(store.settings.to_json(), range(2)))
+    a, b, c = (str(tmp_path / name) for name in "abc")
+    code, found, _ = run(capsys, "compare", a, b)
+    assert (code, found["pairs"], found["differs"]) == (0, 2, ["approach: guarded → paper"])
+    assert found["rates"]["charged"]["difference"] == 0.0
+    low, high = found["numbers"]["peak_push"]["interval"]
+    assert low <= found["numbers"]["peak_push"]["difference"] <= high
+    code, found, _ = run(capsys, "compare", a, c)
+    assert (code, "pairs" in found["error"]) == (2, True)

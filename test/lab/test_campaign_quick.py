@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from typing import Any
 
@@ -20,7 +19,7 @@ from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign
 from deltacharger_tactile.source import ContactSource
 
 from ..marks import rest
-from .campaigns import QUICK, scene
+from .campaigns import QUICK
 
 
 def test_frames_in_one_call_equal_single_frames() -> None:
@@ -112,11 +111,3 @@ def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_spring
     row = dock_once(load_campaign_scene("edge"), 20, number, "guarded")
     assert row["error"] == ""
     assert 100.0 < row["peak_force"] < 2000.0
-
-
-@pytest.mark.rest
-def test_noise_of_the_estimator_reaches_the_estimate() -> None:
-    clean = dock_once(scene(), 3, 0, "guarded")
-    noisy = dock_once(scene({**QUICK, "estimator": {"position_stddev": 0.003}}), 3, 0, "guarded")
-    assert noisy["moves"] != clean["moves"] or noisy["final_misalignment"] != clean["final_misalignment"]
-    assert not math.isnan(noisy["estimated_horizontal"])

@@ -69,12 +69,9 @@ def test_bins_have_every_docking_of_either_sign_once() -> None:
         ("random", {"servo_push": 25.1}, {"largest push of the servos in contact"}),
         ("random", {"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),
         ("random", {"code_name": "CRASHED"}, {"dockings that crashed"}),
-        ("default", {"moves": 2}, {"moves, default, median"}),
         ("default", {"moves": 4}, {"moves, default, median", "moves, default, 99 %"}),
         ("default", {"time": 9.0}, {"seconds to charging, default, median"}),
         ("random", {"time": 9.6}, {"seconds to charging, random, median"}),
-        ("edge", {"time": 12.6}, {"seconds to charging, edge, median"}),
-        ("soft_servos", {"time": 15.1}, {"seconds to charging, soft_servos, median"}),
         ("edge", {"charged": False}, {"charged, scenes at 8–11°", "seconds to charging, edge, median"}),
         ("default", {"final_horizontal": 0.0026}, {"at rest within 2.5 mm in both axes, default"}),
         ("strike", {"peak_push": 30.0}, {"strike, exact, default, 99 %"}),
@@ -98,8 +95,6 @@ def test_a_largest_figure_uses_only_campaigns_that_charged() -> None:
 @pytest.mark.rest
 def test_a_plan_has_existing_scenes_and_the_requested_counts() -> None:
     counts = {part.name: part.count for part in PARTS}
-    assert (counts["random"], counts["edge"], counts["zero"]) == (20_000, 20_000, 2_000)
-    assert counts["fixed"] == len(load_campaign_scene("fixed").dockings)
     assert all(load_campaign_scene(part.scene).description for part in PARTS)
     quick = make_plan(quick=True)
     assert [part.count for part in quick.parts] == [max(20, math.ceil(QUICK * part.count)) for part in PARTS]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -70,18 +71,13 @@ def test_memory_threads_and_children_of_a_process_are_counted(child: Child) -> N
 
 
 @pytest.mark.rest
-def test_processor_time_of_a_process_and_its_ended_children_is_counted_and_waiting_is_not(child: Child) -> None:
-    burn = "import time\nwhile time.process_time() < 0.5: pass\ntime.sleep(0.3)"
-    begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])")
-    for process in (child(burn), begun):
-        assert 0.45 <= footprint_process.usage([process.pid]).cpu < 0.75
-
-
-@pytest.mark.rest
-def test_libraries_in_memory_are_found(child: Child) -> None:
+def test_processor_time_with_ended_children_and_libraries_are_counted_and_waiting_is_not(child: Child) -> None:
     pytest.importorskip("PIL")
-    assert footprint_process.mapped([child("").pid]) == set()
-    assert footprint_process.mapped([child("import PIL._imaging").pid]) == {"PIL"}
+    burn = "import time\nwhile time.process_time() < 0.5: pass\ntime.sleep(0.3)"
+    begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])\nimport PIL._imaging")
+    for process, libraries in ((child(burn), set()), (begun, {"PIL"})):
+        assert 0.45 <= footprint_process.usage([process.pid]).cpu < 0.8
+        assert footprint_process.mapped([process.pid]) == libraries
 
 
 def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
@@ -96,11 +92,11 @@ def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
     assert list(footprint_plan.make_plan([str(file)]).scenes) == ["mine"]
 
 
-def test_targets_are_judged_by_the_bench_scene_in_one_process() -> None:
+def test_targets_are_judged_by_the_bench_scene_in_one_process_and_figures_are_medians_with_their_range() -> None:
     figures = {
         "rss_mb": 90.0,
         "rest_percent": 25.5,
-        "docking_percent": float("nan"),
+        "docking_percent": math.nan,
         "reports_ready_s": 4.0,
         "ready_s": 6.0,
     }
@@ -110,10 +106,7 @@ def test_targets_are_judged_by_the_bench_scene_in_one_process() -> None:
     other = {**row, "way": SEPARATE, "rest_percent": [1.0, 1.0, 1.0]}
     met = [target["met"] for target in footprint_report.targets([other, row])]
     assert met == [True, False, None, True, True, True, True, True, False, False]
-
-
-def test_figures_of_several_runs_are_median_and_spread() -> None:
-    runs = [{"a": value, "libraries": [], "docking_problem": ""} for value in (3.0, 1.0, float("nan"), 2.0)]
+    runs = [{"a": value, "libraries": [], "docking_problem": ""} for value in (3.0, 1.0, math.nan, 2.0)]
     assert footprint_report.summary(runs)["a"] == [2.0, 1.0, 3.0]
 
 

@@ -27,23 +27,6 @@ def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) 
     assert (solved.angle_error(solved.high) <= 3e-16).all()
 
 
-def test_the_reference_agrees_with_itself_about_the_edge() -> None:
-    exact = ExactDelta()
-    again, (inside, beyond) = (
-        (sets.boundary(exact, rng, 60), sets.outside(exact, rng, 60, -17.0, -15.0))
-        for rng in (np.random.default_rng(4) for _ in range(2))
-    )
-    assert np.array_equal(again[0].points, inside.points), "one seed, one set"
-    assert (len(inside.points), len(beyond.points)) == (60, 60)
-    assert inside.edge is not None
-    assert beyond.edge is not None
-    assert inside.edge.min() > 0.0 > beyond.edge.max()
-    assert inside.edge.min() < 1e-15
-    assert np.abs(beyond.edge).max() < 3e-15
-    assert np.isfinite(exact.inverse(inside.points).angles.high).all()
-    assert np.isnan(exact.inverse(beyond.points).angles.high).any(-1).all()
-
-
 @pytest.mark.parametrize("name", INVERSE_FORMS)
 def test_every_closed_form_is_right_inside_the_workspace(name: str) -> None:
     geometry = DeltaGeometry()

@@ -11,7 +11,7 @@ from deltacharger_lab.reports.simulation import impact, reference, stability
 from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
 from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
 from deltacharger_lab.reports.simulation.reference import angle, on_axis
-from deltacharger_lab.reports.simulation.scenes import DELTA, LIGHT, docking, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
 from deltacharger_sim.mechanics import GEAR_BRISTLE
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
@@ -103,13 +103,6 @@ def test_the_extrapolated_step_rests_where_the_plain_one_does() -> None:
                 made.step(0.01)
         forces.append(made.mechanics.contact_force)
     assert forces[1] == pytest.approx(forces[0], rel=0.05)
-
-
-def test_a_path_has_distance_0_from_itself_at_any_sampling() -> None:
-    fine = docking(LIGHT, world(), 0.005)["trace"]
-    assert rms(fine, fine) == 0.0
-    assert rms(fine[1::2], fine) == 0.0
-    assert rms([(x, y, z + 1e-3) for x, y, z in fine], fine) == pytest.approx(1e-3)
 
 
 def test_the_worst_error_of_none_or_of_an_unknown_one_is_unknown() -> None:

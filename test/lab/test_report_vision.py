@@ -30,35 +30,23 @@ from deltacharger_vision.projection import project
 NOTHING = [*[math.nan] * 10, 1.0]
 
 
-def detection(position: tuple[float, float, float], roll: float = 0.0) -> Detection:
+def seen(x: float = 0.0, z: float = 0.3, roll: float = 0.0) -> Detection:
+    axis, normal = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
     return Detection(
-        position=np.array(position),
-        roll=roll,
-        axis=np.array([1.0, 0.0, 0.0]),
-        normal=np.array([0.0, 0.0, -1.0]),
-        covariance=1e-6 * np.eye(6),
-        confidence=1.0,
-        range=0.3,
-        bars=np.zeros((2, 4, 2)),
-        source="fused",
+        np.array((x, 0.0, z)), roll, axis, normal, 1e-6 * np.eye(6), 1.0, 0.3, np.zeros((2, 4, 2)), "fused"
     )
 
 
 def test_large_errors_count_as_wrong() -> None:
     pose = np.eye(4)
     pose[2, 3] = 0.3
-    named = FIELDS[1:]
-    near = dict(zip(named, errors(detection((0.001, 0.0, 0.302), math.radians(4.9)), pose), strict=True))
-    assert (near["found"], near["wrong"]) == (1.0, 0.0)
-    assert near["xy_mm"] == pytest.approx(1.0)
-    assert near["z_mm"] == pytest.approx(2.0)
-    assert near["roll_deg"] == pytest.approx(4.9)
-    assert near["nees"] == pytest.approx(5.0)
-    assert near["tilt_deg"] == pytest.approx(0.0)
-    for far in (detection((0.0, 0.0, 0.311)), detection((0.0, 0.0, 0.3), math.radians(-5.1))):
+    near = dict(zip(FIELDS[1:], errors(seen(0.001, 0.302, math.radians(4.9)), pose), strict=True))
+    expected = {"found": 1.0, "wrong": 0.0, "xy_mm": 1.0, "z_mm": 2.0, "roll_deg": 4.9, "nees": 5.0, "tilt_deg": 0.0}
+    assert {name: near[name] for name in expected} == pytest.approx(expected)
+    for far in (seen(z=0.311), seen(roll=math.radians(-5.1))):
         assert errors(far, pose)[:2] == [1.0, 1.0]
-    assert errors(detection((0.0, 0.0, 0.3)), pose, real=False)[:2] == [1.0, 1.0]
-    assert errors(detection((0.0, 0.0, 0.3), math.pi), pose)[:2] == [1.0, 0.0]  # a line has no direction
+    assert errors(seen(), pose, real=False)[:2] == [1.0, 1.0]
+    assert errors(seen(roll=math.pi), pose)[:2] == [1.0, 0.0]  # a line has no direction
     assert errors(None, pose)[:2] == [0.0, 0.0]
 
 
@@ -69,11 +57,9 @@ def test_only_right_detections_count_as_found() -> None:
         [2, 0, 0, *NOTHING[:-1], 0.0],
     ]
     found = row(images)
-    assert (found["images"], found["found"], found["wrong"]) == (3, 1, 1)
-    assert found["xy_mm_p50"] == 1.0
-    assert (found["sure"], found["sure_held"], found["error_mm_p50"]) == (1, 1.0, 2.2)
-    assert (found["leans"], found["yaw_rms"], found["pitch_sigma_rms"]) == (1, 0.3, 2.0)
-    assert (found["yaw_held"], found["pitch_held"]) == (1.0, 0.0)
+    expected = {"images": 3, "found": 1, "wrong": 1, "xy_mm_p50": 1.0, "sure": 1, "sure_held": 1.0, "error_mm_p50": 2.2}
+    expected |= {"leans": 1, "yaw_rms": 0.3, "pitch_sigma_rms": 2.0, "yaw_held": 1.0, "pitch_held": 0.0}
+    assert {name: found[name] for name in expected} == expected
     assert worst(images, real=True) == 1
     assert worst(images[::2], real=True) == 2
     assert worst(images[::2], real=False) == 0
@@ -81,19 +67,17 @@ def test_only_right_detections_count_as_found() -> None:
 
 def test_a_missed_target_is_reported() -> None:
     good = row([[0, 1, 0, 0.1, 0.1, 0.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 0.1, 0.0]] * 100)
-    bad = row(
-        [[0, 0, 0, *NOTHING]] * 2
-        + [[0, 1, 1, *NOTHING]]
-        + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 2.4, 0.0]] * 97
-    )
+    late = [0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 2.4, 0.0]
+    bad = row([[0, 0, 0, *NOTHING]] * 2 + [[0, 1, 1, *NOTHING]] + [late] * 97)
+
+    def rate(found: int, **more: int) -> dict[str, int]:
+        return {"images": 100, "found": found, **more}
+
     for whole, time, met in ((good, 14.9, True), (bad, 15.1, False)):
-        names = {key(each): {"median_ms": time} for each in members(BY_RANGE)}
-        alarms = {"images": 100, "wrong": 0 if met else 1}
-        half = {"images": 100, "found": 90 if met else 80}
-        rows = {"hidden: 50 % of one bar hidden": half, f"{ALARMS}: clutter, no electrodes": alarms}
-        hidden = {"images": 100, "found": 61 if met else 59, "sure": 0 if met else 1}
-        clear = {"images": 100, "found": 99 if met else 98, "sure": 0 if met else 1}
-        results = {"band": whole, "rows": rows, "times": names, OBSTRUCTED: hidden, CLEAR: clear}
+        rows = {"hidden: 50 % of one bar hidden": rate(90 if met else 80)}
+        rows[f"{ALARMS}: clutter, no electrodes"] = rate(0, wrong=not met)
+        results = {"band": whole, "rows": rows, "times": {key(each): {"median_ms": time} for each in members(BY_RANGE)}}
+        results |= {OBSTRUCTED: rate(61 if met else 59, sure=not met), CLEAR: rate(99 if met else 98, sure=not met)}
         found = targets(results)
         assert [each["met"] for each in found] == [met] * len(found), found
 
