@@ -18,14 +18,7 @@ from deltacharger_records.replay.run_picture import PictureError, draw, headline
 from deltacharger_records.replay.run_record import Run, Series
 from deltacharger_ros.outcomes import Outcome
 
-DETAILS = {
-    "charge_current": 5.0,
-    "energy": 109.0,
-    "contact_current": 0.45,
-    "contact_force": 17.2,
-    "alignments": 1,
-    "misalignment": {"horizontal": 3e-4, "vertical": -7e-4, "angle": 0.034},
-}
+DETAILS = {"charge_current": 5.0, "energy": 109.0, "contact_current": 0.45, "contact_force": 17.2, "alignments": 1}
 
 
 def full_run() -> Run:
@@ -40,7 +33,7 @@ def full_run() -> Run:
     frame[4:6] = 2.0
     frame[0, 0] = math.nan
     run.frames = (frame, frame)
-    run.outcome = Outcome("dock", True, 0, "NONE", "", False, 2.9, DETAILS)
+    run.outcome = Outcome("dock", True, 0, "NONE", "", False, 2.9, DETAILS | {"misalignment": {"angle": 0.034}})
     return run
 
 

@@ -30,7 +30,6 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
@@ -183,10 +182,7 @@ def alone(path: Path, context: Any, **parameters: Any) -> RecordingPlayerNode:
 
 def damaged(folder: Path) -> Path:
     """Return a recording with a damaged last chunk."""
-    path = folder / "damaged.mcap"
-    with McapWriter(path, KINDS) as writer:
-        for message in tape():
-            writer.add(message)
+    path = write(folder / "damaged.mcap", tape())
     content = bytearray(path.read_bytes())
     content[content.rindex(ZSTANDARD) + 100] ^= 0xFF
     path.write_bytes(content)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,13 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, passive_joints, rods
+from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, passive_joints
+from deltacharger_records.view.shapes import moving
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
-from .urdf_tree import UrdfTree
 
 pytestmark = pytest.mark.ros
 
@@ -43,6 +44,78 @@ CALIBRATED = DeltaGeometry(
 )
 
 
+class UrdfTree:
+    """The frames of a URDF with fixed, revolute or prismatic joints."""
+
+    def __init__(self, text: str) -> None:
+        self.root = ElementTree.fromstring(text)
+        self.joints = {joint.attrib["name"]: joint for joint in self.root.findall("joint")}
+        self.links = [link.attrib["name"] for link in self.root.findall("link")]
+
+    def mimics(self) -> dict[str, tuple[str, float, float]]:
+        """Return, for each mimic joint: the mimicked joint, factor and offset."""
+        found = {}
+        for name, joint in self.joints.items():
+            mimic = joint.find("mimic")
+            if mimic is not None:
+                numbers = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
+                found[name] = (mimic.attrib["joint"], *numbers)
+        return found
+
+    def frames(self, values: Mapping[str, float]) -> dict[str, Array]:
+        """Return (4, 4) of every link in base_link; every joint that is neither fixed nor a mimic needs a value."""
+        joint_values = dict(values)
+        for name, (other, factor, offset) in self.mimics().items():
+            joint_values[name] = factor * joint_values[other] + offset
+        found, waiting = {"base_link": np.eye(4)}, dict(self.joints)
+        while waiting:
+            ready = {name: each for name, each in waiting.items() if _link(each, "parent") in found}
+            assert ready, f"not connected to base_link: {sorted(waiting)}"
+            for name, joint in ready.items():
+                del waiting[name]
+                moved = _moved(joint, joint_values[name]) if joint.attrib["type"] != "fixed" else np.eye(4)
+                found[_link(joint, "child")] = found[_link(joint, "parent")] @ _origin(joint) @ moved
+        assert set(found) == set(self.links)
+        return found
+
+
+def _link(joint: ElementTree.Element, which: str) -> str:
+    found = joint.find(which)
+    assert found is not None
+    return found.attrib["link"]
+
+
+def _numbers(element: ElementTree.Element | None, key: str) -> Array:
+    text = "0 0 0" if element is None else element.get(key, "0 0 0")
+    return np.array([float(word) for word in text.split()])
+
+
+def _origin(joint: ElementTree.Element) -> Array:
+    origin = joint.find("origin")
+    found = np.eye(4)
+    roll, pitch, yaw = _numbers(origin, "rpy")
+    found[:3, :3] = _turn((0, 0, 1), yaw) @ _turn((0, 1, 0), pitch) @ _turn((1, 0, 0), roll)
+    found[:3, 3] = _numbers(origin, "xyz")
+    return found
+
+
+def _moved(joint: ElementTree.Element, value: float) -> Array:
+    axis = _numbers(joint.find("axis"), "xyz")
+    found = np.eye(4)
+    if joint.attrib["type"] == "prismatic":
+        found[:3, 3] = value * axis
+    else:
+        assert joint.attrib["type"] == "revolute"
+        found[:3, :3] = _turn(axis, value)
+    return found
+
+
+def _turn(axis: Array | tuple[int, int, int], angle: float) -> Array:
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * skew + (1.0 - math.cos(angle)) * skew @ skew)
+
+
 def poses(geometry: DeltaGeometry) -> Array:
     """Return the corners of the workspace and points inside."""
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
@@ -61,9 +134,11 @@ def check_loops(tree: UrdfTree, geometry: DeltaGeometry) -> None:
         platform = base @ frames["end_effector"]
         np.testing.assert_allclose(platform[:3, 3], point, atol=EXACT)
         np.testing.assert_allclose(platform[:3, :3], np.eye(3), atol=1e-12)
-        ends = rods(geometry, angles, point)
+        arms, rods = moving(geometry, angles, point)
         for index in range(3):
             limb = geometry.limb(index)
+            elbow = base @ frames[f"limb_{index}_arm"] @ (limb.arm, 0.0, 0.0, 1.0)
+            np.testing.assert_allclose(arms[index, 1], elbow[:3], atol=EXACT)
             for number, (side, share) in enumerate(SIDES):
                 rod = base @ frames[f"limb_{index}_rod_{side}"]
                 arm = base @ frames[f"limb_{index}_arm"]
@@ -71,7 +146,7 @@ def check_loops(tree: UrdfTree, geometry: DeltaGeometry) -> None:
                 at_platform = platform @ (*foot(geometry, index, share), 1.0)
                 np.testing.assert_allclose(rod[:3, 3], at_arm[:3], atol=EXACT)
                 np.testing.assert_allclose((rod @ (limb.rod, 0.0, 0.0, 1.0))[:3], at_platform[:3], atol=EXACT)
-                np.testing.assert_allclose(ends[2 * index + number], [at_arm[:3], at_platform[:3]], atol=EXACT)
+                np.testing.assert_allclose(rods[2 * index + number], [at_arm[:3], at_platform[:3]], atol=EXACT)
 
 
 def foot(geometry: DeltaGeometry, index: int, share: float) -> Array:
@@ -150,18 +225,12 @@ def test_the_macro_adds_two_chargers_to_one_robot() -> None:
         own = {each.attrib["name"] for each in alone.findall(kind)} - {"base_link"}
         left, right = "left_", "" if kind == "joint" else "right/"
         assert {f"{prefix}{name}" for prefix in (left, right) for name in own} <= set(names)
-    joint = robot.find("joint[@name='left_charger_base_joint']")
-    assert joint is not None
-    assert [each.attrib for each in joint] == [
-        {"link": "mast"},
-        {"link": "left_charger_base"},
-        {"xyz": "0.1 0.3 0.4", "rpy": "0 0 1.5"},
-    ]
     angles = (0.1, -0.2, 0.3)
     arms = {f"limb_{index}_arm_joint": angle for index, angle in enumerate(angles)}
     values = arms | passive_joints(ScalarDelta(), angles)
     both = values | {f"left_{name}": value for name, value in values.items()}
     frames = UrdfTree(ElementTree.tostring(robot, encoding="unicode")).frames(both)
+    assert frames["left_charger_base"][:3, 3] == pytest.approx((0.1, 0.3, 0.4))
     single = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(values)
     expected = np.linalg.inv(single["charger_base"]) @ single["limb_1_rod_right"]
     for prefix in ("left_", "right/"):

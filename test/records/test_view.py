@@ -113,9 +113,6 @@ def test_all_data_of_a_docking_are_shown(shown: Recording) -> None:
     expected |= {"pads/left", "pads/right", "state/1_docking", "state/2_docked", "state/3_contactor", "log", "status"}
     assert expected - shown.entities == set()
     assert not {entity for entity in shown.entities if entity.startswith("camera/")}  # no data, no entity
-
-
-def test_time_runs_forward_from_zero_in_every_plot(shown: Recording) -> None:
     for entity in shown.entities:
         if entity.startswith("plots/"):
             times = shown.scalars(entity)[:, 0]
@@ -124,7 +121,7 @@ def test_time_runs_forward_from_zero_in_every_plot(shown: Recording) -> None:
             assert (np.diff(times) >= 0.0).all()
 
 
-def test_fast_topics_are_thinned_and_slow_ones_are_complete(shown: Recording) -> None:
+def test_fast_topics_are_thinned_and_slow_ones_and_states_are_complete(shown: Recording) -> None:
     most = 30.0 * 0.01 * TICKS + 2
     assert 5 < len(shown.scalars("plots/contact/measured")) <= most < TICKS
     assert len(shown.scalars("plots/pads")) <= most
@@ -133,8 +130,6 @@ def test_fast_topics_are_thinned_and_slow_ones_are_complete(shown: Recording) ->
     np.testing.assert_array_equal(np.unique(shown.scalars("plots/contact/band")[:, 1:], axis=0), [[0.4, 0.5]])
     assert shown.scalars("plots/contact/reported")[-1, 1] == pytest.approx(0.45)
 
-
-def test_states_follow_each_other_as_published(shown: Recording) -> None:
     states = [state[0] for _, state in shown.rows("state/1_docking", "StateChange:state")]
     assert states == ["idle", "approach", "contact", "measure", "energise", "charging"]
     assert [state[0] for _, state in shown.rows("state/3_contactor", "StateChange:state")] == ["open", "closed"]
@@ -202,20 +197,6 @@ def test_a_docking_is_drawn_as_an_animated_picture(docking: Path, tmp_path: Path
         assert (abs(last - first)[part].max(axis=2) > 40).mean() > 0.01
 
 
-@pytest.mark.night
-def test_silent_topics_are_reported_and_ctrl_c_ends_it(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path
-) -> None:
-    namespace, path = new_namespace(), tmp_path / "live.rrd"
-    process = start(*deltacharger, "view", "--namespace", namespace, "--save", str(path))
-    process.wait_for_line("no messages for 5 s", process.err)
-    line = next(line for line in process.err if "no messages for" in line)
-    for topic in ("servo_state", "tactile_frame", "charger_power", "docking_state"):
-        assert f"/{namespace}/{topic}" in line
-    assert process.end(signal.SIGINT) == 130
-    assert "charger/base" in Recording(path).entities
-
-
 @pytest.mark.rest
 def test_a_running_charger_is_shown_live(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, context: Any, quick_scene: Any
@@ -278,7 +259,8 @@ def _serves(port: int, host: str = "127.0.0.1") -> bool:
 def test_the_page_is_served_only_on_this_computer_until_the_end(
     start: Callable[..., Process], deltacharger: tuple[str, ...], port: int
 ) -> None:
-    process = start(*deltacharger, "view", "--namespace", new_namespace(), "--web", f"127.0.0.1:{port}")
+    namespace = new_namespace()
+    process = start(*deltacharger, "view", "--namespace", namespace, "--web", f"127.0.0.1:{port}")
     process.wait_for_line("open http", process.err)
     page = next(line for line in process.err if "open http" in line).split()[-1]
     with urllib.request.urlopen(page, timeout=10.0) as answer:
@@ -287,6 +269,10 @@ def test_the_page_is_served_only_on_this_computer_until_the_end(
     assert [_serves(each, host) for host in ("127.0.0.1", "127.0.0.2") for each in (port, port + 1)] == [
         *(True, True, False, False)
     ]
+    process.wait_for_line("no messages for 5 s", process.err)
+    silent = next(line for line in process.err if "no messages for" in line)
+    names = ("servo_state", "tactile_frame", "charger_power", "docking_state")
+    assert [name for name in names if f"/{namespace}/{name}" not in silent] == []
     assert process.end(signal.SIGINT) == 130
     wait_until(lambda: not _serves(port) and not _serves(port + 1), "both ports closed")
 

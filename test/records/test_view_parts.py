@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_records.view import mechanism
+from deltacharger_kinematics import DeltaGeometry
 from deltacharger_records.view import shapes as view_scene
 from deltacharger_records.view.pictures import DEAD, FULL, NOISE, pad_picture
 from deltacharger_records.view.shapes import Boxes
@@ -32,35 +31,15 @@ def test_a_pad_is_shown_as_seen_from_the_charger() -> None:
     assert {tuple(pixel) for pixel in picture.reshape(-1, 3)} == {EMPTY, TOP}
 
 
-def test_the_scale_is_fixed_rises_and_ends_at_the_sensors_range() -> None:
+def test_the_scale_rises_to_the_sensors_range_and_only_dead_taxels_are_grey() -> None:
     forces = np.linspace(0.3, FULL, 88)
     shades = pad_picture([0.0, *forces], 1, 89)[0].astype(int)
     assert (np.diff(shades.sum(axis=1)) > 0).all()
     assert tuple(pad_picture([2.0 * FULL], 1, 1)[0, 0]) == TOP
     assert tuple(pad_picture([-0.3], 1, 1)[0, 0]) == EMPTY
     assert tuple(pad_picture([0.9 * NOISE], 1, 1)[0, 0]) == EMPTY
-
-
-def test_dead_taxels_are_grey_and_forces_never_are() -> None:
     assert tuple(pad_picture([math.nan], 1, 1)[0, 0]) == DEAD
     assert DEAD not in {tuple(shade) for shade in pad_picture(np.linspace(0.0, FULL, 200), 1, 200)[0]}
-
-
-def test_wrong_numbers_of_forces_are_refused() -> None:
-    with pytest.raises(ValueError, match="reshape"):
-        pad_picture([0.0] * 99, 10, 10)
-
-
-def test_arms_meet_rods_and_rods_meet_the_platform() -> None:
-    geometry, point = DeltaGeometry(), (0.02, -0.03, 0.07)
-    angles = [float(angle) for angle in Delta(geometry).inverse(point).angles]
-    arms, rods = view_scene.moving(geometry, angles, point)
-    assert (arms.shape, rods.shape) == ((3, 2, 3), (6, 2, 3))
-    np.testing.assert_allclose(rods[:, 0].reshape(3, 2, 3).mean(axis=1), arms[:, 1], atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(rods[0::2] - rods[1::2], axis=-1), mechanism.ROD_SPACING, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(rods[:, 1] - rods[:, 0], axis=-1), geometry.rod, atol=1e-9)
-    feet = rods[:, 1].reshape(3, 2, 3).mean(axis=1) - point
-    np.testing.assert_allclose(np.linalg.norm(feet, axis=1), geometry.platform_radius, atol=1e-12)
 
 
 def test_electrodes_of_both_sides_touch_at_the_contact_plane() -> None:
