@@ -216,12 +216,6 @@ def fired(known: Familiarity, frames: Frames, size: int = WINDOW) -> float:
     return float(np.mean([known.strange_together(window, THRESHOLD) for window in windows]))
 
 
-def force(share: float) -> TactileParameters:
-    base = TactileParameters()
-    weaker = {name: share * getattr(base.docking, name) for name in ("magnet_force", "push_per_ampere")}
-    return dataclasses.replace(base, docking=dataclasses.replace(base.docking, **weaker))
-
-
 def test_other_dockings_of_the_same_rig_are_familiar(known: Known) -> None:
     learnt, frames = known
     assert learnt.strange(frames, THRESHOLD).mean() <= 0.01
@@ -234,8 +228,10 @@ def test_other_dockings_of_the_same_rig_are_familiar(known: Known) -> None:
 @pytest.mark.parametrize("change", ["weaker", "another rig"])
 def test_a_slow_change_shows_in_a_window_though_not_in_a_frame(known: Known, change: str) -> None:
     learnt, usual = known
-    target = "angle" if len(usual) == 360 else "horizontal"
-    frames = docked(target, 2, force(0.8)) if change == "weaker" else docked(target, 2, rig=RIG + 1)
+    target, family = "angle" if len(usual) == 360 else "horizontal", TactileParameters()
+    force = {name: 0.8 * getattr(family.docking, name) for name in ("magnet_force", "push_per_ampere")}
+    weaker = dataclasses.replace(family, docking=dataclasses.replace(family.docking, **force))
+    frames = docked(target, 2, weaker) if change == "weaker" else docked(target, 2, rig=RIG + 1)
     assert learnt.strange(frames, THRESHOLD).mean() < 0.5
     assert fired(learnt, frames) > 0.9
 

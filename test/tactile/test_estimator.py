@@ -32,12 +32,6 @@ def wide(request: pytest.FixtureRequest) -> tuple[Any, Any, Any, Estimate]:
     return left, right, pose, MODEL.predict(left, right)
 
 
-def acts(estimate: Estimate) -> Any:
-    sigma = np.hypot(0.035 * estimate.angle_stddev, estimate.across_stddev)
-    room = 0.0037 * (1 + np.cos(estimate.angle)) - 0.035 * np.abs(np.sin(estimate.angle))
-    return estimate.sure & (room - np.abs(estimate.across) - 3 * sigma >= 0.3e-3)
-
-
 def across(pose: Any) -> Any:
     """Offsets across the bars, m, of poses (N, 3)."""
     return pose[:, 1] * np.cos(pose[:, 2]) - pose[:, 0] * np.sin(pose[:, 2])
@@ -66,7 +60,10 @@ def test_three_standard_deviations_hold(wide: Any, axis: int, name: str) -> None
 
 def test_energises_at_seven_degrees_of_either_sign_and_never_beyond_twelve(wide: Any) -> None:
     _, _, pose, estimate = wide
-    act, tilted = acts(estimate), np.abs(pose[:, 2])
+    sigma = np.hypot(0.035 * estimate.angle_stddev, estimate.across_stddev)
+    room = 0.0037 * (1 + np.cos(estimate.angle)) - 0.035 * np.abs(np.sin(estimate.angle))
+    act = estimate.sure & (room - np.abs(estimate.across) - 3 * sigma >= 0.3e-3)
+    tilted = np.abs(pose[:, 2])
     small = (tilted < math.radians(7.0)) & (np.abs(pose[:, 1]) < 1.5e-3)
     for sign in (-1.0, 1.0):
         side = np.sign(pose[:, 2]) == sign

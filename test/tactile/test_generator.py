@@ -27,12 +27,12 @@ from .small_paper import small_paper
 
 # Data sets and models store this digest: a changed default needs a new model and new figures in docs/tactile.md.
 FROZEN_DEFAULTS = "a9414fdef7f55adb"
+FROZEN = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
 
 
 def test_the_defaults_match_the_frozen_parameters() -> None:
-    frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
-    assert TactileParameters().digest() == frozen["digest"] == FROZEN_DEFAULTS
-    assert json.loads(TactileParameters().to_json()) == frozen["parameters"]
+    assert TactileParameters().digest() == FROZEN["digest"] == FROZEN_DEFAULTS
+    assert json.loads(TactileParameters().to_json()) == FROZEN["parameters"]
     assert default_model().about["parameters"] == FROZEN_DEFAULTS
     assert DockingParameters().docking_jitter == TactileParameters().docking.position_jitter
 
@@ -40,9 +40,8 @@ def test_the_defaults_match_the_frozen_parameters() -> None:
 @pytest.mark.night
 def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
     pytest.importorskip("torch", reason="trains with deltacharger[train]")
-    frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
     sets = [generate_paper(rigs=(rig,), seed=4) for rig in (341, 342, 343)]
-    for case, accuracy in frozen["simulated_accuracy_percent"].items():
+    for case, accuracy in FROZEN["simulated_accuracy_percent"].items():
         name, target = case.split()
         right = []
         for data in sets:

@@ -33,8 +33,6 @@ from deltacharger_tactile.second.source import SecondSource
 from ..marks import rest
 from .test_contact import RIDGES, poses
 
-Pair = tuple[float, float]
-
 MODEL = Equilibrium()
 
 
@@ -115,9 +113,9 @@ def test_overlapping_bars_carry_part_of_the_force() -> None:
     assert without.taxels.sum(axis=(1, 2, 3)) == pytest.approx([70.0] * 3, rel=1e-6)
 
 
-@pytest.mark.parametrize(("line", "lean", "more"), [((0.005, 0.0), (0.0, 0.0), 3.0), ((0.0, 0.0), (0.0, 0.002), 0.5)])
-def test_load_follows_the_line_of_action_and_the_lean(line: Pair, lean: Pair, more: float) -> None:
-    left, right = MODEL.solve((0.0, 0.0, 0.0), 70.0, line, lean).taxels[0].sum(axis=(1, 2))
+@pytest.mark.parametrize(("load", "more"), [({"line": (0.005, 0.0)}, 3.0), ({"lean": (0.0, 0.002)}, 0.5)])
+def test_load_follows_the_line_of_action_and_the_lean(load: dict[str, tuple[float, float]], more: float) -> None:
+    left, right = MODEL.solve((0.0, 0.0, 0.0), 70.0, **load).taxels[0].sum(axis=(1, 2))
     assert left > right + more
 
 

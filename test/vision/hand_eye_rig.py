@@ -15,7 +15,6 @@ from deltacharger_bringup.calibrate.view_places import view_places
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Sighting
-from deltacharger_vision.hand_eye.calibrate import Calibration
 from deltacharger_vision.hand_eye.views import Beliefs, View
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
@@ -23,7 +22,6 @@ from deltacharger_vision.poses import cross_matrix, turn
 from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
 
@@ -88,22 +86,21 @@ class Rig:
             found.append(View(np.array(place), Sighting(self.board.corners(), pixels), slope))
         return found
 
-    def image(self, angles: Vector, board: Board | None = None, ideal: bool = False) -> np.ndarray:
+    def image(self, angles: Vector, board: Board | None = None) -> np.ndarray:
         """Return an image (H, W, 3) RGB with board, platform and arms."""
-        camera = SimulatedCamera(self.intrinsics, CameraParameters.ideal() if ideal else None)
         platform = self.platform(angles)
         pose = np.linalg.inv(self.mount) @ shifted(platform) @ self.place
         scene = with_board(RenderedScene(target=False), board or self.board, pose, in_camera=True)
         parts = charger_parts(self.mount, platform, angles)
         scene = dataclasses.replace(scene, foreground=(*scene.foreground, *parts))
         before = np.linalg.inv(self.mount) @ shifted((0.0, 0.0, 0.3))
-        return camera.render(scene, before, self.random, color_only=True).color
+        return SimulatedCamera(self.intrinsics).render(scene, before, self.random, color_only=True).color
 
-    def write(self, folder: Path, count: int, board: Board | None = None) -> Path:
+    def write(self, folder: Path, count: int) -> Path:
         """Fill a folder of views and return it."""
         files = ViewsFolder(folder, self.intrinsics)
         for (_, angles), _ in zip(self.stands(), range(count), strict=False):
-            files.add(self.image(angles, board), angles)
+            files.add(self.image(angles), angles)
         return folder
 
     def error(self, found: Mount) -> np.ndarray:
@@ -123,8 +120,3 @@ class Rig:
 def squared(error: np.ndarray, covariance: np.ndarray) -> float:
     """Return the squared error in units of its covariance."""
     return float(error @ np.linalg.solve(covariance, error))
-
-
-def held(found: Calibration) -> float:
-    """Return the largest held-out error, m."""
-    return float(np.linalg.norm(found.held_out_errors, axis=1).max())

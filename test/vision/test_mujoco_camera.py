@@ -71,19 +71,6 @@ def flat(depth: np.ndarray) -> np.ndarray:
     return eroded(~bent)
 
 
-@pytest.mark.parametrize("lens", [OAK_D, OTHER])
-def test_edges_and_depth_of_a_view_match_the_ray_caster(lens: Intrinsics) -> None:
-    pose = view(0.25, 0.3, 0.2, 0.4)
-    with opened(lens, IDEAL) as other:
-        image = ideal(FACES, pose, other)
-    errors = np.abs(edge_errors(image, pose))
-    assert errors.max() < 0.5
-    assert errors.mean() < 0.15
-    theirs = ideal(FACES, pose, SimulatedCamera(lens, IDEAL)).depth
-    inside = flat(theirs) & np.isfinite(theirs)
-    assert np.abs(image.depth - theirs)[inside & (theirs < 0.8)].max() < 2e-5
-
-
 def test_light_shadow_highlight_and_streaks_are_those_of_the_scene(camera: MujocoCamera) -> None:
     pose = view(0.25)
     places = np.array([*Terminal().corners().mean(axis=1), (0.05, 0.05, 0.006), (0.3, 0.0, EVEN.wall_distance)])
@@ -134,13 +121,19 @@ def test_edges_are_as_wide_as_asked(width: float, sizes: tuple[float, float]) ->
     assert sizes[0] ** 2 / 12 < np.median(spreads) - 1.0 / 12.0 < sizes[1] ** 2 / 12
 
 
-@pytest.mark.parametrize("pose", [VIEWS[2], *map(rest, VIEWS)])
-def test_the_silhouettes_are_the_same(camera: MujocoCamera, pose: np.ndarray) -> None:
-    scene = dataclasses.replace(RenderedScene(parameters=EVEN), foreground=(cover(Terminal(), 0.4),))
-    ours, theirs = (
-        np.nan_to_num(ideal(scene, pose, each).depth, nan=0.0) for each in (camera, SimulatedCamera(parameters=IDEAL))
-    )
-    differ = np.abs(ours - theirs) > 1e-3
+@pytest.mark.parametrize(
+    ("lens", "pose"), [(OAK_D, VIEWS[2]), (OTHER, view(0.25, 0.3, 0.2, 0.4)), *(rest(OAK_D, pose) for pose in VIEWS)]
+)
+def test_edges_depth_and_silhouettes_match_the_ray_caster(lens: Intrinsics, pose: np.ndarray) -> None:
+    covered = RenderedScene(parameters=EVEN, foreground=(cover(Terminal(), 0.4),))
+    with opened(lens, IDEAL) as other:
+        errors, ours = np.abs(edge_errors(ideal(FACES, pose, other), pose)), ideal(covered, pose, other).depth
+    assert errors.max() < 0.5
+    assert errors.mean() < 0.15
+    theirs = ideal(covered, pose, SimulatedCamera(lens, IDEAL)).depth
+    inside = flat(theirs) & np.isfinite(theirs)
+    assert np.abs(ours - theirs)[inside & (theirs < 1.5)].max() < 2e-5
+    differ = np.abs(np.nan_to_num(ours) - np.nan_to_num(theirs)) > 1e-3
     # Rounding decides where a pixel's centre lies on an edge: single pixels, never two adjacent ones across an edge.
     assert differ.mean() < 2e-3
     assert not eroded(differ, 1).any()
@@ -152,15 +145,9 @@ def test_a_seed_determines_the_image_after_any_other() -> None:
     places = [(0.02 * (i % 15) - 0.15, 0.02 * (i // 15) - 0.1, 0.5) for i in range(150)]
     crowd = RenderedScene(background=tuple(Box(shifted(place), (0.01,) * 3, (0.5,) * 3) for place in places))
     with opened(OAK_D, CameraParameters()) as noisy:
-        first, many, again = (
-            noisy.render(each, pose, np.random.default_rng(seed)) for each, seed in ((scene, 1), (crowd, 2), (scene, 1))
-        )
-        alone = noisy.render(scene, pose, np.random.default_rng(1), color_only=True)
+        first, _, again = (noisy.render(each, pose, np.random.default_rng(1)) for each in (scene, crowd, scene))
     np.testing.assert_array_equal(first.color, again.color)
     np.testing.assert_array_equal(first.depth, again.depth)
-    np.testing.assert_array_equal(first.color, alone.color)
-    assert np.isnan(alone.depth).all()
-    assert np.abs(many.color.astype(int) - first.color).mean() > 2.0
 
 
 def test_a_closed_camera_raises_and_a_lens_that_distorts_is_refused(camera: MujocoCamera) -> None:

@@ -22,7 +22,7 @@ from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
-from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, shown, view
+from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, view
 
 IDEAL, DEFAULT = CameraParameters.ideal(), CameraParameters()
 PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
@@ -49,22 +49,15 @@ def test_the_bars_edges_are_where_their_corners_project(pose: np.ndarray, distor
 
 
 @pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS[1:], DISTORTIONS[:2] * 2, strict=True)])
-def test_depth_of_the_plate_is_where_the_ray_meets_it(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
-    intrinsics = dataclasses.replace(OAK_D, distortion=distortion)
-    depth = taken(RenderedScene(), pose, lens=intrinsics).depth
-    # Points of the plate, beside the bars; each is read from its pixel.
-    x, y = np.meshgrid(np.linspace(-0.095, 0.095, 60), np.linspace(-0.055, 0.055, 40))
-    beside = (np.abs(x) > 0.05) | (np.abs(y) > 0.025)
-    points = np.stack([x[beside], y[beside], np.full(beside.sum(), Terminal().bar_thickness)], axis=-1)
-    pixels = np.rint(shown(points, pose, intrinsics)).astype(int)
-    inside = (pixels >= 0).all(axis=1) & (pixels < [640, 400]).all(axis=1)
-    columns, rows = pixels[inside].T
-    assert len(rows) > 500
-    seen = np.stack([(columns - 319.5) / 441.0, (rows - 199.5) / 441.0], axis=-1)
-    rays = np.concatenate([undistort(seen, distortion), np.ones((len(rows), 1))], axis=-1)
+def test_depth_of_the_wall_is_where_the_ray_meets_it(pose: np.ndarray, distortion: tuple[float, ...]) -> None:
+    depth = taken(WALL, pose, lens=dataclasses.replace(OAK_D, distortion=distortion)).depth
+    pixels = np.stack(np.meshgrid(np.arange(640), np.arange(400)), axis=-1)
+    rays = np.dstack([undistort((pixels - [319.5, 199.5]) / 441.0, distortion), np.ones((400, 640))])
     normal = pose[:3, 2]
-    expected = (normal @ (pose[:3, 3] + Terminal().bar_thickness * normal)) / (rays @ normal)
-    np.testing.assert_allclose(depth[rows, columns], expected, atol=1e-4)
+    expected = (normal @ (pose[:3, 3] + EVEN.wall_distance * normal)) / (rays @ normal)
+    near = (expected > 0.0) & (expected < 2.0)
+    assert near.mean() > 0.3
+    np.testing.assert_allclose(depth[near], expected[near], atol=1e-4)
 
 
 def box(x: float, z: float, size: tuple[float, float, float], red: float) -> Box:
@@ -106,14 +99,6 @@ def test_the_sides_of_a_bar_are_visible_from_the_side() -> None:
     light = linear(taken(scene, view(0.25, pitch=0.5)).color)
     below = linear(taken(scene, view(0.25, pitch=-0.5)).color)
     assert (light > 0.4).sum() > 300 > 10 > (below > 0.4).sum()
-
-
-@pytest.mark.parametrize(
-    "pose", [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), np.full((4, 4), np.nan)]
-)
-def test_an_invalid_pose_is_refused(pose: np.ndarray) -> None:
-    with pytest.raises(RenderingError, match="camera_T_terminal"):
-        SimulatedCamera().render(RenderedScene(), pose, np.random.default_rng(0))
 
 
 def wall_at(distance: float) -> np.ndarray:
@@ -265,7 +250,8 @@ def test_a_seed_determines_the_scene() -> None:
     assert (image(first, view(0.5)) != image(other, view(0.5))).mean() > 0.5
 
 
-def test_surroundings_never_hide_the_terminal() -> None:
+def test_surroundings_are_visible_but_never_hide_the_terminal() -> None:
+    seen = []
     for seed in range(4):
         scene = draw_scene(np.random.default_rng(seed), clutter=10, decoys=5)
         even = dataclasses.replace(scene.parameters, streaks=0.0, mirrored=0.0, unevenness=0.0)
@@ -274,14 +260,7 @@ def test_surroundings_never_hide_the_terminal() -> None:
         # Within the plate, seen from straight ahead.
         window = np.s_[100:300, 160:480]
         np.testing.assert_array_equal(image(scene, view(0.2))[window], image(alone, view(0.2))[window])
-
-
-def test_clutter_and_decoys_are_visible() -> None:
-    seen = []
-    for seed in range(4):
-        bare = draw_scene(np.random.default_rng(seed), target=False)
-        full = draw_scene(np.random.default_rng(seed), clutter=4, decoys=4, target=False)
-        seen.append((image(full, view(0.6)) != image(bare, view(0.6))).any(axis=2).mean())
+        seen.append((image(scene, view(0.6)) != image(alone, view(0.6))).any(axis=2).mean())
     assert np.mean(seen) > 0.05
 
 
@@ -317,6 +296,20 @@ def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
         lambda: cover(Terminal(), float("nan")),
         lambda: draw_scene(np.random.default_rng(0), clutter=-1),
         lambda: RenderedScene(light=(0.0, 0.0, 0.0)),
+        *(
+            lambda pose=pose: taken(FLAT, pose)
+            for pose in (
+                np.eye(3),
+                np.zeros((4, 4)),
+                2 * np.eye(4),
+                np.diag([-1.0, 1.0, 1.0, 1.0]),
+                np.full((4, 4), np.nan),
+            )
+        ),
+        *(
+            lambda kind=kind, room=room: draw_obstruction(np.random.default_rng(0), kind, Terminal(), room)
+            for kind, room in (("fog", 0.1), ("cable", 0.0), ("cable", float("nan")))
+        ),
         lambda: Box(2 * np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 0.5)),
         lambda: Box(np.eye(4), (0.1, -0.1, float("nan")), (0.5, 0.5, 0.5)),
         lambda: Box(np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 1.5)),
@@ -354,9 +347,3 @@ def test_a_cover_hides_its_share_of_its_bar_if_in_front(share: float, bar: int, 
     box.pose[2, 3] = 0.01 if behind else box.pose[2, 3]
     found = hidden_share([box], Terminal(), view(10.0))
     assert found == pytest.approx(0.0 if behind else 0.5 * share, abs=0.02)
-
-
-def test_unknown_kinds_and_no_room_are_refused() -> None:
-    for kind, room in (("fog", 0.1), ("cable", 0.0), ("cable", float("nan"))):
-        with pytest.raises(RenderingError, match="give"):
-            draw_obstruction(np.random.default_rng(0), kind, Terminal(), room)
