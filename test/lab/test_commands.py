@@ -101,11 +101,7 @@ def test_pictures_that_cannot_be_drawn_are_listed_with_the_reason(tmp_path: Path
 
     report = Report("docking", "deltacharger report docking", ("numpy",))
     report.draw({"a.png": written, "b.png": absent, "c.png": written}, tmp_path, {"c.png": "not run"}, shown="all")
-    assert "shown" not in report.results
-    assert report.results["pictures"] == ["a.png"]
-    assert report.results["missing_pictures"] == {
-        "c.png": "not run",
-        "b.png": "No module named 'matplotlib'; install deltacharger[report]",
-    }
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    assert (tmp_path / "a.png").read_text("utf-8") == "all"
+    assert ("shown" in report.results, report.results["pictures"]) == (False, ["a.png"])
+    missing = report.results["missing_pictures"]
+    assert (set(missing), missing["c.png"], "matplotlib" in missing["b.png"]) == ({"b.png", "c.png"}, "not run", True)
+    assert [(path.name, path.read_text("utf-8")) for path in tmp_path.iterdir()] == [("a.png", "all")]

@@ -19,7 +19,7 @@ from deltacharger_lab.reports.footprint import report as footprint_report
 from deltacharger_lab.reports.footprint.start import ONE, SEPARATE
 from deltacharger_scenes.scene import load_scene, packaged_scenes
 
-from ..chargers import DEADLINE, wait_until
+from ..chargers import wait_until
 
 pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
 psutil = pytest.importorskip("psutil", reason="measures with deltacharger[report]")
@@ -64,20 +64,19 @@ def test_memory_threads_and_children_of_a_process_are_counted(child: Child) -> N
     wait_until(lambda: footprint_process.usage([plain.pid, begun.pid]).processes == 3, "all")
     plain.kill()
     wait_until(lambda: psutil.Process(plain.pid).status() == psutil.STATUS_ZOMBIE, "its end")
-    for _ in ("nobody has asked how it ended", "somebody has"):
-        with pytest.raises(psutil.NoSuchProcess, match=str(plain.pid)):
-            footprint_process.usage([plain.pid])
-        plain.wait(DEADLINE)
+    with pytest.raises(psutil.NoSuchProcess, match=str(plain.pid)):
+        footprint_process.usage([plain.pid])
 
 
 @pytest.mark.rest
 def test_processor_time_with_ended_children_and_libraries_are_counted_and_waiting_is_not(child: Child) -> None:
     pytest.importorskip("PIL")
+    assert footprint_process.mapped([child("import PIL._imaging").pid]) == {"PIL"}
     burn = "import time\nwhile time.process_time() < 0.5: pass\ntime.sleep(0.3)"
-    begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])\nimport PIL._imaging")
-    for process, libraries in ((child(burn), set()), (begun, {"PIL"})):
-        assert 0.45 <= footprint_process.usage([process.pid]).cpu < 0.8
-        assert footprint_process.mapped([process.pid]) == libraries
+    begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])")
+    for process in (child(burn), begun):
+        assert 0.45 <= footprint_process.usage([process.pid]).cpu < 0.75
+        assert footprint_process.mapped([process.pid]) == set()
 
 
 def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:

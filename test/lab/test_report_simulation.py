@@ -8,12 +8,10 @@ import math
 import pytest
 
 from deltacharger_lab.reports.simulation import impact, reference, stability
-from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
 from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
 from deltacharger_lab.reports.simulation.reference import angle, on_axis
 from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
 from deltacharger_sim.mechanics import GEAR_BRISTLE
-from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 
 from ..marks import rest
@@ -91,18 +89,6 @@ def test_the_light_models_path_converges_with_the_step_and_the_extrapolated_one_
     assert off == sorted(off, reverse=True)
     assert off[-1] < 2e-5
     assert rms(docking("light, extrapolated", parameters, 0.01)["trace"], exact["trace"]) < 0.5 * off[0]
-
-
-def test_the_extrapolated_step_rests_where_the_plain_one_does() -> None:
-    forces = []
-    for made in (World(WorldParameters()), World(WorldParameters(), mechanics=ExtrapolatedMechanics)):
-        for z in (0.06, 0.086):
-            for index, goal in enumerate(DELTA.inverse(0.0, 0.0, z)):
-                made.command(index, True, goal, 4.1)
-            for _ in range(200):
-                made.step(0.01)
-        forces.append(made.mechanics.contact_force)
-    assert forces[1] == pytest.approx(forces[0], rel=0.05)
 
 
 def test_the_worst_error_of_none_or_of_an_unknown_one_is_unknown() -> None:
