@@ -19,8 +19,7 @@ from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 from deltacharger_tactile.source import ContactSource
 
 MODEL = ContactModel()
-V = 1.2e-3 * (9 - 2 * np.arange(10))  # taxel centres, row 0 at +y
-U = V  # column 0 at +x
+V = 1.2e-3 * (9 - 2 * np.arange(10))  # taxel centres: row 0 at +y, column 0 at +x
 
 
 def poses(count: int, seed: int = 0) -> np.ndarray:

@@ -38,6 +38,7 @@ def test_the_defaults_match_the_frozen_parameters() -> None:
 
 
 @pytest.mark.night
+@pytest.mark.timeout(600)
 def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
     pytest.importorskip("torch", reason="trains with deltacharger[train]")
     sets = [generate_paper(rigs=(rig,), seed=4) for rig in (341, 342, 343)]

@@ -210,8 +210,7 @@ def test_a_light_pad_stays_light() -> None:
 def test_correction_moves_the_estimate_and_derived_values(model: PoseEstimator) -> None:
     frames = dock(40).frames
     raw = model.predict(frames[:, 0], frames[:, 1])
-    made = FULL
-    got = made.correct(raw)
+    made, got = FULL, FULL.correct(raw)
     for axis, bias, stddev in zip(AXES, made.bias, made.bias_stddev, strict=True):
         assert np.allclose(getattr(got, axis), getattr(raw, axis) - bias, equal_nan=True)
         spread = np.hypot(getattr(raw, f"{axis}_stddev"), stddev)
