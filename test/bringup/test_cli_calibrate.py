@@ -12,7 +12,7 @@ import pytest
 
 from deltacharger_core.parameters import from_mapping
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration.data import TICK, Encoder
+from deltacharger_kinematics.calibration.data import Encoder
 from deltacharger_kinematics.calibration.plan import plan
 from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
 from deltacharger_kinematics.calibration.recording import PoseRecording
@@ -97,24 +97,13 @@ def test_an_outlier_is_named_and_the_geometry_is_not_written(capsys: Capture, tm
 
 
 def test_a_bad_row_is_reported_with_file_and_line(capsys: Capture, data: Path) -> None:
+    refuses(capsys, f"calibrate kinematics {data} --zero-ticks 2050 2048 2048", "zero_ticks")
+    refuses(capsys, f"calibrate kinematics {data} --direction 1 1 -1", "direction")
     lines = data.read_text(encoding="utf-8").splitlines()
     lines[6] = lines[6].replace(",", ",x", 1)
     data.write_text("\n".join(lines), encoding="utf-8")
     found = refuses(capsys, f"calibrate kinematics {data}", "line 7")
     assert (found["file"], found["lines"]) == (str(data), [7])
-
-
-@pytest.mark.rest
-def test_zero_ticks_shift_the_angles(capsys: Capture, data: Path) -> None:
-    refuses(capsys, f"calibrate kinematics {data} --zero-ticks 2050 2048 2048", "zero_ticks")
-    refuses(capsys, f"calibrate kinematics {data} --direction 1 1 -1", "direction")
-    bare = "".join(line for line in data.read_text(encoding="utf-8").splitlines(True) if not line.startswith("#"))
-    data.write_text(bare, encoding="utf-8")
-    offsets = [
-        [row["fitted"] for row in answer(capsys, *FIT, data, *words)[1]["parameters"][5::6]]
-        for words in ((), ("--zero-ticks", 2058, 2048, 2048))
-    ]
-    assert np.allclose(np.subtract(offsets[1], offsets[0]), [10 * TICK, 0.0, 0.0], atol=1e-4)
 
 
 def test_a_plan_is_written_and_overwritten_only_with_force(capsys: Capture, tmp_path: Path) -> None:

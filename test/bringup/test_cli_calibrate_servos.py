@@ -130,14 +130,6 @@ def charger(context: Any) -> Iterator[Any]:
 
 
 @pytest.fixture
-def old(tmp_path: Path) -> Path:
-    """A file of earlier values."""
-    path = tmp_path / "servos.yaml"
-    path.write_text(OLD)
-    return path
-
-
-@pytest.fixture
 def measure(charger: Any, start: Callable[..., Process]) -> Iterator[Callable[..., Process]]:
     """Start the command on the running charger, whose torque is off afterwards."""
 
@@ -167,8 +159,10 @@ def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process]
 
 @pytest.mark.parametrize("how", [rest(signal.SIGINT), night(signal.SIGTERM), night(signal.SIGHUP)])
 def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
-    measure: Callable[..., Process], charger: Any, old: Path, how: signal.Signals
+    measure: Callable[..., Process], charger: Any, tmp_path: Path, how: signal.Signals
 ) -> None:
+    old = tmp_path / "servos.yaml"
+    old.write_text(OLD)
     refused = measure("--out", old)
     assert (refused.end(), "--force" in refused.out[0]) == (2, True)
     process = measure("--out", old, "--force")

@@ -27,26 +27,10 @@ from .command import Capture, answer, refuses, run
 def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Data sets of the paper's protocol by their seed and rig."""
     folder, found = tmp_path_factory.mktemp("tactile"), {}
-    for name, words in (("data", "--seed 3"), ("again", "--seed 3"), ("fresh", "--seed 9 --first-rig 9")):
+    for name, words in (("data", "--seed 3"), ("fresh", "--seed 9 --first-rig 9")):
         found[name] = folder / f"{name}.npz"
         assert main(["tactile", "generate", "--rigs", "1", *words.split(), "--out", str(found[name])]) == 0
     return found
-
-
-@pytest.mark.rest
-def test_a_data_set_has_the_documented_fields_and_follows_from_its_seed(sets: dict[str, Path]) -> None:
-    with np.load(sets["data"], allow_pickle=False) as file:
-        assert file["left"].shape == file["right"].shape == (1100, 10, 10)
-        assert file["tare"].shape == (1100, 2, 10, 10)
-        for name in ("angle", "vertical", "horizontal", "current"):
-            assert file[name].shape == (1100,)
-        for name in ("attempt", "session", "rig", "subset"):
-            assert np.issubdtype(file[name].dtype, np.integer)
-        meta = json.loads(str(file["meta"]))
-    assert (meta["protocol"], meta["seed"], meta["rigs"], bool(meta["parameters"]["sensor"])) == ("paper", 3, [0], True)
-    with np.load(sets["data"]) as one, np.load(sets["again"]) as two, np.load(sets["fresh"]) as three:
-        assert all(np.array_equal(one[name], two[name]) for name in one.files)
-        assert not np.array_equal(one["left"], three["left"])
 
 
 @pytest.mark.rest
@@ -54,7 +38,10 @@ def test_a_classifier_is_trained_and_evaluated(sets: dict[str, Path], tmp_path: 
     pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
     data, fresh = sets["data"], sets["fresh"]
     train = ("tactile", "train", "--model", "lda", "--target", "vertical", "--data")
-    model, referred = tmp_path / "model.npz", tmp_path / "referred.npz"
+    model = tmp_path / "model.npz"
+    with np.load(data, allow_pickle=False) as file:
+        meta = json.loads(str(file["meta"]))
+    assert (meta["protocol"], meta["seed"], meta["rigs"], bool(meta["parameters"]["sensor"])) == ("paper", 3, [0], True)
     assert answer(capsys, *train, data, "--out", model)[1]["n"] == 400
     code, found = answer(capsys, "tactile", "evaluate", "--data", fresh, "--model", model)
     assert (code, found["target"], found["n"], found["nominal"]) == (0, "vertical", 500, 0.95)
@@ -65,17 +52,7 @@ def test_a_classifier_is_trained_and_evaluated(sets: dict[str, Path], tmp_path: 
     assert (code, "simulated" in out, "trained on" in err) == (0, True, False)
     assert f"{model} was trained on {data}" in run(capsys, "tactile", "evaluate", "--data", data, "--model", model)[2]
 
-    assert run(capsys, *train, data, "--out", referred, "--reference", fresh)[0] == 0
-    with np.load(model) as one, np.load(referred) as two:
-        assert np.array_equal(one["weights"], two["weights"])
-        assert not np.array_equal(one["bias"], two["bias"])
-    refuses(capsys, f"{' '.join(train)} {data} --out {referred} --reference none.npz", "none.npz")
-
-    for source, path in ((data, "foreign.npz"), (fresh, "other.npz")):  # of another program
-        with np.load(source, allow_pickle=False) as file:
-            np.savez(tmp_path / path, **{**{name: file[name] for name in file.files}, "meta": np.array("{}")})
-    assert run(capsys, *train, tmp_path / "foreign.npz", "--out", model)[0] == 0
-    assert "trained on" not in run(capsys, "tactile", "evaluate", "--data", tmp_path / "other.npz", "--model", model)[2]
+    refuses(capsys, f"{' '.join(train)} {data} --out {tmp_path}/new.npz --reference none.npz", "none.npz")
 
 
 @pytest.mark.rest
@@ -134,24 +111,6 @@ def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, rec
     assert found["held_out"]["rms"]["vertical"]["after"] < 1e-3
 
 
-@pytest.mark.rest
-def test_doubts_are_reported(capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path) -> None:
-    broken = {name: np.array(getattr(recorded, name)) for name in ("right", "tare", "vertical")}
-    broken["right"][:, 9, 0] = 1.5
-    broken["tare"][recorded.session == 2, 1, 4, 4] += 0.6
-    broken["vertical"] += 0.004
-    rows = {name: broken.get(name, value)[:29] for name, value in vars(recorded).items() if name != "meta"}
-    dataclasses.replace(recorded, **rows).save(data)
-    code, found = answer(capsys, *CALIBRATE, "--data", data, "--out", tmp_path / "pads.yaml", "--force")
-    assert (code, found["dead"]["loud"]) == (0, [[1, 9, 0]])
-    for word in ("29 dockings", "right row 4 column 4", "askew"):
-        assert word in " ".join(found["doubts"])
-    assert TactileCalibration.load(tmp_path / "pads.yaml").dead[1, 9, 0]
-    broken["right"][:, 2] = 1.5
-    dataclasses.replace(recorded, right=broken["right"]).save(data)
-    refuses(capsys, f"calibrate tactile --data {data} --out {tmp_path}/none.yaml", "replace the pad")
-
-
 def test_data_of_several_rigs_need_the_option_rig(capsys: Capture, tmp_path: Path) -> None:
     generate_continuous(rigs=(5, 6), count=5, seed=2, frames=4, threshold=0.25, **NEAR).save(tmp_path / "two.npz")
     line = f"calibrate tactile --data {tmp_path}/two.npz --out {tmp_path}/pads.yaml"
@@ -161,9 +120,13 @@ def test_data_of_several_rigs_need_the_option_rig(capsys: Capture, tmp_path: Pat
 
 
 @pytest.mark.rest
-def test_a_calibration_that_makes_estimates_worse_is_not_written(
+def test_doubts_are_reported_and_a_calibration_that_makes_estimates_worse_is_not_written(
     capsys: Capture, recorded: Dataset, data: Path, tmp_path: Path
 ) -> None:
+    rows = {name: value[:29] for name, value in vars(recorded).items() if name != "meta"}
+    dataclasses.replace(recorded, **rows).save(data)
+    found = answer(capsys, *CALIBRATE, "--data", data, "--out", tmp_path / "few.yaml", "--force")[1]
+    assert "29 dockings" in found["doubts"][0]
     # The commanded poses are 3 mm off and the poses in contact are right: every correction is wrong.
     dataclasses.replace(recorded, vertical=recorded.vertical + 0.003).save(data)
     out = tmp_path / "pads.yaml"

@@ -53,18 +53,6 @@ def write_image(path: Path, pixels: Array) -> Path:
     return path
 
 
-def write_info(path: Path, **other: Any) -> Path:
-    content = {
-        "image_width": OAK_D.width,
-        "image_height": OAK_D.height,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": OAK_D.matrix().ravel().tolist()},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"data": list(OAK_D.distortion)},
-    }
-    path.write_text(yaml.safe_dump(content | other))
-    return path
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """a: electrodes, b: none."""
@@ -73,7 +61,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_image(folder / f"{name}.png", image.color)
         write_image(folder / f"{name}.depth.png", millimetres(image))
         np.save(folder / f"{name}.npy", image.depth)
-    write_info(folder / "k.yaml")
+    info = {
+        "image_width": OAK_D.width,
+        "image_height": OAK_D.height,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": OAK_D.matrix().ravel().tolist()},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"data": list(OAK_D.distortion)},
+    }
+    (folder / "k.yaml").write_text(yaml.safe_dump(info))
     return folder
 
 
@@ -96,6 +91,9 @@ def near(found: dict[str, Any], away: float = 0.3, roll: float = 0.1, x: float =
 
 @pytest.mark.parametrize("depth", [".depth.png", ".npy"])
 def test_electrodes_are_found_at_their_pose(files: Path, capsys: Capture, depth: str) -> None:
+    code, found = detect(capsys, *one(files, "b"))
+    assert (code, set(found), found["found"]) == (1, KEYS, False)
+    assert all(found[name] is None for name in KEYS - {"found", "frame", "detection_time"})
     code, found = detect(capsys, *one(files, depth=depth))
     assert (code, set(found), found["found"]) == (0, KEYS, True)
     assert (found["frame"], found["source"]) == ("camera_color_optical_frame", "fused")
@@ -103,12 +101,6 @@ def test_electrodes_are_found_at_their_pose(files: Path, capsys: Capture, depth:
     assert found["normal"] == pytest.approx([0.0, 0.0, -1.0], abs=0.05)
     assert found["range"] == pytest.approx(np.linalg.norm(found["position"]))
     assert 0.0 < found["confidence"] <= 1.0
-
-
-def test_no_electrodes_ends_with_1_and_without_a_guess(files: Path, capsys: Capture) -> None:
-    code, found = detect(capsys, *one(files, "b"))
-    assert (code, set(found), found["found"]) == (1, KEYS, False)
-    assert all(found[name] is None for name in KEYS - {"found", "frame", "detection_time"})
 
 
 def test_text_is_in_millimetres_and_degrees(files: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -151,8 +143,6 @@ def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, caps
         ("--color a.png --depth none.npy --camera-info k.yaml", "none.npy"),
         ("--color k.yaml --camera-info k.yaml", "image"),
         ("--color a.png --camera-info a.png", "YAML"),
-        ("--color a.png --camera-info zero.yaml", "calibrate"),
-        ("--color a.png --camera-info folded.yaml", "two directions"),
         ("--color a.png --camera-info k.yaml --terminal k.yaml", "camera_matrix"),
         ("--color a.png --camera-info k.yaml --mount k.yaml", "key"),
     ],
@@ -163,8 +153,6 @@ def test_a_wrong_file_is_named(
     monkeypatch.chdir(tmp_path)
     for name in ("a.png", "k.yaml"):
         shutil.copy(files / name, name)
-    write_info(Path("zero.yaml"), camera_matrix={"data": [0.0] * 9})
-    write_info(Path("folded.yaml"), distortion_coefficients={"data": [-9.0, 0, 0, 0, 0]})
     refuses(capsys, f"vision detect {words}", noun)
 
 
@@ -206,68 +194,39 @@ def test_a_folder_of_folders_and_its_exit_codes(files: Path, tmp_path: Path, cap
     assert (code, "8: x 10." in text, "1 of 2" in text) == (0, True, True)
 
 
-class Recording:
-    """Writes the messages of a camera."""
+def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Path:
+    """Write images (topic, pixels, stamp), and their intrinsics unless without `info`."""
+    pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
+    from builtin_interfaces.msg import Time
+    from sensor_msgs.msg import Image
 
-    def __init__(self, path: Path, prefix: str = "") -> None:
-        pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
-        from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_vision.ros.messages import camera_info_message
 
-        self.path = path
-        self._image, self._info, self._compressed = Image, CameraInfo, CompressedImage
-        self._prefix = prefix
-        self._messages: list[tuple[str, Any, int]] = []
-
-    def stamped(self, message: Any, stamp: int) -> Any:
+    messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)] * info
+    for topic, pixels, stamp in images:
+        encoding, step = "rgb8" if pixels.ndim == 3 else "16UC1", pixels.nbytes // len(pixels)
+        message = Image(height=len(pixels), width=pixels.shape[1], encoding=encoding, step=step)
+        message.data = array("B", pixels.tobytes())
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        return message
+        messages.append((topic, message, stamp))
+    with McapWriter(path, {topic: type(message) for topic, message, _ in messages}) as writer:
+        for number, (topic, message, stamp) in enumerate(messages):
+            writer.add_message(topic, message, stamp + number, stamp)
+    return path
 
-    def info(self, **other: Any) -> Recording:
-        k = OAK_D.matrix().ravel()
-        numbers = {"width": OAK_D.width, "height": OAK_D.height, "k": k, "d": [*map(float, OAK_D.distortion)]}
-        message = self._info(**(numbers | {"distortion_model": "plumb_bob"} | other))
-        return self.add("color/camera_info", message, 0)
 
-    def color(self, pixels: Array, stamp: int, topic: str = "color/image_raw", encoding: str = "rgb8") -> Recording:
-        return self.image(topic, pixels, encoding, stamp)
-
-    def depth(self, image: RgbdImage, stamp: int, topic: str = "depth/image_raw", metres: bool = False) -> Recording:
-        return self.image(topic, image.depth if metres else millimetres(image), "32FC1" if metres else "16UC1", stamp)
-
-    def image(self, topic: str, pixels: Array, encoding: str, stamp: int) -> Recording:
-        step = pixels.nbytes // len(pixels)
-        message = self._image(height=len(pixels), width=pixels.shape[1], encoding=encoding, step=step)
-        message.data = array("B", np.ascontiguousarray(pixels).tobytes())
-        return self.add(topic, message, stamp)
-
-    def compressed(self, topic: str) -> Recording:
-        return self.add(topic, self._compressed(format="jpeg"), 0)
-
-    def add(self, topic: str, message: Any, stamp: int) -> Recording:
-        self._messages.append((f"{self._prefix}/{topic}", self.stamped(message, stamp), stamp))
-        return self
-
-    def write(self) -> Path:
-        from deltacharger_records.recording.mcap_recording import McapWriter
-
-        with McapWriter(self.path, {topic: type(message) for topic, message, _ in self._messages}) as writer:
-            for number, (topic, message, stamp) in enumerate(self._messages):
-                writer.add_message(topic, message, stamp + number, stamp)
-        return self.path
+COLOR, DEPTH = "/color/image_raw", "/depth/image_raw"
 
 
 def test_a_recording_is_matched_by_stamps(tmp_path: Path, capsys: Capture) -> None:
     """Depth is late and 5 ms off; one colour image has no depth, one depth image has another size."""
-    recording, period = Recording(tmp_path / "rec.mcap", "/charger").info(), 33_000_000
     views = [view(each, 0.25 + 0.02 * each) for each in range(4)]
-    for number, image in enumerate(views):
-        recording.color(image.color, 10**9 + number * period)
-    for number, image in enumerate(views):
-        if number == 3:
-            recording.image("depth/image_raw", millimetres(image)[:200], "16UC1", 10**9 + number * period)
-        elif number != 1:
-            recording.depth(image, 10**9 + number * period + 5_000_000, metres=number == 2)
-    code, found = detect(capsys, recording.write(), "--pictures", tmp_path)
+    stamps = [10**9 + number * 33_000_000 for number in range(4)]
+    depths = [(DEPTH, millimetres(views[number]), stamps[number] + 5_000_000) for number in (0, 2)]
+    depths.append((DEPTH, millimetres(views[3])[:200], stamps[3]))
+    colors = [(COLOR, image.color, stamp) for image, stamp in zip(views, stamps, strict=True)]
+    code, found = detect(capsys, record(tmp_path / "rec.mcap", *colors, *depths), "--pictures", tmp_path)
     assert (code, found["found"], found["images"], found["broken"], found["left_out"]) == (0, 2, 3, 1, 1)
     results = {each["name"]: each for each in found["results"]}
     assert list(results) == ["1.000000000", "1.066000000", "1.099000000"]
@@ -277,43 +236,18 @@ def test_a_recording_is_matched_by_stamps(tmp_path: Path, capsys: Capture) -> No
     assert "64" in results["1.099000000"]["error"]
 
 
-def test_topic_names_of_another_driver_and_intrinsics_from_a_file(files: Path, tmp_path: Path, capsys: Capture) -> None:
-    image = view(1)
-    recording = Recording(tmp_path / "rec.mcap")
-    recording.color(image.color[:, :, ::-1], 5, "oak/rgb/image_raw", "bgr8").depth(image, 5, "oak/stereo/image_raw")
-    path, info = recording.write(), f"--camera-info {files}/k.yaml"
-    topics = "--color-topic oak/rgb/image_raw --depth-topic /oak/stereo/image_raw"
+def test_topics_and_intrinsics_can_be_given_and_unmatched_images_are_refused(
+    files: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    image, path = view(1), tmp_path / "rec.mcap"
+    record(path, (COLOR, image.color, 1), (DEPTH, millimetres(image), 10**9))
+    refuses(capsys, f"vision detect {path}", "same instant")
+    record(path, ("/oak/rgb", image.color, 5), ("/oak/stereo", millimetres(image), 5), info=False)
+    topics = "--color-topic oak/rgb --depth-topic /oak/stereo"
     refuses(capsys, f"vision detect {path} {topics}", "camera_info")
-    refuses(capsys, f"vision detect {path} {info}", "oak/rgb/image_raw")
-    for words, source in ((topics, "fused"), (topics.partition(" --depth")[0], "pnp")):
-        code, found = detect(capsys, path, *words.split(), *info.split())
-        assert (code, found["results"][0]["source"]) == (0, source)
-        near(found["results"][0])
-
-
-def test_recordings_without_images_are_refused(files: Path, tmp_path: Path, capsys: Capture) -> None:
-    color, path = np.zeros((400, 640, 3), dtype=np.uint8), tmp_path / "rec.mcap"
-    depth = RgbdImage(color, np.ones((400, 640), dtype=np.float32), OAK_D)
-    for recording, words, noun in (
-        (Recording(path).info().color(color, 1), "--color-topic x", "/x"),
-        (Recording(path).info(), "", "images"),
-        (Recording(path).info().compressed("color/image_raw/compressed"), "", "/color/image_raw"),
-        (Recording(path).info().color(color, 1).depth(depth, 10**9), "", "same instant"),
-        (Recording(path).info(binning_x=2).color(color, 1), "", "binning"),
-        (Recording(path).info(k=[0.0] * 9).color(color, 1), "", "calibrate"),
-    ):
-        refuses(capsys, f"vision detect {recording.write()} {words}", noun)
-
-
-def test_images_before_damage_count(tmp_path: Path, capsys: Capture) -> None:
-    recording, image = Recording(tmp_path / "rec.mcap").info(), view(1)
-    for number in range(3):
-        recording.color(image.color, number * 10**8).depth(image, number * 10**8)
-    path = recording.write()
-    path.write_bytes(path.read_bytes()[: int(0.7 * path.stat().st_size)])
-    code, found = detect(capsys, path)
-    assert code == 0
-    assert 1 <= found["found"] == found["images"] < 3
+    code, found = detect(capsys, path, *topics.split(), "--camera-info", files / "k.yaml")
+    assert (code, found["results"][0]["source"]) == (0, "fused")
+    near(found["results"][0])
 
 
 def test_without_opencv_it_ends_with_2(files: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,19 +60,12 @@ def decision(seconds: float, state: State, kind: str, text: str = "", **values: 
     return raw(seconds, "docking_decision", message)
 
 
-def measured(
-    seconds: float,
-    angle: float,
-    vertical: float = 0.0,
-    horizontal: float = 0.0,
-    sure: bool = True,
-    without: tuple[str, ...] = (),
-) -> Raw:
-    """Return the decision with a measurement (degrees and m), `without` some of its numbers."""
+def measured(seconds: float, angle: float, vertical: float = 0.0, horizontal: float = 0.0, sure: bool = True) -> Raw:
+    """Return the decision with a measurement (degrees and m)."""
     turn = math.radians(angle)
     across = vertical * math.cos(turn) - horizontal * math.sin(turn)
     values = (turn, math.radians(0.3), vertical, 1e-4, horizontal, 1e-3, across, 1e-4)
-    kept = {name: value for name, value in zip(MEASURED, values, strict=True) if name not in without}
+    kept = dict(zip(MEASURED, values, strict=True))
     return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **kept)
 
 

@@ -4,27 +4,22 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from ..chargers import wait_until
-from ..nodes import options
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import DockingDecision
 from diagnostic_msgs.msg import DiagnosticArray
 
-from deltacharger_records.recording.docking_recorder_node import DockingRecorderNode
 from deltacharger_records.recording.own import PARTIAL
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 from deltacharger_ros.messages import PHASES
-from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.outcomes import DockRequest, Pose, Progress
 from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
 from deltacharger_scenes.scene import Scene
@@ -68,23 +63,18 @@ class Recorded(RunningCharger):
         return replay(wait_until(complete, "a record")[-1])
 
 
-@pytest.fixture(scope="module")
-def cell(quick_scene: Scene, context: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
-    folder = tmp_path_factory.mktemp("records")
-    (folder / STRANGE).write_text("mine")
-    os.mkfifo(folder / "20260101T000000Z.mcap")
-    with Recorded(quick_scene, context, folder) as made:
-        yield made
-
-
 @pytest.mark.version
 @pytest.mark.witness
-def test_a_docking_is_recorded_as_its_client_saw_it(cell: Recorded) -> None:
+def test_a_docking_is_recorded_as_its_client_saw_it(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
+    (tmp_path / STRANGE).write_text("mine")
+    os.mkfifo(tmp_path / "20260101T000000Z.mcap")
     seen: list[Progress] = []
-    outcome = cell.dock(DockRequest(PLACE, request_id="robot/7"), seen.append)
-    assert outcome.success, outcome
-    cell.go_home()
-    found = cell.record("robot_7", "OK")
+    with Recorded(quick_scene, context, tmp_path) as cell:
+        outcome = cell.dock(DockRequest(PLACE, request_id="robot/7"), seen.append)
+        assert outcome.success, outcome
+        cell.go_home()
+        found = cell.record("robot_7", "OK")
+        left = wait_until(lambda: cell.diagnostics[-1][1], "files left alone")
     recorded = found.result_of("dock")
     assert recorded is not None
     assert recorded.as_dict() == outcome.as_dict()
@@ -103,7 +93,6 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Recorded) -> None:
     assert found.run.motion.arrays()["time"][0] < 0.0, "it begins before the goal"
     assert why(found).startswith("Docked and charging in ")
     assert (cell.folder / STRANGE).read_text() == "mine"
-    left = wait_until(lambda: cell.diagnostics[-1][1], "files left alone")
     assert (f"'{STRANGE}'" in left, "pipe" in left) == (True, True)
 
 
@@ -117,14 +106,6 @@ def test_a_charger_completes_its_record_when_it_ends(quick_scene: Scene, context
         found = cell.record("ends", "CANCELED")
     assert not found.recording.damage
     assert "contact" in {phase.state for phase in found.phases}
-
-
-def test_without_mcap_the_message_states_how_to_install_it(
-    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(StartupError, match=r"deltacharger\[record\]"):
-        DockingRecorderNode(**options(context, namespace))
 
 
 def test_a_scene_without_a_recorder_starts_none(quick_scene: Scene) -> None:

@@ -107,13 +107,9 @@ def _lab(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("sight", SIGHTS)
-def test_every_eye_distinguishes_the_colours(sight: str) -> None:
+def test_every_eye_distinguishes_the_colours_on_paper(sight: str) -> None:
     seen = {name: _lab(np.array(SIGHTS[sight]) @ _linear(colour)) for name, colour in COLOURS.items()}
     apart = {pair: np.linalg.norm(seen[pair[0]] - seen[pair[1]]) for pair in itertools.combinations(seen, 2)}
     assert min(apart.values()) >= 25.0, apart  # 2.3 is just noticeable
-
-
-def test_every_colour_is_visible_on_paper() -> None:
-    for name, colour in COLOURS.items():
-        luminance = (_TO_XYZ @ _linear(colour))[1]
-        assert 1.05 / (luminance + 0.05) >= 2.5, name  # contrast on white (WCAG)
+    luminance = {name: (_TO_XYZ @ _linear(colour))[1] for name, colour in COLOURS.items()}
+    assert 1.05 / (max(luminance.values()) + 0.05) >= 2.5, luminance  # contrast on white (WCAG)

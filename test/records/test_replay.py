@@ -1,34 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger replay`: why a recorded docking ended, in text and numbers that a person can act on."""
+"""`deltacharger replay`: why a recorded docking ended, in text and numbers that a person can act on.
+
+Older recordings, whose definitions differ from ours, are replayed as far as they can be read; forces and heights use
+the charger's own geometry, gravity and servos, live and in a record.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import shutil
+from array import array
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from .docking_tapes import KINDS, NAMES, decision, docking, measured, readings, refused, result, state, write
+from ..chargers import Spin, wait_until
+from ..nodes import options
+from .docking_tapes import KINDS, NAMES, decision, docking, measured, raw, readings, refused, result, state, write
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 
-from deltacharger.msg import DockingState, ServoState
+from deltacharger.msg import DockingState, Misalignment, ServoState
+from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from deltacharger_core.mcap_file import Raw
+from deltacharger_core.machine import JOINTS
+from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.node_parameters import docking_settings, known_settings, with_geometry
 from deltacharger_records.quantities import numbers
+from deltacharger_records.recording import mcap_recording
 from deltacharger_records.recording.mcap_recording import McapStream, McapWriter
+from deltacharger_records.replay.file import Recording
+from deltacharger_records.replay.older import fields, is_older, older_decoder
 from deltacharger_records.replay.record import replay
+from deltacharger_records.replay.recorder import Recorder
 from deltacharger_records.replay.words import story, why
+from deltacharger_records.view.sources import ShownRecording
+from deltacharger_ros import qos
 
 from ..bringup.command import Capture, answer, refuses, run
 
 pytestmark = pytest.mark.ros
 
-STATES = {NAMES["docking_state"]: DockingState}
 TILTED = "the target is rolled by 12.6°: the electrodes would come too close to a short; level the target"
 
 
@@ -164,7 +187,7 @@ def test_a_truncated_or_damaged_record_is_read_up_to_that_place(
 
 def test_a_recording_of_docking_state_alone_is_enough(tmp_path: Path) -> None:
     tape = docking(*refused(Code.NO_CONTACT, "nothing is there"))
-    found = replay(write(tmp_path / "a.mcap", tape, kinds=STATES))
+    found = replay(write(tmp_path / "a.mcap", tape, kinds={NAMES["docking_state"]: DockingState}))
     assert found.outcome()["name"] == "NO_CONTACT"
     assert set(found.as_dict()["dropped"]["missing"]) == set(NAMES) - {"docking_state"}
 
@@ -196,15 +219,137 @@ def test_it_is_drawn(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
     assert (picture.read_bytes()[:4], picture.stat().st_size > 20_000) == (b"\x89PNG", True)
 
 
-def test_clearance_uses_the_offset_across_the_bars_or_derives_it_from_the_pose(tmp_path: Path) -> None:
-    newer = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3)
-    older = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3, without=("across_m", "across_stddev_m"))
-    (new,), (old,) = (
-        replay(write(tmp_path / f"{name}.mcap", docking(each, until=3.0))).run.touches
-        for name, each in (("new", newer), ("old", older))
+def without(kind: Any, *names: str) -> str:
+    """Return a schema without these fields."""
+    lines = mcap_recording.schema_text(kind).splitlines()
+    return "\n".join(line for line in lines if not set(line.partition("#")[0].split()[1:2]) & set(names))
+
+
+def as_before(message: Any, text: str) -> bytes:
+    """Return a message encoded by the definition in `text`, by other code than ours."""
+
+    def plain(value: Any) -> Any:
+        if hasattr(value, "get_fields_and_field_types"):
+            return SimpleNamespace(**{name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()})
+        return list(value) if isinstance(value, (np.ndarray, array)) else value
+
+    dynamic = pytest.importorskip("mcap_ros2._dynamic", reason="replays older recordings with deltacharger[record]")
+    name = mcap_recording.type_name(type(message))
+    return bytes(dynamic.serialize_dynamic(name, text)[name](plain(message)))
+
+
+def older(path: Path, kind: Any, definition: str, *messages: Any) -> Path:
+    """Return a recording of a docking with the old definition of `kind`."""
+    with pytest.MonkeyPatch.context() as patch:
+        own = mcap_recording.schema_text
+        patch.setattr(mcap_recording, "schema_text", lambda each: definition if each is kind else own(each))
+        tape = docking(*refused(Code.NO_CONTACT, "nothing is there"))
+        return write(path, [*tape, *messages], result(Code.NO_CONTACT, "nothing is there"))
+
+
+def test_a_message_without_its_last_fields_is_replayed_and_shown_and_cut_bytes_are_damage(tmp_path: Path) -> None:
+    definition = without(Misalignment, "yaw", "pitch")
+    sent = Misalignment(
+        angle=0.02, vertical=-0.001, contact=True, angle_probability=[0.25, 0.75], model="pose", yaw=0.3
     )
-    across = 2e-3 * math.cos(math.radians(6.0)) - 4e-3 * math.sin(math.radians(6.0))
-    assert (new.estimate.across, old.estimate.across) == pytest.approx((across, across))
-    # The pads' own value is better than the pose's: a lean affects the pose's horizontal.
-    assert new.estimate.across_stddev == pytest.approx(1e-4)
-    assert old.estimate.across_stddev > new.estimate.across_stddev
+    message = raw(9.0, "misalignment", sent)._replace(data=as_before(sent, definition))
+    decode = older_decoder(definition, "deltacharger/msg/Misalignment", Misalignment)
+    assert decode(message.data).model == "pose"
+    with pytest.raises(RecordingError, match="damaged"):
+        decode(message.data[: len(message.data) // 2])
+    path, found = older(tmp_path / "a.mcap", Misalignment, definition, message), []
+    recording = Recording(path)
+    recording.read(lambda name, _, each: found.append(each) if name == "misalignment" else None)
+    assert (recording.unreadable, recording.damage) == ({}, "")
+    take = lambda topic, received, decode: found.extend([decode()] if topic == "misalignment" else [])  # noqa: E731
+    ShownRecording(path).play(cast(Any, SimpleNamespace(take=take)), lambda: False)
+    assert len(found) == 2
+    for read in found:
+        assert (read.angle, read.vertical, read.contact, read.model) == (0.02, -0.001, True, "pose")
+        assert (list(read.angle_probability), math.isnan(read.yaw)) == ([0.25, 0.75], True)
+    assert replay(path).outcome()["name"] == "NO_CONTACT"
+
+
+def test_a_changed_definition_is_no_older_one_and_is_named(tmp_path: Path) -> None:
+    now = fields(mcap_recording.schema_text(DockingState))
+    assert is_older(now, now)
+    for text in ("uint8 state\nfloat64 gone", "uint16 state"):
+        assert not is_older(fields(text), now)
+    assert not is_older({**now, "deltacharger/Gone": ["float64 x"]}, now)
+    kind = KINDS[NAMES["charger_power"]]
+    definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
+    path = older(tmp_path / "a.mcap", kind, definition)
+    assert "definition" in Recording(path).unreadable["charger_power"]
+    assert replay(older(tmp_path / "b.mcap", DockingState, "")).phases[1].state == "approach", "no definition: ours"
+
+
+LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
+CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
+TURNED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76, "torque_constant": 1.1}
+PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
+
+
+def pushing() -> ServoState:
+    """Return servo_state of that charger while it pushes at that place."""
+    delta = ScalarDelta(CALIBRATED)
+    gravity = (TURNED["gravity_x"], TURNED["gravity_y"], TURNED["gravity_z"])
+    held = delta.holding_torque(*PLACE, gravity)
+    lever = delta.jacobian(*PLACE)[6:9]
+    message = ServoState(name=list(JOINTS), valid=[True] * 3)
+    message.position = list(delta.inverse(*PLACE))
+    message.current = [(hold + PUSH * each) / TURNED["torque_constant"] for hold, each in zip(held, lever, strict=True)]
+    return message
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> dict[str, Any]:
+    """docking_node's parameters; the limbs' own adjustments are in its file only."""
+    save_geometry(CALIBRATED, tmp_path / "arm.yaml")
+    return {
+        **TURNED,
+        "geometry_file": str(tmp_path / "arm.yaml"),
+        "arm": 0.103,
+        "start_type_description_service": True,
+    }
+
+
+def test_the_settings_are_docking_nodes_even_if_its_file_is_on_another_computer(settings: dict[str, Any]) -> None:
+    parameters = DockingParameters(**TURNED)
+    assert docking_settings(settings) == (parameters, CALIBRATED)
+    kept = json.loads(json.dumps(with_geometry(settings)))
+    Path(settings["geometry_file"]).unlink()
+    assert known_settings(kept) == (parameters, CALIBRATED)
+    with pytest.raises(OSError, match=r"arm\.yaml"):
+        docking_settings(settings)
+    assert known_settings(settings) == (parameters, DeltaGeometry(arm=0.103))
+    assert known_settings({**settings, "geometry_file": "~nobody-here/arm.yaml"}) == known_settings(settings)
+    assert known_settings({}) == (DockingParameters(), DeltaGeometry())
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_record_is_replayed_with_its_own_settings(tmp_path: Path, settings: dict[str, Any], own: bool) -> None:
+    tape = [*docking(until=0.0), *(raw(2.6 + 0.01 * step, "servo_state", pushing()) for step in range(50))]
+    path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(settings) if own else {})
+    motion = replay(path).run.motion.arrays()
+    assert len(motion["z"]) == 50
+    right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
+    assert right == [own, own]
+
+
+def test_dock_prints_the_force_of_the_running_charger(
+    context: Any, namespace: str, spin: Spin, settings: dict[str, Any]
+) -> None:
+    charger = spin(Node("docking_node", **options(context, namespace)))
+    for name, value in settings.items():
+        if not charger.has_parameter(name):
+            charger.declare_parameter(name, value)
+    publisher = charger.create_publisher(ServoState, "servo_state", qos.LATEST)
+    with Recorder(context, namespace) as recorder:
+
+        def is_right() -> bool:
+            publisher.publish(pushing())
+            return recorder.force() == recorder.force()
+
+        wait_until(is_right, "a force")
+        assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
+        assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first sample on"

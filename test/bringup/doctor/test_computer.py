@@ -91,45 +91,24 @@ WRONG: dict[str, tuple[dict[str, str], dict[str, str], str, str]] = {
     "Jazzy": ({"sitecustomize": "import sys; sys.modules['rclpy.experimental'] = None"}, {}, "ros version", "Jazzy"),
     "serial": ({"serial": "raise ImportError('no serial', name='serial')"}, {}, "pyserial", "pyserial"),
     "middleware": ({}, {"RMW_IMPLEMENTATION": "rmw_of_nobody"}, "ros middleware", "RMW_IMPLEMENTATION"),
-    "prefix": ({}, {"AMENT_PREFIX_PATH": "/usr"}, "ros prefix", "setup.bash"),
     "one device": ({}, {}, "ports", "one device"),
 }
 
 
-@pytest.fixture(scope="module")
-def doctors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, subprocess.Popen[str]]]:
-    """Run all doctors in parallel processes, because each takes seconds, mostly waiting."""
-    running: dict[str, subprocess.Popen[str]] = {}
-    try:
-        for name, (modules, variables, _, _) in WRONG.items():
-            folder = tmp_path_factory.mktemp("lacking")
-            for module, body in modules.items():
-                (folder / f"{module}.py").write_text(body)
-            where = ("--servo-port", "/dev/null", "--board-port", "/dev/null")
-            running[name] = subprocess.Popen(
-                (sys.executable, "-m", "deltacharger_bringup.cli", "doctor", "--json", *where),
-                env={**os.environ, **variables, **({"PYTHONPATH": str(folder)} if modules else {})},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-        yield running
-    finally:
-        for process in running.values():
-            process.kill()
-            process.communicate()
-
-
 @pytest.mark.rest
 @pytest.mark.parametrize("name", WRONG)
-def test_on_a_computer_that_lacks_something_it_works_and_says_so(
-    doctors: dict[str, subprocess.Popen[str]], name: str
-) -> None:
-    *_, part, noun = WRONG[name]
-    out, err = doctors[name].communicate()
-    value = json.loads(out)
-    assert "Traceback" not in err
-    assert (doctors[name].returncode, value["success"]) == (1, False)
+def test_on_a_computer_that_lacks_something_it_works_and_says_so(tmp_path: Path, name: str) -> None:
+    modules, variables, part, noun = WRONG[name]
+    for module, body in modules.items():
+        (tmp_path / f"{module}.py").write_text(body)
+    path = {"PYTHONPATH": str(tmp_path)} if modules else {}
+    line = f"{sys.executable} -m deltacharger_bringup.cli doctor --json --servo-port /dev/null --board-port /dev/null"
+    ended = subprocess.run(
+        line.split(), env={**os.environ, **variables, **path}, capture_output=True, text=True, check=False
+    )
+    value = json.loads(ended.stdout)
+    assert "Traceback" not in ended.stderr
+    assert (ended.returncode, value["success"]) == (1, False)
     (found,) = [each for each in value["findings"] if (each["level"], each["part"]) == ("wrong", part)]
     assert noun in f"{found['message']} {found['remedy']}"
     assert all(each["remedy"] for each in value["findings"] if each["level"] != "ok")

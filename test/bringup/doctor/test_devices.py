@@ -7,8 +7,6 @@ import errno
 import grp
 import math
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -31,7 +29,6 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 
 from ...emulated_ports import IDS, written
-from ...marks import rest
 
 LIKELY = (1_000_000, 57600)
 """Speeds to search if the others do not matter: each takes 0.2 s or more."""
@@ -66,11 +63,15 @@ def test_a_healthy_board_is_ok_and_unchanged(board: BoardEmulator, board_port: s
     assert not board.contactor_commanded
 
 
-def test_dead_taxels_are_named_and_too_many_are_wrong(board: BoardEmulator, board_port: str) -> None:
+def test_dead_taxels_and_a_latched_fault_are_named(board: BoardEmulator, board_port: str) -> None:
     board.set_dead(0, 3, 7)
     for column in range(4):
         board.set_dead(1, 0, column)
-    named(board_findings(board_port), ("hint", "left pad", "row 3 column 7"), ("wrong", "right pad", "4 of 100"))
+    with BoardLink(board_port):  # wait for the boot, which clears the fault
+        board.trip(BoardFault.OVER_CURRENT)
+    found = board_findings(board_port)
+    named(found, ("hint", "left pad", "row 3 column 7"), ("wrong", "right pad", "4 of 100"))
+    named(found, ("wrong", "power", "over current"))
 
 
 @pytest.mark.rest
@@ -89,12 +90,6 @@ def test_lost_frames_are_counted(board: BoardEmulator, board_port: str, monkeypa
 
     monkeypatch.setattr(examiner, "_stream", lossy)
     named(board_findings(board_port, 0.4), ("wrong", "tactile link", "cables"))
-
-
-def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None:
-    with BoardLink(board_port):  # wait for the boot, which clears the fault
-        board.trip(BoardFault.OVER_CURRENT)
-    named(board_findings(board_port), ("wrong", "power", "over current"))
 
 
 @pytest.mark.parametrize(
@@ -200,35 +195,24 @@ def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: Servo
     assert changed == {(1, "baud"), (3, "baud"), (1, "torque_enable")}
 
 
-def test_set_baud_writes_only_the_given_ids(servos: ServoBusEmulator, servo_port: str) -> None:
+def test_set_baud_writes_only_the_given_ids_and_never_to_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
     for servo in IDS:
         servos.set_speed(servo, 2)
     found = list(set_baud(servo_port, 57600, [2, 2, 7], (57600, 115200)))
     assert [(finding.part, finding.level) for finding in found] == [("servo 2", "ok"), ("servo 7", "wrong")]
     assert [servos.servo(servo).table.get("baud") for servo in IDS] == [2, 1, 2]
-
-
-def test_set_baud_does_not_write_to_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.use_protocol_1(3)
-    before = written(servos)
-    named(set_baud(servo_port, 57600, [3], LIKELY), ("wrong", "servo 3", "nothing was written"))
-    assert written(servos) == before
+    named(set_baud(servo_port, 57600, [3], (57600, 115200)), ("wrong", "servo 3", "nothing was written"))
+    assert servos.servo(3).table.get("baud") == 2
 
 
-@pytest.mark.parametrize("locks", [rest(True), False])
-def test_a_busy_port_names_its_user(board_port: str, locks: bool) -> None:
-    if not locks:
-        with open(board_port, "rb"):
-            assert any(f"process {os.getpid()}" in name for name in holders(board_port))
-        return
-    script = "import sys, serial; port = serial.Serial(sys.argv[1], exclusive=True); print('open', flush=True); input()"
-    command = [sys.executable, "-c", script, board_port]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == "open\n"
-        named(examine_port("board port", board_port), ("wrong", "board port", f"process {holder.pid}"))
+def test_a_busy_port_names_its_user(board_port: str) -> None:
+    user = f"process {os.getpid()}"
+    with open(board_port, "rb"):
+        assert any(user in name for name in holders(board_port))
+    with serial.Serial(board_port, exclusive=True):
+        named(examine_port("board port", board_port), ("wrong", "board port", user))
         assert len(holders(board_port)) == 1, "the emulator's end of the terminal does not count"
-        holder.communicate("\n")
 
 
 @pytest.mark.parametrize(
