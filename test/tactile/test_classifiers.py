@@ -55,7 +55,6 @@ def trained(name: str, rows: Examples, target: str = "angle") -> tuple[Classifie
     return model, rows.part(judges)
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", [marked(name) for name in NAMES])
 def test_numpy_matches_the_trainer_its_file_and_the_same_seed(name: str, angle: Examples, tmp_path: Path) -> None:
     model, rows = trained(name, angle)
