@@ -8,7 +8,6 @@ import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -69,10 +68,6 @@ def lines_of(folder: Path) -> list[str]:
     return (folder / VIEWS).read_text(encoding="utf-8").splitlines()
 
 
-def mount_of(found: dict[str, Any]) -> Mount:
-    return Mount(Mount.from_numbers([*found["position"], *found["orientation"]]).pose, np.array(found["covariance"]))
-
-
 @pytest.mark.rest
 def test_views_give_the_mount_within_its_covariance_and_a_usable_file(
     capsys: Capture, rig: Rig, taken: Path, tmp_path: Path
@@ -101,7 +96,8 @@ def test_one_object_in_si_units(capsys: Capture, rig: Rig, taken: Path, tmp_path
     Mount(rig.mount, np.eye(6)).save(believed)
     code, found = answer(capsys, *line(rig, taken, "--board-stddev-mm", 0.2, "--mount", believed))
     assert (code, found["success"], found["written"]) == (0, True, None)
-    assert np.linalg.norm(rig.error(mount_of(found))[3:]) < math.radians(0.5)
+    mount = Mount.from_numbers([*found["position"], *found["orientation"]])
+    assert np.linalg.norm(rig.error(mount)[3:]) < math.radians(0.5)
     assert found["covariance"][0][0] >= 0.0002**2
     assert found["held_out"]["images"] == ["view_005.png"]
     assert found["held_out"]["rms"] < 5e-4
