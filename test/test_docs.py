@@ -177,3 +177,10 @@ def test_the_index_lists_every_page() -> None:
     }
     pages = {path for path in (ROOT / "docs").rglob("*.md") if path != index}
     assert pages <= linked, f"docs/README.md lacks {', '.join(sorted(map(os.path.basename, pages - linked)))}"
+
+
+def test_the_page_of_slow_tests_names_every_file_that_has_some_and_no_other() -> None:
+    named = set(re.findall(r"\btest_\w+\.py", (ROOT / "docs" / "tests.md").read_text(encoding="utf-8")))
+    files = {path.name: path.read_text(encoding="utf-8") for path in ROOT.glob("test/**/test_*.py")}
+    slow = {name for name, text in files.items() if re.search(r"mark\.(rest|night)\b|(?<![\w.])(rest|night)\(", text)}
+    assert (slow - named, named - files.keys()) == (set(), set())
