@@ -22,6 +22,7 @@ from deltacharger_scenes.scene import parse_scene
 from ..chargers import wait_until
 from ..quick import DAMPING
 from ..running_charger import GOAL, QUICK, RunningCharger
+from ..waiting import host
 
 pytestmark = pytest.mark.ros
 
@@ -62,7 +63,7 @@ SLOW = {  # quick, but a phase still lasts when it has been published; the targe
 def test_the_contactor_opens_after_a_node_was_killed_while_charging(context: Any, name: str) -> None:
     with RunningCharger(parse_scene(QUICK, "killed"), context, apart=[name]) as charger:
         charger.charge()
-        assert charger.opened(charger.signal(KILL, name)) <= LIMITS[name] + SLACK
+        assert charger.opened(charger.signal(KILL, name)) <= host(LIMITS[name]) + SLACK
         charger.assert_unharmed()
 
 
@@ -129,7 +130,7 @@ def test_a_struck_node_does_no_harm_and_a_restart_is_enough(
     goal = begin(charger, phase, strike)
     ((closed, at),) = was
     if closed and name in LIMITS:
-        assert charger.opened(at) <= LIMITS[name] + SLACK
+        assert charger.opened(at) <= host(LIMITS[name]) + SLACK
     if name in ("docking_node", "servo_node"):
         assert_moves_little(charger, 0.6)
     elif (name, phase) == ("tactile_node", "approach"):
@@ -154,7 +155,7 @@ def test_all_nodes_are_stopped_at_once_and_continue(charger: RunningCharger) -> 
     """Like a suspended computer: no node notices the time, and nothing that opened closes again."""
     charger.charge()
     at = charger.signal(STOP, *NODES)
-    assert charger.opened(at) <= LIMITS["tactile_node"] + SLACK
+    assert charger.opened(at) <= host(LIMITS["tactile_node"]) + SLACK
     wait(charger, 3.0)
     for name in reversed(NODES):
         charger.restart(name)
