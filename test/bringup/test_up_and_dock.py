@@ -48,7 +48,7 @@ def result(process: Process, code: int) -> dict[str, object]:
 
 
 @pytest.mark.version
-@pytest.mark.witness
+@pytest.mark.rest
 def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: Run, run: Run) -> None:
     charger = up()
     dock = run("dock", "--json", "--no-picture", "--request-id", "r1")

@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_lab.campaigns import settings
 
-from ..marks import night
+from ..marks import night, rest
 
 RUN = """
 import json, sys
@@ -47,7 +47,7 @@ def test_every_module_that_a_docking_loads_is_covered() -> None:
     assert not missing
 
 
-@pytest.mark.parametrize("step", [100, night(1)])
+@pytest.mark.parametrize("step", [rest(100), night(1)])
 def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
     files = dict(settings.computing())
     known = {path: settings.meaning(path) for path in files.values()}
