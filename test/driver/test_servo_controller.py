@@ -14,6 +14,7 @@ from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
+from ..waiting import host
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig
 
 FAR = (0.3, 0.5, 1.2)
@@ -301,7 +302,7 @@ def test_a_line_sent_in_pieces_is_followed_like_one_message_and_its_end_is_held(
     rig.until(feed)
     assert len(errors) > 20
     assert sorted(errors)[len(errors) // 2] < 0.02
-    assert max(errors) < 0.06 / 0.6 * 0.5  # the line's way in 60 ms: allows for a pause of this computer
+    assert max(errors) < host(0.06) / 0.6 * 0.5  # the line's way during a pause of this computer
     rig.until(lambda report: rig.clock() - begin > 1.0)  # the feed has ended
     assert rig.references() == pytest.approx(list(shifted(0.5)), abs=TICK)
 
