@@ -17,9 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.parameter import Parameter
 
+from deltacharger_core.machine import LONGEST_LEASE
+from deltacharger_docking.ros import services
+from deltacharger_driver.board import contactor_lease
+from deltacharger_driver.emulators import power, servo_firmware
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.on_demand import LatestMessage
@@ -51,6 +56,14 @@ QUICK = {
 }
 """Content of a scene: five nodes on a simulated charger whose target is exactly at GOAL, quick and patient."""
 _LOOK = 1.0  # s between docking_node's checks for second sources while it rests
+
+_LIMITS = (
+    (contactor_lease, "LONGEST_LEASE", LONGEST_LEASE),
+    (services, "LONGEST_LEASE", LONGEST_LEASE),
+    (power, "HEARTBEAT_LIMIT", power.HEARTBEAT_LIMIT),
+    (servo_firmware, "WATCHDOG_UNIT", servo_firmware.WATCHDOG_UNIT),
+)
+"""Times within which this computer must be heard, by the nodes and emulators of this process."""
 
 CommandLine = Callable[[Path, str], Sequence[str]]
 """Returns the command line that starts a charger from a scene's file in a namespace."""
@@ -111,6 +124,9 @@ class RunningCharger:
         self._awaited: tuple[str, Callable[[], None]] = ("", lambda: None)
         self._signalled: dict[str, int] = {}  # the last signal of each node
         with contextlib.ExitStack() as opened:
+            patch = opened.enter_context(pytest.MonkeyPatch.context())
+            for module, name, seconds in _LIMITS:
+                patch.setattr(module, name, host(seconds))
             self.scene = self._on_ports(scene, opened)
             opened.callback(self._kill)
             if command is not None:
@@ -234,7 +250,7 @@ class RunningCharger:
         """Dock, which must succeed, and return the outcome."""
         outcome = self.dock(request)
         assert outcome.success, outcome
-        assert self.is_closed
+        assert self.is_closed, self.state.error_message
         return outcome
 
     def go_home(self) -> None:

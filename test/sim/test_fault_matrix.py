@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_driver.emulators import power
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_sim.charger.faults import Fault
 
@@ -78,12 +77,9 @@ def charger(context: Any) -> Iterator[Any]:
 
     # Patience would make each damaged reply cost more time than docking bears.
     parameters = {**QUICK["parameters"], "servo_node": {"reply_margin": min(host(REPLY_MARGIN), 0.05)}}
-    with pytest.MonkeyPatch.context() as patch:
-        # The emulated board's clock is this computer's, which may be busy.
-        patch.setattr(power, "HEARTBEAT_LIMIT", host(power.HEARTBEAT_LIMIT))
-        with RunningCharger(parse_scene({**QUICK, "parameters": parameters}, "faults"), context) as charger:
-            charger.diagnostics = Diagnostics(charger)
-            yield charger
+    with RunningCharger(parse_scene({**QUICK, "parameters": parameters}, "faults"), context) as charger:
+        charger.diagnostics = Diagnostics(charger)
+        yield charger
 
 
 @pytest.mark.parametrize("row", CELLS)
