@@ -27,7 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLE = "test/core/test_safety_numbers.py"
 AT_LEAST = 0.9
 SIDE_BY_SIDE = 2
-PYTEST = [sys.executable, "-m", "pytest", "-xq", "-p", "no:cacheprovider", "-m", "not rest and not night"]
+QUICK = "not rest and not night"
+PYTEST = [sys.executable, "-m", "pytest", "-xq", "--timeout=30", "-p", "no:cacheprovider", "-m", QUICK]
 
 
 class Mutant(NamedTuple):
