@@ -25,6 +25,7 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_docking.ros import services
 from deltacharger_driver.board import contactor_lease
 from deltacharger_driver.emulators import power, servo_firmware
+from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.on_demand import LatestMessage
@@ -50,7 +51,7 @@ QUICK = {
     **SCENE,
     "parameters": {
         "docking_node": {**STEPS, **PATIENT},
-        "servo_node": {"reply_margin": 0.1},
+        "servo_node": {"reply_margin": min(host(REPLY_MARGIN), 0.05)},  # longer, and lost replies cost too much time
         "misalignment_node": {"max_age": 1.0},
     },
 }

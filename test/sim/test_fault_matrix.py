@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_sim.charger.faults import Fault
 
 from ..waiting import host, wait_until
@@ -75,9 +74,7 @@ def charger(context: Any) -> Iterator[Any]:
 
     from ..running_charger import QUICK, RunningCharger
 
-    # Patience would make each damaged reply cost more time than docking bears.
-    parameters = {**QUICK["parameters"], "servo_node": {"reply_margin": min(host(REPLY_MARGIN), 0.05)}}
-    with RunningCharger(parse_scene({**QUICK, "parameters": parameters}, "faults"), context) as charger:
+    with RunningCharger(parse_scene(QUICK, "faults"), context) as charger:
         charger.diagnostics = Diagnostics(charger)
         yield charger
 
