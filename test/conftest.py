@@ -6,12 +6,16 @@ from __future__ import annotations
 import argparse
 
 import pytest
+from hypothesis import settings
 
 from .budget import Budget
 from .chargers import context, deltacharger, namespace, quick_file, quick_scene, spin, start  # noqa: F401
 from .waiting import widen
 
 DEVICES = ("servo", "board")
+
+settings.register_profile("suite", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("suite")
 
 
 def _port(text: str) -> tuple[str, str]:

@@ -62,7 +62,7 @@ def servo_port(servos: ServoBusEmulator) -> Iterator[str]:
 
 @pytest.fixture
 def board() -> BoardEmulator:
-    return BoardEmulator(BenchPlant())
+    return BoardEmulator(BenchPlant(), seed=1)
 
 
 @pytest.fixture

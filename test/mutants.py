@@ -67,26 +67,26 @@ def copy(folder: Path) -> Path:
     return folder
 
 
-def failure(tests: list[str], tree: Path) -> str:
-    """Return the first test that fails in a copy, '' if none does."""
+def failure(tests: list[str], tree: Path) -> list[str]:
+    """Return the first test that fails in a copy, or all if pytest ended without naming one; [] if none fails."""
     # The copy comes before the editable install in every process that a test starts, and it compiles its own files.
     env = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": str(90 + int(tree.name))}
     done = subprocess.run([*PYTEST, *tests], cwd=tree, env=os.environ | env, capture_output=True, text=True)
     found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
-    return "" if done.returncode in (0, 5) else found[1] if found else f"pytest ended with {done.returncode}"
+    return [] if done.returncode in (0, 5) else [found[1]] if found else tests
 
 
-def killer(mutant: Mutant, tree: Path) -> str:
-    """Return the first test that fails with this mutant, twice, and not without it; '' if none does."""
+def killer(mutant: Mutant, tree: Path) -> list[str]:
+    """Return the first test that fails with this mutant, twice, and not without it; [] if none does."""
     path, suites = mutant.place(tree), mutant.suites(tree)
     whole = path.read_text()
     path.write_text(whole.replace(mutant.text, mutant.becomes))
     try:
-        failed = next((failed for suite in suites if (failed := failure(suite, tree))), "")
-        fails = failed and failure([failed], tree)
+        failed = next((failed for suite in suites if (failed := failure(suite, tree))), [])
+        fails = failed and failure(failed, tree)
     finally:
         path.write_text(whole)
-    return failed if fails and not failure([failed], tree) else ""
+    return failed if fails and not failure(failed, tree) else []
 
 
 def main(words: list[str]) -> int:
@@ -99,9 +99,9 @@ def main(words: list[str]) -> int:
         for index in range(SIDE_BY_SIDE):
             trees.put(copy(Path(folder) / str(index)))
         if failed := failure([TABLE], trees.queue[0]):
-            raise SystemExit(f"{failed} fails without a mutant")
+            raise SystemExit(f"{failed[0]} fails without a mutant")
 
-        def strike(mutant: Mutant) -> str:
+        def strike(mutant: Mutant) -> list[str]:
             tree = trees.get()
             try:
                 return killer(mutant, tree)
@@ -111,7 +111,7 @@ def main(words: list[str]) -> int:
         died = 0
         for mutant, died_by in zip(chosen, workers.map(strike, chosen), strict=True):
             died += bool(died_by)
-            print(f"{'died    ' if died_by else 'SURVIVED'} {mutant.name:60.60} {died_by}", flush=True)
+            print(f"{'died    ' if died_by else 'SURVIVED'} {mutant.name:60.60} {' '.join(died_by)}", flush=True)
     print(f"{died} of {len(chosen)} mutants died; at least {AT_LEAST:.0%} must")
     return int(died < AT_LEAST * len(chosen))
 

@@ -140,9 +140,9 @@ def docking(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
 
-    directory = folder_to_write("--out", options.out)
     with wrong_input(ValueError, before="--only: "):
         plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
+    directory = folder_to_write("--out", options.out)
     command = f"{_command(options, 'docking')} --seed {plan.seed}"
 
     def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:

@@ -114,7 +114,10 @@ def test_unknown_gains_and_i_gains_are_refused_before_anything_moves(
         measured()
 
 
-WORLD = {"target": {"present": False}, "servo": {"stiffness": 10.0, "friction": 0.08, "backlash": 0.004}}
+WORLD = {
+    "target": {"present": False},
+    "servo": {"stiffness": 10.0, "friction": 0.08, "backlash": 0.004, "torque_constant": 1.3},
+}
 OLD = "stiffness: 7.0\n"
 
 
@@ -124,7 +127,6 @@ def charger(context: Any) -> Iterator[Any]:
 
     from ..running_charger import RunningCharger
 
-    WORLD["servo"]["torque_constant"] = 1.3
     with RunningCharger(parse_scene({"simulation": {"seed": 1, "world": WORLD}}, "free"), context) as charger:
         yield charger
 

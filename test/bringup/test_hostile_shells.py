@@ -64,6 +64,8 @@ IN_CI = {
     *(("version", "full errors"), ("missing", "removed folder"), ("folder", "no folder for what is temporary")),
     *(("version", "no home"), ("full device", "C"), ("node", "a home that cannot be")),
 }
+CASES = list(itertools.product(COMMAND_LINES, SHELLS))
+assert set(CASES) > IN_CI
 WITNESS = pytest.param("list", "full", marks=pytest.mark.witness)
 
 
@@ -87,10 +89,7 @@ def ended(words: Sequence[str], shell: str, folder: Path) -> tuple[int, bytes, s
 
 @pytest.mark.parametrize(
     ("command", "shell"),
-    [
-        WITNESS if each == ("list", "full") else rest(*each) if each in IN_CI else night(*each)
-        for each in itertools.product(COMMAND_LINES, SHELLS)
-    ],
+    [WITNESS if each == ("list", "full") else rest(*each) if each in IN_CI else night(*each) for each in CASES],
 )
 def test_a_hostile_shell_costs_a_command_only_its_output(command: str, shell: str, tmp_path: Path) -> None:
     words, code = COMMAND_LINES[command]

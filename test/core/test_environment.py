@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Network reach of a process's nodes, and its description."""
+"""Network reach of a process's nodes, its description, and the middleware's profile."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +48,21 @@ def test_settings_of_the_user_override_the_scene(
     monkeypatch.setenv(RANGE, set_before)
     environment.reach("subnet")
     assert os.environ[RANGE] == reached
+
+
+@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", ""])
+def test_fast_dds_settings_of_the_user_are_kept(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may be in a variable, or in a file of the working directory."""
+    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+    monkeypatch.chdir(tmp_path)
+    for each in names:
+        monkeypatch.setenv(each, "mine.xml" if each == name else "")
+    file = tmp_path / "DEFAULT_FASTDDS_PROFILES.xml"
+    if not name:
+        file.write_text("<dds/>")
+    environment.announce()
+    assert [os.environ[each] for each in names] == ["mine.xml" if each == name else "" for each in names]
+    if not name:
+        file.unlink()
+        environment.announce()
+        assert Path(os.environ[names[0]]).name == "fastdds.xml"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,22 @@ def test_a_failure_leaves_only_the_old_file(tmp_path: Path) -> None:
         raise ZeroDivisionError
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"before")
+    if (child := os.fork()) == 0:
+        with files.atomic_write(path) as beside:
+            beside.write_bytes(b"half")
+            os.kill(os.getpid(), signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert (path.read_bytes(), len(list(tmp_path.iterdir()))) == (b"before", 2)
+    files.remove_unfinished(tmp_path)
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
+    with files.atomic_write(path) as beside:
+        beside.write_bytes(b"after")
+    assert path.read_bytes() == b"after"
 
 
 def test_a_link_is_followed_and_a_pipe_is_written_to(tmp_path: Path) -> None:

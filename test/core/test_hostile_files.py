@@ -19,11 +19,22 @@ import pytest
 
 from ..marks import night, rest
 
-for needed in ("cv2", "mcap", "pyarrow"):
-    pytest.importorskip(needed, reason="reads with the extras vision, record and campaign")
-
 FUZZ = Path(__file__).resolve().parents[2] / "benchmarks" / "files_fuzz.py"
 KINDS = ("yaml", "csv", "npz", "npy", "picture", "mcap", "json", "parquet")
+EXTRAS = {
+    "npy": {"cv2": "vision"},
+    "picture": {"cv2": "vision"},
+    "mcap": {"mcap": "record"},
+    "json": {"mcap": "record", "pyarrow": "campaign"},
+    "parquet": {"pyarrow": "campaign"},
+}
+
+
+@pytest.fixture(autouse=True)
+def needed(kind: str) -> None:
+    """Skip a kind whose library is not installed."""
+    for library, extra in EXTRAS.get(kind, {}).items():
+        pytest.importorskip(library, reason=f"reads with the extra {extra}")
 
 
 @pytest.mark.parametrize("kind", [*(kind for kind in KINDS if kind != "npz"), rest("npz")])

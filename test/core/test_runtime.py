@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lock that allows one charger: only a living holder counts."""
+"""One charger a computer by a lock that only a living holder has, and the time limit for a process's end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import pytest
 
 from deltacharger_core import runtime
 
-from ..waiting import DEADLINE
+from ..marks import rest
+from ..waiting import DEADLINE, host
 
 HOLDER = """
 import sys
@@ -114,3 +115,20 @@ def test_the_folder_is_private_and_another_users_folder_is_refused(
     for unusable in ("missing", ""):
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / unusable) if unusable else "")
         assert runtime.folder().parent == Path("/tmp")
+
+
+HANGS = "import ctypes; ctypes.PyDLL(None).pause()"  # blocks for ever with Python's lock
+
+
+def ended(limit: float, code: int, then: str) -> int:
+    program = f"from deltacharger_core.exit_timer import exit_within; exit_within({limit}, {code}); {then}"
+    return subprocess.run([sys.executable, "-c", program], timeout=host(5.0), check=False).returncode
+
+
+@pytest.mark.parametrize(("limit", "code"), [(0.2, 0), rest(1.2, 7)])
+def test_a_process_that_hangs_ends_within_its_limit(limit: float, code: int) -> None:
+    assert ended(limit, code, HANGS) == code
+
+
+def test_a_process_that_ends_in_time_keeps_its_exit_code() -> None:
+    assert ended(30.0, 0, "raise SystemExit(3)") == 3

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.terminal import Terminal
 
-ROOT = Path(__file__).resolve().parents[2]
 READERS: dict[str, Callable[[Path], Any]] = {
     "geometry": load_geometry,
     "scene": load_scene,
@@ -68,21 +65,3 @@ def test_written_yaml_is_read_back(tmp_path: Path) -> None:
     assert (tmp_path / "out.yaml").read_text(encoding="utf-8").startswith("# two\n# lines\nz: ")
     assert read_yaml(tmp_path / "out.yaml") == content
     assert [path.name for path in tmp_path.iterdir()] == ["out.yaml"]
-
-
-@pytest.mark.rest
-def test_kinematics_compute_on_numpy_alone() -> None:
-    program = """
-import sys
-class NumpyAlone:
-    def find_spec(self, name, path=None, target=None):
-        root = name.split(".")[0]
-        if root not in {*sys.stdlib_module_names, "numpy", "deltacharger_kinematics", "deltacharger_core"}:
-            raise ModuleNotFoundError(f"{name} is not installed", name=name)
-sys.meta_path.insert(0, NumpyAlone())
-from deltacharger_kinematics import Delta
-from deltacharger_kinematics.scalar import ScalarDelta
-import deltacharger_kinematics.geometry_file
-assert abs(Delta().forward(Delta().inverse([0.0, 0.01, 0.06]).angles).position - [0.0, 0.01, 0.06]).max() < 1e-9
-"""
-    subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Goals on a docked target: each is fulfilled, none moves electrodes that rest well or weakens the supervision.
 
-And faults found by attacks: each once left current on, an arm stuck or an endless goal.
+No attack leaves current on, an arm stuck or an endless goal.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from .dockings import (
 
 WIRED = {"parameters": {"power": "none"}, "circuit": CircuitParameters(wired=True)}
 AGAIN = {"restarts_max": 2}
+CONTACT_ONLY = DockGoal(GOAL, start_charging=False)
 FILLING = CircuitParameters(target_capacity=40.0)  # constant voltage after 13 s, then a time constant of 6.4 s
 
 
@@ -298,7 +299,6 @@ def test_a_cancel_ends_at_home_and_keeps_the_result(until: Callable[[VirtualChar
 
 NAN3 = (math.nan,) * 3
 NAMES = "servo_state from /servo_node and /stranger"
-CONTACT_ONLY = DockGoal(GOAL, start_charging=False)
 
 
 def until_idle(run: VirtualCharger) -> None:

@@ -74,7 +74,7 @@ TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNo
 
 def other(each: Declaration) -> Any:
     """Return an allowed value near the default, so that no two parameters contradict each other."""
-    if each.name == "power":  # its other value allows one approach alone; see test_wired
+    if each.name == "power":  # its other value allows one approach alone; see test_approaches.py
         return each.default
     if isinstance(each.default, tuple):
         return [*each.default[:-1], 0.51]

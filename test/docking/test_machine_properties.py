@@ -248,9 +248,7 @@ GOALS = st.builds(
     stop_after=st.sampled_from((0.0, 1.0)),
     hold=st.just(False),
 )
-SETTINGS = settings(
-    max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
-)
+SETTINGS = settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
 
 
 def test_without_an_adversary_it_docks_charges_and_undocks() -> None:

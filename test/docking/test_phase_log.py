@@ -87,7 +87,7 @@ def test_states_passed_between_two_reports_are_reported_once_each_in_order(
     assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
 def test_log_lines_follow_any_sequence_of_states(steps: list[tuple[list[State], State, bool, Code]]) -> None:
     log = PhaseLog()

@@ -363,7 +363,7 @@ def test_another_contact_gains_nothing_at_a_known_place_and_much_if_a_lean_hides
 
 GAP, LENGTH = 0.0037, 0.035
 LEVEL = [item for item in fields(MisalignmentEstimate) if item.name not in ("across", "across_stddev", "classes")]
-"""Fields of estimates from before the offset across existed."""
+"""Fields of estimates without an offset across."""
 
 
 def felt(

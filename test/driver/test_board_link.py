@@ -10,7 +10,8 @@ import os
 import termios
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -161,22 +162,26 @@ def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock() -> None:
     assert (receiver.counters.reboots, boots) == (1, [True])
 
 
+def probe_until(rig: Rig, interrupt: Callable[[], object]) -> None:
+    """Start a probe that does not end by itself, interrupt it, and wait for the answer."""
+    rig.board._power._probe_time = 60.0
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(rig.link.probe)
+        wait_until(lambda: rig.board._power._probe_due < math.inf, "a running probe")
+        interrupt()
+        answer.result()
+
+
 def test_a_command_interrupted_by_a_reboot_reports_it(rig: Rig, link: BoardLink) -> None:
-    timer = threading.Timer(0.05, rig.board.reboot)
-    timer.start()
     with pytest.raises(BoardRebooted, match="PROBE"):
-        link.probe()
-    timer.join()
+        probe_until(rig, rig.board.reboot)
 
 
 def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(rig: Rig, link: BoardLink) -> None:
     link.start()
     wait_until(lambda: len(rig.frames) >= 10)
-    pull = threading.Timer(0.05, rig.cable.stop)
-    pull.start()
     with pytest.raises(PortGone):
-        link.probe()
-    pull.join()  # the old terminal removes its link last
+        probe_until(rig, rig.cable.stop)
     assert len(rig.losses) == 1
     with pytest.raises(PortGone):
         link.start()

@@ -99,9 +99,7 @@ def test_torque_off_reaches_the_servos_that_answer(bus: ServoBus, emulator: Serv
     assert arm.torque_enabled() == [True, False, False]
 
 
-def test_goals_that_the_port_does_not_accept_are_an_error_and_sent_again(
-    bus: ServoBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_goals_that_the_port_does_not_accept_are_an_error(bus: ServoBus, monkeypatch: pytest.MonkeyPatch) -> None:
     assert bus.exchange((0.0, 0.0, 0.0), BOUND).complete
     monkeypatch.setattr(bus._link._handler, "writePort", lambda packet: 0)
     with pytest.raises(PortGone):
@@ -109,7 +107,7 @@ def test_goals_that_the_port_does_not_accept_are_an_error_and_sent_again(
 
 
 def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
-    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+    closed: ServoBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = []
     write = ControlTable.write

@@ -174,8 +174,7 @@ def test_diagnostics_report_health_rate_and_late_cycles(servos: Servos) -> None:
     assert {status.level for status in servos.client.statuses} == {DiagnosticStatus.OK}
     values = {value.key: value.value for value in bus.values}
     assert 60.0 / host(1.0) < float(values["rate"].removesuffix(" Hz")) <= 105.0
-    assert int(values["late_cycles"]) >= 0
-    assert {"timeouts", "corrupt", "late", "retries", "watchdog_trips", "reconnections"} <= set(values)
+    assert {"late_cycles", "timeouts", "corrupt", "late", "retries", "watchdog_trips", "reconnections"} <= set(values)
 
 
 @pytest.mark.version

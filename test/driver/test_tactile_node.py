@@ -247,7 +247,7 @@ def test_a_held_lease_charges_and_is_reported_until_it_lapses(rig: Rig) -> None:
     assert int(power["lease_renewals"]) > 0
     assert 0.0 < float(power["rate"].removesuffix(" Hz")) <= 25.0
     assert 0.0 < float(pads["rate"].removesuffix(" Hz")) <= 140.0
-    assert int(pads["late_frames"]) >= 0
+    assert "late_frames" in pads
     p99, largest = (float(link[key].removesuffix(" ms")) for key in ("heartbeat_late_p99", "heartbeat_late_max"))
     assert 0.0 <= p99 <= largest
     renewed = time.monotonic()

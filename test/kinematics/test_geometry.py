@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -89,3 +91,21 @@ def test_a_bad_file_is_refused_with_its_name_and_the_key(tmp_path: Path, content
         load_geometry(path)
     with pytest.raises(OSError, match="none"):
         load_geometry(tmp_path / "none.yaml")
+
+
+@pytest.mark.rest
+def test_kinematics_compute_on_numpy_alone() -> None:
+    program = """
+import sys
+class NumpyAlone:
+    def find_spec(self, name, path=None, target=None):
+        root = name.split(".")[0]
+        if root not in {*sys.stdlib_module_names, "numpy", "deltacharger_kinematics", "deltacharger_core"}:
+            raise ModuleNotFoundError(f"{name} is not installed", name=name)
+sys.meta_path.insert(0, NumpyAlone())
+from deltacharger_kinematics import Delta
+from deltacharger_kinematics.scalar import ScalarDelta
+import deltacharger_kinematics.geometry_file
+assert abs(Delta().forward(Delta().inverse([0.0, 0.01, 0.06]).angles).position - [0.0, 0.01, 0.06]).max() < 1e-9
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[2])

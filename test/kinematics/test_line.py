@@ -46,7 +46,7 @@ def shares(line: Line, limits: ArmLimits) -> tuple[float, float]:
     return np.abs(line.velocities).max() / limits.speed, np.abs(line.accelerations).max() / limits.acceleration
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(place, place, speeds)
 def test_a_line_joins_its_ends_at_rest_and_keeps_every_limit(
     start: tuple[float, float, float], goal: tuple[float, float, float], speed: float

@@ -126,7 +126,7 @@ def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
 
 @pytest.mark.parametrize(
     ("name", "digest"),
-    [("default", "77ca1c1e2391afcbb846db50afc10b09"), ("steep", "e45b5150f0adaa90ca984d8888f6637e")],
+    [("default", "1ee9840494735ba1b3afb91808b9283a"), ("steep", "77e3ebcdbcb729aa7aab023ce816d792")],
 )
 def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
     scene = load_campaign_scene(name)
@@ -135,10 +135,8 @@ def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
         one = draw(scene, 21, number, "guarded")
         world = one.world
         parts = list(map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal)))
-        parts[1], parts[4] = parts[1][:4], parts[4][:4]  # pad_stiffness and a goal's lean are younger than the digests
-        values = sorted(item for item in one.values.items() if item[0] != "docking.yaw_stddev")  # so is this
         gravity = (world.gravity_x, world.gravity_y, world.gravity_z)
-        found.update(repr((values, *parts, *gravity, one.seed, one.rig_seed)).encode())
+        found.update(repr((sorted(one.values.items()), *parts, *gravity, one.seed, one.rig_seed)).encode())
     assert found.hexdigest()[:32] == digest
 
 
@@ -258,7 +256,7 @@ TILTED = {"parked": {"heading": [-0.08, 0.08]}, "world": {"target": {"tilt_y": {
         ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "estimator.paper"),
     ],
 )
-def test_what_is_refused(content: Any, key: str, problem: str) -> None:
+def test_impossible_content_is_refused_by_its_key(content: Any, key: str, problem: str) -> None:
     with pytest.raises(ParameterError) as refusal:
         parse_campaign_scene(content, "bad")
     assert refusal.value.key == key
@@ -272,7 +270,7 @@ def test_what_is_refused(content: Any, key: str, problem: str) -> None:
         {"nudge": {"x": {"mean": 0.0, "stddev": 0.001}, "after": 3.0}},  # moves though its mean is none
     ],
 )
-def test_what_is_allowed(content: dict[str, Any]) -> None:
+def test_a_dead_band_may_be_drawn_and_a_nudge_may_have_no_mean(content: dict[str, Any]) -> None:
     parse_campaign_scene(content, "x")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of the lab with wrong arguments, a file in place of a folder, or without a library; targets and pictures."""
+"""Commands of the lab without a library; a report's targets and pictures."""
 
 from __future__ import annotations
 
@@ -13,47 +13,6 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.report import Report, at_least, at_most, none
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("campaign",),
-        ("campaign", "--out", "FILE/no/where"),
-        ("campaign", "--out", "FILE"),
-        ("campaign", "--out", "PATH", "--scenes", "defualt"),
-        ("campaign", "--out", "PATH", "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"),
-        *(("campaign", "compare", "PATH", "PATH", *more) for more in ((), ("--picture", "a.doc"))),
-        *(
-            ("tactile", "record", "--protocol", "paper", *more.split(), "--out", "PATH")
-            for more in ("--set angle", "--compose", "--repeat 2", "--namespace a", "--x-mm 3")
-        ),
-        *(("report", "kinematics", "--points", text) for text in ("49", "100001", "1e3")),
-        *(("report", "vision", "--images", text) for text in ("1", "1001")),
-        *(("report", "tactile", "--seed", text) for text in ("-1", "1.5")),
-        *(("report", "footprint", "--repeats", text) for text in ("0", "1.5")),
-        *(("report", subject, "--seed", "1") for subject in ("footprint", "simulation")),
-        ("report", "simulation", "more"),
-        ("report", "docking", "--quik"),
-        ("report", "docking", "--only", "egde", "--out", "PATH"),
-        ("report", "footprint", "--scene", "bensch"),
-        *(
-            ("report", subject, "--quick", "--out", "FILE")
-            for subject in ("footprint", "kinematics", "tactile", "vision")
-        ),
-        ("report", "simulation", "--quick", "--out", "FILE/below"),
-    ],
-    ids=" ".join,
-)
-def test_wrong_arguments_exit_with_2(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[str, ...]
-) -> None:
-    file = tmp_path / "file"
-    file.write_text("kept", encoding="utf-8")
-    words = tuple(word.replace("FILE", str(file)).replace("PATH", str(tmp_path / "new")) for word in words)
-    assert main((*words, "--json")) == 2
-    assert json.loads(capsys.readouterr().out)["success"] is False
-    assert [(path.name, path.read_text()) for path in tmp_path.rglob("*") if path.is_file()] == [("file", "kept")]
 
 
 @pytest.mark.parametrize(

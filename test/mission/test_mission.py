@@ -76,7 +76,7 @@ def test_a_mission_drives_searches_docks_charges_undocks_and_returns() -> None:
     assert world.requests[-3].goal == MissionGoal(TARGET, stop_energy=1000.0)
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(
     heading=angles,
     offset=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(0.0, 0.5)),
@@ -464,7 +464,7 @@ def _drawn(draw: st.DataObject) -> Answer:
     return answer
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.data(), st.one_of(st.none(), st.integers(0, 3000)), st.booleans())
 def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     data: st.DataObject, cancel_at: int | None, drives: bool

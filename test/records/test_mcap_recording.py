@@ -6,8 +6,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import os
-import signal
 import sys
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from deltacharger.msg import DockingState, TactileFrame
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_core.files import atomic_write, remove_unfinished
 from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.mcap_recording import McapStream, McapWriter, pack, schema_text, type_name
 
@@ -111,22 +108,6 @@ def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
     assert path.read_bytes() == b"before"
     with pytest.raises(OSError, match="nowhere"):
         McapWriter(tmp_path / "nowhere" / "run.mcap", KINDS)
-
-
-def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_bytes(b"before")
-    if (child := os.fork()) == 0:
-        with atomic_write(path) as beside:
-            beside.write_bytes(b"half")
-            os.kill(os.getpid(), signal.SIGKILL)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
-    assert (path.read_bytes(), len(list(tmp_path.iterdir()))) == (b"before", 2)
-    remove_unfinished(tmp_path)
-    assert [each.name for each in tmp_path.iterdir()] == ["file"]
-    with atomic_write(path) as beside:
-        beside.write_bytes(b"after")
-    assert path.read_bytes() == b"after"
 
 
 def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

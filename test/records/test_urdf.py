@@ -310,7 +310,7 @@ def wired(argv: list[str] | None = None, **arguments: str) -> list[Any]:
     return found
 
 
-def test_rviz_starts_unless_disabled(tmp_path: Path) -> None:
+def test_rviz_starts_unless_disabled() -> None:
     names = [node.node_executable for node in wired()]
     assert names == ["robot_state_publisher", "passive_joints_node", "rviz2"]
     assert [node.node_executable for node in wired(rviz="false")] == names[:2]

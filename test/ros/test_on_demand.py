@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +18,6 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
-from deltacharger_core import environment
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 from deltacharger_ros.qos import SERVICE
@@ -106,7 +103,7 @@ def test_waiting_ends_with_a_message_or_the_timeout(node: Node, publisher: Publi
     assert latest.take().data == 1
 
 
-def test_nothing_is_taken_after_the_shutdown_of_ros(context: Any, namespace: str) -> None:
+def test_nothing_is_taken_after_the_shutdown_of_ros(namespace: str) -> None:
     own = rclpy.Context()
     rclpy.init(context=own, args=[])
     node = Node("listener", context=own, namespace=namespace, use_global_arguments=False)
@@ -117,24 +114,6 @@ def test_nothing_is_taken_after_the_shutdown_of_ros(context: Any, namespace: str
     assert latest.take() is None
     assert list(polled.take()) == []
     node.destroy_node()
-
-
-@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", ""])
-def test_fast_dds_settings_of_the_user_are_kept(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They may be in a variable, or in a file of the working directory."""
-    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
-    monkeypatch.chdir(tmp_path)
-    for each in names:
-        monkeypatch.setenv(each, "mine.xml" if each == name else "")
-    file = tmp_path / "DEFAULT_FASTDDS_PROFILES.xml"
-    if not name:
-        file.write_text("<dds/>")
-    environment.announce()
-    assert [os.environ[each] for each in names] == ["mine.xml" if each == name else "" for each in names]
-    if not name:
-        file.unlink()
-        environment.announce()
-        assert Path(os.environ[names[0]]).name == "fastdds.xml"
 
 
 OTHERS = 200

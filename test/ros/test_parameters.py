@@ -20,15 +20,12 @@ from deltacharger_core.parameters import (
     Bounded,
     ParameterError,
     choice,
-    declared,
     flag,
     number,
     numbers,
     tunable,
     words,
 )
-from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
@@ -282,11 +279,6 @@ def test_every_node_uses_the_values_of_the_file_or_the_defaults(
     assert parameters(docking, "servo_stiffness", "torque_constant") == [stiffness, constant]
     kinematics = KinematicsNode(**options(context, namespace, torque_constant=constant, **file))
     assert parameters(kinematics, "torque_constant") == [constant]
-
-
-def test_a_file_may_have_any_stiffness_that_docking_accepts() -> None:
-    bounds = {each.name: (each.low, each.high) for each in declared(DockingParameters)}["servo_stiffness"]
-    assert bounds == (STIFFNESS_MIN, STIFFNESS_MAX)
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def groups(start: Launch, tmp_path: Path) -> Iterator[list[str]]:
 
 
 def test_a_groups_namespace_remaps_parameters_and_environment_apply(
-    groups: list[str], context: Any, spin: Spin, monkeypatch: pytest.MonkeyPatch
+    groups: list[str], context: Any, spin: Spin
 ) -> None:
     """Names of a simulated charger and of one on hardware differ only by the group's namespace."""
     node = spin(Node("integrator", **options(context)))

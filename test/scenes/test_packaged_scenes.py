@@ -117,8 +117,6 @@ def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:
     [
         (("dock", "--scene", "tactile_lab"), "starts no docking_node"),
         (("undock", "--scene", "replay"), "starts no docking_node"),
-        (("up", "--scene", "mocks", "--recording", __file__), "starts no recording_player_node"),
-        (("up", "--scene", "mocks", "--board-port", "/dev/null"), "no node of this scene opens it"),
     ],
 )
 def test_a_command_that_a_scene_cannot_serve_is_refused_before_anything_starts(

@@ -154,7 +154,7 @@ def test_given_ports_override_the_scenes_and_the_nodes(hardware: Path, tmp_path:
     assert scene.node_parameters("tactile_node", {}) == {"port": str(board)}
 
 
-def test_one_argument_sets_the_prefix_of_every_node(tmp_path: Path) -> None:
+def test_one_argument_sets_the_prefix_of_every_node() -> None:
     for name in ("simulated", "camera", "mocks", "bench", "mission"):
         scene = override(load_scene(name), Overrides(frame_prefix="left/", joint_prefix="left_"))
         parameters = {node: scene.node_parameters(node, {}) for node in scene.nodes}
@@ -276,6 +276,7 @@ def test_invalid_parameters_are_found_without_the_node(node: str, parameter: str
     assert problem in message
 
 
+@pytest.mark.ros
 def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
     given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
     scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")

@@ -31,6 +31,7 @@ from ..running_charger import QUICK, RunningCharger, up
 pytestmark = pytest.mark.ros
 
 HOME = (-0.2, -0.2, -0.2)  # rad; far from the target
+AWAY = (-0.1, -0.1, -0.1)
 PULL = 4.0  # N·m of each servo, more than the magnets hold
 
 
@@ -71,23 +72,28 @@ def test_a_strangers_points_part_no_live_electrodes_and_do_not_end_the_charge(
 
 @pytest.mark.parametrize("sec", [-(2**31), 2**31 - 1])
 def test_the_mock_also_refuses_impossible_stamps_and_serves_the_next(
-    context: Any, namespace: str, spin: Spin, sec: int
+    context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, sec: int
 ) -> None:
-    mock = spin(MockServoNode(**options(context, namespace)))
+    mock, goals = spin(MockServoNode(**options(context, namespace))), []
+    monkeypatch.setattr(mock._goals, "follow", lambda points, *_: goals.append(tuple(points[-1].angles)))
     sender = spin(Node("sender", **options(context, namespace)))
     points = sender.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
     wait_until(points.get_subscription_count, "discovery")
-    message = JointTrajectory(joint_names=list(JOINTS), points=[JointTrajectoryPoint(positions=array("d", HOME))])
-    message.header.stamp.sec = sec
-    points.publish(message)
-    message.header.stamp.sec = 0
+
+    def send(positions: tuple[float, ...], sec: int) -> None:
+        point = JointTrajectoryPoint(positions=array("d", positions))
+        message = JointTrajectory(joint_names=list(JOINTS), points=[point])
+        message.header.stamp.sec = sec
+        points.publish(message)
 
     def followed() -> bool:
-        points.publish(message)
-        time.sleep(0.01)  # the sender's period
-        return bool(mock._goals.angles == HOME)
+        for positions, stamp in ((AWAY, sec), (HOME, 0)):
+            send(positions, stamp)
+            time.sleep(0.01)  # the sender's period
+        return goals.count(HOME) > 2
 
-    wait_until(followed, "the good one's goal")
+    wait_until(followed, "the goals of good ones")
+    assert set(goals) == {HOME}
 
 
 def assert_at_rest(charger: RunningCharger, since: int) -> None:

@@ -163,6 +163,8 @@ def test_no_contactor_closes_beside_a_second_source_and_live_electrodes_stay_unh
             assert charger.world.record.energised == energised
         elif name in TOPICS:
             wait_until(lambda stranger=stranger: stranger.acts >= ACTS, "the stranger's acts")
+        else:
+            wait_until(lambda: charger.state.duplicate_sources, "the discovery of the second server")
         spinner.close()
         charger.assert_unharmed()
         charger.wait_until_single()

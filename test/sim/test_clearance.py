@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltacharger_docking import clearance
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import TerminalParameters
 
@@ -23,7 +24,7 @@ angle = st.floats(-0.5, 0.5)
 
 
 def formula(angle: float, y: float) -> float:
-    return HALF_GAP * (1.0 + math.cos(angle)) - HALF_LENGTH * abs(math.sin(angle)) - abs(y)
+    return clearance.clearance(angle, y, HALF_GAP, HALF_LENGTH)
 
 
 def in_bar(x: np.ndarray, y: np.ndarray, side: int) -> np.ndarray:
@@ -43,7 +44,7 @@ def sampled(x: float, y: float, angle: float) -> np.ndarray:
     return np.array([[np.count_nonzero(a & b) for b in theirs] for a in ours]) * PITCH**2
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(shift, shift, angle)
 def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float) -> None:
     lies, counted = Overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
@@ -62,7 +63,7 @@ def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float
         assert lies.clearance < 0.0
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(shift, shift, angle)
 def test_the_decision_formula_never_overestimates_clearance(x: float, y: float, angle: float) -> None:
     assert Overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12

@@ -32,6 +32,7 @@ REST = (
     *(f"servo_{name}" for name in ("watchdog", "unplugged")),
     *(f"board_{name}" for name in ("reboot", "trip-9", "deaf", "unplugged", "delay-0.4")),
 )
+assert {*WITNESSES, *REST} < {row.name for row in ROWS}
 CELLS = [
     pytest.param(row, id=row.name, marks=getattr(pytest.mark, mark))
     for row in ROWS

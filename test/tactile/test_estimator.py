@@ -121,7 +121,7 @@ def test_one_pad_still_guides_a_correction(wide: Any) -> None:
     assert not estimate.in_range[lost].any()
 
 
-def test_class_probabilities(wide: Any) -> None:
+def test_probabilities_of_the_papers_classes_sum_to_one_and_name_the_nearest(wide: Any) -> None:
     _, _, pose, estimate = wide
     known = np.isfinite(estimate.angle)
     for name, classes in (("angle", 6), ("vertical", 5), ("horizontal", 5)):

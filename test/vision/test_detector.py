@@ -326,7 +326,7 @@ def wrong_and_sure(seen: Look) -> bool:
     return (seen.off > 0.003 and sigmas(seen) > 6.0) or bool(askew)
 
 
-# A plane through plate and obstruction gave 2 to 16 mm, 4 to 20 standard deviations and 16 to 39° in the first ones.
+# In the first ones a plane through plate and obstruction is off by 2 to 16 mm, 4 to 20 standard deviations, 16 to 39°.
 @pytest.mark.parametrize(
     ("kind", "seeds", "found"),
     [

@@ -36,8 +36,8 @@ from deltacharger_vision.terminal import Terminal
 from ..chargers import DEADLINE, Spin, wait_until
 from ..marks import night
 from ..nodes import numbers, options
-from ..scenes.camera_driver import TARGET, Driver, picture, stamp
 from ..transforms import Robot, transforms
+from .camera_driver import TARGET, Driver, picture, stamp
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 

@@ -69,13 +69,12 @@ def test_no_frame_is_lost_damaged_or_repeated(host: BoardHost, board_site: Board
     frames = first + host.stream(STRETCH)  # numbers continue over stop and start
     assert all(earlier.device_time_us < later.device_time_us for earlier, later in pairwise(frames))
     assert host.link.counters.duplicates == counters.duplicates
-    if not board_site.real and max(np.diff([*arrivals, *host.arrivals])) > PAUSE:
-        return  # this computer did not take the frames in time
+    kept_up = max(np.diff([*arrivals, *host.arrivals])) <= PAUSE
     missing = [b.sequence for a, b in pairwise(frames) if b.sequence != a.sequence + 1 and not b.overrun]
-    assert missing == []
+    if kept_up or board_site.real:  # else this computer did not take the emulator's bytes in time
+        assert (missing, host.link.decoder_counters.damaged) == ([], decoder.damaged)
     assert not board_site.real or not any(frame.overrun for frame in frames), "the board does not keep up"
     assert host.link.counters.bad_payloads == 0
-    assert host.link.decoder_counters.damaged == decoder.damaged
     assert host.link.decoder_counters.header_errors == 0
 
 

@@ -152,7 +152,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
     assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
 
 
-def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus, servo_site: ServoSite) -> None:
+def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus) -> None:
     bus.read()
     bus.reboot(1)
     noticed = wait_until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be detected")
