@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import itertools
 import os
 import signal
@@ -18,7 +20,7 @@ import pytest
 from deltacharger_core import environment
 from deltacharger_scenes.scene import Scene, load_scene
 
-from .waiting import DEADLINE, wait_until
+from .waiting import DEADLINE, host, wait_until
 from .workers import stay_apart
 
 stay_apart()
@@ -135,6 +137,31 @@ def context() -> Iterator[Any]:
     rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
     yield context
     rclpy.try_shutdown(context=context)
+
+
+@functools.cache
+def _limits() -> tuple[tuple[Any, str, float], ...]:
+    from deltacharger_docking.ros import services
+    from deltacharger_driver.board import contactor_guard, contactor_lease
+    from deltacharger_driver.emulators import power, servo_firmware
+
+    every = (
+        (contactor_guard, "STALE_FRAME"),
+        (contactor_lease, "LONGEST_LEASE"),
+        (services, "LONGEST_LEASE"),
+        (power, "HEARTBEAT_LIMIT"),
+        (servo_firmware, "WATCHDOG_UNIT"),
+    )
+    return tuple((module, name, getattr(module, name)) for module, name in every)
+
+
+@contextlib.contextmanager
+def patience() -> Iterator[None]:
+    """Widen, by the host's option, the times within which this process's nodes and emulators must hear its threads."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, seconds in _limits():
+            patch.setattr(module, name, host(seconds))
+        yield
 
 
 @pytest.fixture

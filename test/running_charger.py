@@ -17,14 +17,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pytest
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.parameter import Parameter
 
-from deltacharger_core.machine import LONGEST_LEASE
-from deltacharger_docking.ros import services
-from deltacharger_driver.board import contactor_lease
-from deltacharger_driver.emulators import power, servo_firmware
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
@@ -34,7 +29,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Ports, Scene
 
-from .chargers import DEADLINE, Process, new_namespace, wait_until
+from .chargers import DEADLINE, Process, new_namespace, patience, wait_until
 from .quick import SCENE, STEPS
 from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld
 from .waiting import host
@@ -47,24 +42,18 @@ PATIENT = {
     "power_age_max": 1.0,
 }
 """Of docking_node: a busy computer is not a broken cable."""
+PATIENT_MARGIN = min(host(REPLY_MARGIN), 0.05)
+"""Of servo_node; with a longer one, lost replies cost too much time."""
 QUICK = {
     **SCENE,
     "parameters": {
         "docking_node": {**STEPS, **PATIENT},
-        "servo_node": {"reply_margin": min(host(REPLY_MARGIN), 0.05)},  # longer, and lost replies cost too much time
-        "misalignment_node": {"max_age": 1.0},
+        "servo_node": {"reply_margin": PATIENT_MARGIN},
+        "misalignment_node": {"max_age": 1.0, "timeout": 2.5},
     },
 }
 """Content of a scene: five nodes on a simulated charger whose target is exactly at GOAL, quick and patient."""
 _LOOK = 1.0  # s between docking_node's checks for second sources while it rests
-
-_LIMITS = (
-    (contactor_lease, "LONGEST_LEASE", LONGEST_LEASE),
-    (services, "LONGEST_LEASE", LONGEST_LEASE),
-    (power, "HEARTBEAT_LIMIT", power.HEARTBEAT_LIMIT),
-    (servo_firmware, "WATCHDOG_UNIT", servo_firmware.WATCHDOG_UNIT),
-)
-"""Times within which this computer must be heard, by the nodes and emulators of this process."""
 
 CommandLine = Callable[[Path, str], Sequence[str]]
 """Returns the command line that starts a charger from a scene's file in a namespace."""
@@ -125,9 +114,7 @@ class RunningCharger:
         self._awaited: tuple[str, Callable[[], None]] = ("", lambda: None)
         self._signalled: dict[str, int] = {}  # the last signal of each node
         with contextlib.ExitStack() as opened:
-            patch = opened.enter_context(pytest.MonkeyPatch.context())
-            for module, name, seconds in _LIMITS:
-                patch.setattr(module, name, host(seconds))
+            opened.enter_context(patience())
             self.scene = self._on_ports(scene, opened)
             opened.callback(self._kill)
             if command is not None:

@@ -34,8 +34,9 @@ from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
-from ..chargers import Spin, new_namespace
+from ..chargers import Spin, new_namespace, patience
 from ..nodes import TELLS_PUBLISHERS, call, options
+from ..running_charger import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
 from .servo_rig import START
 
@@ -116,7 +117,7 @@ class Servos:
     def __init__(self, context: Any, path: str, arm: BenchArm, spin: Spin) -> None:
         self.arm, self.context, self.serve = arm, context, spin
         self.namespace = new_namespace()
-        self.node = spin(ServoNode(**options(context, self.namespace, port=path)))
+        self.node = spin(ServoNode(**options(context, self.namespace, port=path, reply_margin=PATIENT_MARGIN)))
         self.client: Client = spin(Client(context, self.namespace))
         wait_until(lambda: self.client.states and self.client.trajectories.get_subscription_count())
 
@@ -135,7 +136,7 @@ def shared(context: Any) -> Iterator[Servos]:
         spinners.append(Spinner(node))
         return node
 
-    with PseudoTerminal(ServoBusEmulator(arm := BenchArm(START))) as terminal:
+    with patience(), PseudoTerminal(ServoBusEmulator(arm := BenchArm(START))) as terminal:
         yield Servos(context, terminal.path, arm, spin)
         for spinner in reversed(spinners):
             spinner.close()

@@ -24,17 +24,15 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
-from deltacharger_driver.board import contactor_guard, contactor_lease
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators import power
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
-from ..chargers import new_namespace
+from ..chargers import new_namespace, patience
 from ..nodes import call, options
 from ..waiting import DEADLINE, host, wait_until
 
@@ -138,19 +136,12 @@ class Rig:
         self.cable.stop()
 
 
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let board and guard wait for this computer's threads."""
-    monkeypatch.setattr(power, "HEARTBEAT_LIMIT", host(power.HEARTBEAT_LIMIT))
-    monkeypatch.setattr(contactor_guard, "STALE_FRAME", host(contactor_guard.STALE_FRAME))
-    monkeypatch.setattr(contactor_lease, "LONGEST_LEASE", host(contactor_lease.LONGEST_LEASE))
-
-
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory, context: Any) -> Iterator[Rig]:
-    rig = Rig(tmp_path_factory.mktemp("tactile"), context)
-    yield rig
-    rig.stop()
+    with patience():
+        rig = Rig(tmp_path_factory.mktemp("tactile"), context)
+        yield rig
+        rig.stop()
 
 
 @pytest.fixture

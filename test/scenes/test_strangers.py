@@ -75,7 +75,7 @@ def test_the_mock_also_refuses_impossible_stamps_and_serves_the_next(
     context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, sec: int
 ) -> None:
     mock, goals = spin(MockServoNode(**options(context, namespace))), []
-    monkeypatch.setattr(mock._goals, "follow", lambda points, *_: goals.append(tuple(points[-1].angles)))
+    monkeypatch.setattr(mock._goals, "follow", lambda points, *_: goals.append(points.angles[-1]))
     sender = spin(Node("sender", **options(context, namespace)))
     points = sender.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
     wait_until(points.get_subscription_count, "discovery")
