@@ -25,6 +25,10 @@ def test_no_two_registers_overlap() -> None:
             taken[place] = name
 
 
+def test_the_speeds_are_those_of_the_vendors_table() -> None:
+    assert mx64.SPEEDS == {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+
+
 def test_the_vendors_figures_give_the_assumed_stiffness() -> None:
     assert POSITION_P_GAIN == 434
     assert pytest.approx(SERVO_STIFFNESS, rel=2e-3) == POSITION_P_GAIN * STIFFNESS_PER_GAIN

@@ -37,6 +37,7 @@ from deltacharger_ros.node_support import StartupError
 from ..behind_board import BehindEmulator
 from ..emulated_ports import Babbler
 from ..nodes import call, options
+from ..running_charger import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
 
 pytestmark = pytest.mark.ros
@@ -139,7 +140,7 @@ def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(
 @pytest.mark.witness
 def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any, one_cable: str) -> None:
     spin(TactileNode(**options(context, namespace, port=one_cable)))
-    node = spin(ServoNode(**options(context, namespace, port="board", rate=60.0)))
+    node = spin(ServoNode(**options(context, namespace, port="board", rate=60.0, reply_margin=PATIENT_MARGIN)))
     states: list[ServoState] = []
     node.create_subscription(ServoState, "servo_state", states.append, 10)
     wait_until(lambda: len(states) > 60)
@@ -156,9 +157,12 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     nodes = [
         start(
             *(sys.executable, "-m", f"deltacharger_driver.{module}", "--ros-args"),
-            *("-r", f"__ns:=/{namespace}", "-p", f"port:={port}"),
+            *("-r", f"__ns:=/{namespace}", "-p", f"port:={port}", *more),
         )
-        for module, port in (("board.tactile_node", one_cable), ("servos.servo_node", "board"))
+        for module, port, *more in (
+            ("board.tactile_node", one_cable),
+            ("servos.servo_node", "board", "-p", f"reply_margin:={PATIENT_MARGIN}"),
+        )
     ]
     assert torque.wait_for_service(DEADLINE)
     assert call(torque, SetBool.Request(data=True)).success

@@ -266,7 +266,7 @@ def test_the_executable_ends_cleanly_on_a_signal(
 ) -> None:
     client = spin(Client(context, namespace := new_namespace()))
     module = "deltacharger_driver.servos.servo_node"
-    words = ("-r", f"__ns:=/{namespace}", "-p", f"port:={terminal.path}")
+    words = ("-r", f"__ns:=/{namespace}", "-p", f"port:={terminal.path}", "-p", f"reply_margin:={PATIENT_MARGIN}")
     process = start(sys.executable, "-m", module, "--ros-args", *words)
     assert client.set_torque(True).success
     assert process.end(signal.SIGINT) == 0
