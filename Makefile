@@ -55,8 +55,9 @@ dock: $(INSTALLED)  ## dock in simulation and draw the run
 test: $(INSTALLED)  ## what a change needs
 	$(SIDE_BY_SIDE) -m '$(SELECTED)'
 
+# Whole chargers with their physics need more of the processor each.
 test-rest: $(INSTALLED)  ## what CI runs besides
-	$(SIDE_BY_SIDE) -m 'rest and not night'
+	$(SIDE_BY_SIDE) -n 3 -m 'rest and not night'
 
 # Deadlines of this computer are strict here. docs/tests.md says what runs, and when to run it.
 test-night: $(INSTALLED)  ## what no CI runs: hours; before a release, and a subject's files when it changes

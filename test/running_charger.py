@@ -198,8 +198,8 @@ class RunningCharger:
         A killed node stays in the graph for 5 s. Docking itself waits for services and topics of nodes that it has not
         discovered yet, so the next goal needs no second attempt.
         """
-        errors = {name: each.err[-3:] for name, each in self.processes.items()}
-        assert self.client.wait_until_ready(DEADLINE), errors
+        ready = self.client.wait_until_ready(DEADLINE)
+        assert ready, {name: (each.process.poll(), each.err[-3:]) for name, each in self.processes.items()}
         services = ["set_torque", "probe", "set_contactor", "dock/_action/send_goal"]
         if "misalignment_node" in self.scene.nodes:
             services.append("predict_misalignment")

@@ -35,7 +35,7 @@ AWAY = (-0.1, -0.1, -0.1)
 PULL = 4.0  # N·m of each servo, more than the magnets hold
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def charger(context: Any) -> Iterator[RunningCharger]:
     with RunningCharger(parse_scene(QUICK, "strangers"), context) as charger:
         yield charger
@@ -102,7 +102,7 @@ def assert_at_rest(charger: RunningCharger, since: int) -> None:
     assert max(map(abs, charger.world.mechanics.rates)) < 0.01
 
 
-@pytest.mark.rest
+@pytest.mark.night
 def test_actions_and_faults_of_one_do_not_affect_the_other(quick_scene: Scene, context: Any) -> None:
     """The one in this process is of mocks, whose faults are easy to set; two of one kind would starve each other."""
     name = new_namespace()
