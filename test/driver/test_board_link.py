@@ -30,6 +30,7 @@ from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
+from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..waiting import host, wait_until
 
@@ -61,9 +62,10 @@ class Rig:
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Iterator[Rig]:
-    rig = Rig(tmp_path)
-    yield rig
-    rig.stop()
+    with patience():
+        rig = Rig(tmp_path)
+        yield rig
+        rig.stop()
 
 
 @pytest.fixture

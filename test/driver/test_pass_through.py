@@ -20,7 +20,6 @@ from std_srvs.srv import SetBool
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
-from deltacharger_driver.board import contactor_guard
 from deltacharger_driver.board.protocol import LONGEST_SERVO, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
@@ -35,6 +34,7 @@ from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_ros.node_support import StartupError
 
 from ..behind_board import BehindEmulator
+from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..nodes import call, options
 from ..running_charger import PATIENT_MARGIN
@@ -78,7 +78,7 @@ def torque_registers(servos: ServoBusEmulator) -> list[int]:
 def behind() -> Iterator[tuple[BehindEmulator, ServoBusEmulator, ServoBus]]:
     """Emulated servos behind an emulated board, and their bus with torque on."""
     emulator = ServoBusEmulator(BenchArm(ANGLES))
-    with BehindEmulator(emulator) as terminal:
+    with patience(), BehindEmulator(emulator) as terminal:
         emulator.line_speed = terminal.speed
         bus = ServoBus(BusSettings(terminal.path, reply_margin=0.1))
         bus.open()
@@ -103,7 +103,6 @@ def test_a_board_reset_during_a_packet_loses_some_cycles(behind: Any) -> None:
 def test_the_contactor_keeps_its_limits_under_continuous_servo_traffic(
     behind: Any, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
-    monkeypatch.setattr(contactor_guard, "STALE_FRAME", host(contactor_guard.STALE_FRAME))
     terminal, _, bus = behind
     keeper, plant = terminal._keeper, terminal.plant
     cycles, over = list[bool](), threading.Event()

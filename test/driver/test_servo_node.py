@@ -210,7 +210,7 @@ def test_frequent_refusals_are_reported_at_a_bounded_rate(servos: Servos) -> Non
 def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque(context: Any, spin: Spin) -> None:
     """A running line becomes a hold; the diagnostics name a refused sender."""
     arm = BenchArm(START)
-    with PseudoTerminal(ServoBusEmulator(arm)) as port:
+    with patience(), PseudoTerminal(ServoBusEmulator(arm)) as port:
         servos = Servos(context, port.path, arm, spin)
         stage = spin(PowerStage(context, servos.namespace, arm))
         stranger = spin(Client(context, servos.namespace, "stranger"))

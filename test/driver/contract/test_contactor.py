@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 
 import pytest
 
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import probe_problem
 from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, BoardFault
-from deltacharger_driver.emulators import power as emulated_power
 
+from ...chargers import patience
 from ...waiting import host as within
 from ...waiting import wait_until
 from .host import BoardHost
@@ -24,15 +25,15 @@ SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat 
 
 
 @pytest.fixture
-def loaded(host: BoardHost, board_site: BoardSite, monkeypatch: pytest.MonkeyPatch) -> BoardHost:
+def loaded(host: BoardHost, board_site: BoardSite) -> Iterator[BoardHost]:
     """A board whose electrodes carry a load; an emulated one waits for this computer's heartbeat thread."""
-    monkeypatch.setattr(emulated_power, "HEARTBEAT_LIMIT", within(emulated_power.HEARTBEAT_LIMIT))
     board_site.connect_load()
     result = host.link.probe()
     problem = probe_problem(result.resistance, result.target_voltage)
     assert not problem, f"--close-contactor needs a load between the electrodes: {problem}"
     host.link.contactor(False)
-    return host
+    with patience():
+        yield host
 
 
 def close(host: BoardHost) -> None:
