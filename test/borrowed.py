@@ -8,11 +8,14 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+from . import waiting
+
 
 def anew(name: str, group: str, **others: object) -> ModuleType:
     """Return a newly loaded test module of the driver in which some names refer to other objects.
 
-    Modules beside it that it imports are also loaded again; the original modules stay unchanged.
+    Modules beside it that it imports are also loaded again, but for `waiting`, which knows this run's deadlines. The
+    original modules stay unchanged.
 
     Args:
         name: module name.
@@ -23,6 +26,7 @@ def anew(name: str, group: str, **others: object) -> ModuleType:
         package = ModuleType(group)
         package.__path__ = [str(Path(__file__).resolve().parent)]
         sys.modules[group] = package
+        sys.modules[f"{group}.waiting"] = waiting
     module = importlib.import_module(f"{group}.driver.{name}")
     for loaded in [each for path, each in sys.modules.items() if path.startswith(f"{group}.")]:
         vars(loaded).update({key: value for key, value in others.items() if key in vars(loaded)})

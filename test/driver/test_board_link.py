@@ -165,12 +165,13 @@ def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock() -> None:
 
 
 def probe_until(rig: Rig, interrupt: Callable[[], object]) -> None:
-    """Start a probe that does not end by itself, interrupt it, and wait for the answer."""
-    rig.board._power._probe_time = 60.0
+    """Send a probe that gets no answer, interrupt the wait for it, and return when that ended."""
+    rig.board.faults.deaf = True
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(rig.link.probe)
-        wait_until(lambda: rig.board._power._probe_due < math.inf, "a running probe")
+        wait_until(lambda: rig.link._requests._waiting, "a waiting probe")
         interrupt()
+        rig.board.faults.deaf = False
         answer.result()
 
 

@@ -26,10 +26,11 @@ def test_signs_follow_the_mounting(line: Any, arm: BenchArm) -> None:
     arm.load[2] = -0.7
     while (snapshot := bus.read()).current[2] > -0.4:
         bus.clock.sleep(0.01)
+    angle = arm.angles[2]
     bus.close()
     assert snapshot.angle[0] == pytest.approx(-0.7, abs=TICK)
     assert snapshot.angle[1] == pytest.approx(-0.5 + 48 * TICK, abs=TICK)
-    assert snapshot.angle[2] == pytest.approx(-arm.angles[2], abs=0.02)
+    assert snapshot.angle[2] == pytest.approx(-angle, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object],
     assert not rig.ask("torque_on").success
     rig.until(lambda report: report.phase is ServoPhase.OFF)
     assert STOP_TIME - 0.1 <= rig.clock() - begin <= STOP_TIME + 0.5
-    assert rig.references()[0] == stopped
+    assert rig.references()[0] == pytest.approx(stopped, abs=TICK)
     assert rig.arm.torque_enabled()[0] is rig.arm.torque_enabled()[2] is False
     assert any(severity == "error" and reason in sentence for severity, sentence in rig.events)
 
