@@ -112,7 +112,8 @@ class RunningCharger:
         self.phase = ""
         self._latest: dict[type[Any], Any] = {}
         self._awaited: tuple[str, Callable[[], None]] = ("", lambda: None)
-        self._signalled: dict[str, int] = {}  # the last signal of each node
+        self.struck: dict[str, int] = {}  # the last signal of each node that was not restarted since
+        self._restarted = False
         with contextlib.ExitStack() as opened:
             opened.enter_context(patience())
             self.scene = self._on_ports(scene, opened)
@@ -209,7 +210,7 @@ class RunningCharger:
             self._newest(kind)
         self._latest.clear()
         wait_until(lambda: all(map(self._newest, self._topics)) and self.states, "every topic")
-        if self._signalled:
+        if self._restarted:
             self.wait_until_single()
 
     def wait_until_single(self) -> None:
@@ -290,13 +291,14 @@ class RunningCharger:
         """Send a signal to processes, all by default, and return when, s of the world."""
         at = self.world.time if self.emulators is not None else math.nan
         for name in names or self.processes:
-            self._signalled[name] = number
+            self.struck[name] = number
             self.processes[name].process.send_signal(number)
         return at
 
     def restart(self, name: str) -> None:
         """Start a killed node again after it has left the graph, or continue a stopped one."""
-        if self._signalled[name] == signal.SIGKILL:
+        self._restarted = True
+        if self.struck.pop(name) == signal.SIGKILL:
             self.processes[name].process.wait(DEADLINE)
             here = NODES[name].stands_in_for or name, f"/{self.namespace}"
             wait_until(lambda: here not in self.client.node.get_node_names_and_namespaces(), f"the end of {name}")

@@ -76,8 +76,12 @@ def charger(context: Any) -> Iterator[RunningCharger]:
 
 def begin(charger: RunningCharger, phase: str, then: Callable[[], None]) -> Any:
     """Dock or undock into a phase, then act; return the future of the goal's outcome, None if it has ended."""
+    if charger.struck:  # a failed cell must not fail the next ones
+        for name in list(charger.struck):
+            charger.restart(name)
+        charger.wait_until_ready()
     if charger.state.docked:
-        charger.go_home()  # after a failed cell
+        charger.go_home()
     if phase in ("charging", "retract"):
         charger.charge()
     if phase == "charging":

@@ -175,7 +175,7 @@ def test_both_lean_equally_with_equal_forces_on_each_bar(
         each.go((0.0, 0.0, 0.07), 0.6)
         each.go((0.0, 0.0, 0.086), 1.4)
     light, other = (each.world.mechanics for each in arms)
-    assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)
+    assert other.contact_force == pytest.approx(light.contact_force, rel=0.012)
     assert other.gap == pytest.approx(light.gap, abs=4e-5)
     assert other.tilt == pytest.approx(light.tilt, rel=0.02, abs=2e-4)
     assert other.bars[:2] == pytest.approx(light.bars[:2], rel=0.03, abs=0.5)
