@@ -38,7 +38,8 @@ ENDS = {
     "tactile_node": {"TACTILE_STALE", "POWER_STALE", "CONTACTOR_WELDED"},
     "misalignment_node": {"TACTILE_STALE"},
     "mock_detector_node": {"ELECTRODES_NOT_FOUND"},
-    "docking_node": {"POWER_STALE", "SERVO_FAULT", "TACTILE_STALE"},  # what it finds stale or open when it continues
+    # what it finds stale or open when it continues; an opening is not confirmed by stale power
+    "docking_node": {"POWER_STALE", "SERVO_FAULT", "TACTILE_STALE", "DETECTION_STALE", "CONTACTOR_WELDED"},
     "kinematics_node": set(),
 }
 CELLS = [(name, number, phase) for phase in PHASES for name in NODES for number in (KILL, STOP)]
