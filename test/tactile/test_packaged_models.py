@@ -107,7 +107,7 @@ def saved(name: str) -> Arrays:
 
 def refuses(load: Any, path: Path, arrays: Arrays, noun: str = "") -> None:
     np.savez(path, **arrays)
-    with pytest.raises(ModelError, match=noun):
+    with pytest.raises(ModelError, match=noun or path.name):
         load(path)
 
 
