@@ -60,7 +60,7 @@ test-rest: $(INSTALLED)  ## what CI runs besides
 	$(SIDE_BY_SIDE) -n 3 -m 'rest and not night'
 
 # Deadlines of this computer are strict here. docs/tests.md says what runs, and when to run it.
-test-night: $(INSTALLED)  ## what no CI runs: most of an hour; before a release, and a subject's files when it changes
+test-night: $(INSTALLED)  ## what no CI runs; before a release, and a subject's files when it changes
 	$(PYTEST) -m '$(NIGHT)'
 
 # Safety code with one line changed: the quick tests must notice.

@@ -13,11 +13,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 from deltacharger_core import environment
+from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_scenes.scene import Scene, load_scene
 
 from .waiting import DEADLINE, host, wait_until
@@ -141,14 +143,12 @@ def context() -> Iterator[Any]:
 
 @functools.cache
 def _limits() -> tuple[tuple[Any, str, float], ...]:
-    from deltacharger_docking.ros import services
     from deltacharger_driver.board import contactor_guard, contactor_lease
     from deltacharger_driver.emulators import power, servo_firmware
 
     every = (
         (contactor_guard, "STALE_FRAME"),
         (contactor_lease, "LONGEST_LEASE"),
-        (services, "LONGEST_LEASE"),
         (power, "HEARTBEAT_LIMIT"),
         (servo_firmware, "WATCHDOG_UNIT"),
     )
@@ -156,10 +156,16 @@ def _limits() -> tuple[tuple[Any, str, float], ...]:
 
 
 @contextlib.contextmanager
-def patience() -> Iterator[None]:
-    """Widen, by the host's option, the times within which this process's nodes and emulators must hear its threads."""
+def patience(*holders: ModuleType) -> Iterator[None]:
+    """Widen, by the host's option, the times within which this process's nodes and emulators must hear its threads.
+
+    Needs no ROS.
+
+    Args:
+        holders: modules that request the longest lease.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        for module, name, seconds in _limits():
+        for module, name, seconds in (*_limits(), *((each, "LONGEST_LEASE", LONGEST_LEASE) for each in holders)):
             patch.setattr(module, name, host(seconds))
         yield
 
