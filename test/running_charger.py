@@ -20,7 +20,7 @@ from typing import Any
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.parameter import Parameter
 
-from deltacharger_docking.ros import services
+from deltacharger_docking.ros import services as docking_services
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
@@ -116,7 +116,7 @@ class RunningCharger:
         self.struck: dict[str, int] = {}  # the last signal of each node that was not restarted since
         self._restarted = False
         with contextlib.ExitStack() as opened:
-            opened.enter_context(patience(services))
+            opened.enter_context(patience(docking_services))
             self.scene = self._on_ports(scene, opened)
             opened.callback(self._kill)
             if command is not None:
