@@ -77,7 +77,10 @@ def drawn(seed: int, count: int) -> list[DrawnArm]:
 
 def virtual(arm: DrawnArm) -> VirtualArm:
     """Return a drawn arm in a world without a target."""
-    servo = ServoParameters(friction=arm.friction, backlash=arm.backlash, torque_constant=arm.constant)
+    # Friction by load would count as a lower stiffness and constant: the fit's are those behind the gear.
+    servo = ServoParameters(
+        friction=arm.friction, friction_share=0.0, backlash=arm.backlash, torque_constant=arm.constant
+    )
     world = WorldParameters(servo=servo, target=TargetParameters(present=False))
     base = DeltaGeometry()
     true = dataclasses.replace(base, platform_mass=arm.weight * base.platform_mass, rod_mass=arm.weight * base.rod_mass)

@@ -75,7 +75,7 @@ def lever(position: Vector) -> float:
 
 
 def without_friction(**changes: Any) -> ServoParameters:
-    return ServoParameters(friction=0.0, **changes)
+    return ServoParameters(friction=0.0, friction_share=0.0, **changes)
 
 
 def microseconds(arm: Arm, seconds: float) -> float:
@@ -137,13 +137,9 @@ def twenty_newtons() -> float:
     return statistics.mean(arm.world.mechanics.torques) / TORQUE_CONSTANT
 
 
-def magnets(stiffness: float, friction: float | None = None) -> dict[str, float]:
+def magnets(stiffness: float, rubs: bool = True) -> dict[str, float]:
     """Approach in steps of 0.25 mm, press until the servos push again, pull off; return the events."""
-    servo = (
-        ServoParameters(stiffness=stiffness)
-        if friction is None
-        else ServoParameters(stiffness=stiffness, friction=friction)
-    )
+    servo = ServoParameters(stiffness=stiffness) if rubs else without_friction(stiffness=stiffness)
     arm = Arm(WorldParameters(servo=servo))
     arm.go((0.0, 0.0, 0.060))
     command, gap, current = 0.060, math.nan, math.nan
@@ -239,7 +235,7 @@ def measure() -> dict[str, Any]:
         "twenty_newtons_A": twenty_newtons(),
         "statics": {str(k): statics(k) for k in (2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)},
         "magnets": {str(k): magnets(k) for k in (5.0, 10.0, 15.0, 20.0)},
-        "magnets_without_friction": magnets(15.0, 0.0),
+        "magnets_without_friction": magnets(15.0, rubs=False),
         "settled": {f"{k:.0e}": {str(step): settled(k, step) for step in STEPS} for k in STIFFNESSES},
         "imbalance": {f"{k:.0e}": {str(step): imbalance(k, step) for step in STEPS} for k in STIFFNESSES},
         "path": {str(step): {"rms_mm": error, "wall_ms": wall} for step, error, wall in path_errors()},

@@ -24,14 +24,21 @@ STALL_TORQUE, STALL_CURRENT, NOMINAL_VOLTAGE = 6.0, 4.1, 12.0
 """N·m, A and V: MX-64 stall torque and current at 12 V (vendor's e-manual)."""
 TORQUE_CONSTANT = STALL_TORQUE / STALL_CURRENT
 """N·m/A, ±5 %, without friction."""
-SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.91
-"""N·m/rad at position P gain `POSITION_P_GAIN`, and N·m·s/rad: stall torque over no-load speed (63 rpm). Both follow
-the vendor's figures; `deltacharger calibrate servos` measures the stiffness."""
+SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.75
+"""N·m/rad at P gain `POSITION_P_GAIN`, N·m·s/rad at D gain `POSITION_D_GAIN`. Both follow the vendor's formulas
+of modes 3 and 4; `deltacharger calibrate servos` measures them. In mode 5 nothing but the D gain brakes."""
+SERVO_INERTIA = 0.012
+"""kg·m², rotor reflected through the gear (BAM's fit of the MX-64: 0.011 to 0.012)."""
 STIFFNESS_PER_GAIN = STALL_TORQUE / 885 / 128 * TICKS_PER_TURN / (2.0 * math.pi)
 """N·m/rad per count of the position P gain at 12 V. By the vendor's e-manual, register / 128 converts ticks of error to
 PWM, and PWM 885 is the full supply (stall torque). It states no unit for mode 5."""
+DAMPING_PER_GAIN = STALL_TORQUE / 885 / 16 * TICKS_PER_TURN / (2.0 * math.pi) * 0.001
+"""N·m·s/rad per count of the position D gain: register / 16 converts ticks a sample to PWM (e-manual); samples of 1 ms
+are assumed."""
 POSITION_P_GAIN = round(SERVO_STIFFNESS / STIFFNESS_PER_GAIN)
 """Position P gain that gives `SERVO_STIFFNESS`; the vendor's default is 850."""
+POSITION_D_GAIN = round(SERVO_DAMPING / DAMPING_PER_GAIN)
+"""Position D gain that gives `SERVO_DAMPING`, 0.9 of what is critical; half and twice as much still settle."""
 GAIN_MAX = 16383
 """Largest value of a gain register (vendor's e-manual)."""
 CURRENT_BOUND = 0.83

@@ -7,10 +7,7 @@ from types import MappingProxyType
 
 RENAMED = MappingProxyType(
     {
-        "came_lack": "return_shortfall",
-        "came_share": "return_share",
         "contact_speed": "search_speed and press_speed",
-        "felt_current": "touch_current",
         "landing_felt_sigmas": "aligned_risk_max",
         "landing_sigmas": "aligned_risk_max",
         "load_max": "pad_force_min",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.machine import GAIN_MAX, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.machine import GAIN_MAX, POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_core.yaml_file import read_declared, write_yaml
 
@@ -35,6 +35,8 @@ class MeasuredServo(Bounded):
     friction_error: float | None = number(None, 0.0, 3.0, "N·m", "its standard error")
     backlash: float | None = number(None, 0.0, 0.1, "rad", "play between encoder and arm, from stop to stop")
     backlash_error: float | None = number(None, 0.0, 0.1, "rad", "its standard error")
+    damping: float | None = number(None, -1.0, 10.0, "N·m·s/rad", "of the position loop, by the D gain")
+    damping_error: float | None = number(None, 0.0, 10.0, "N·m·s/rad", "its standard error")
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,10 @@ class MeasuredServos(MeasuredServo):
         ParameterError: a value lies outside its bounds, or there are not three servos.
     """
 
+    friction_share: float | None = number(None, -1.0, 1.0, "", "share of the torque that friction takes besides")
     position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "P gain during the measurement")
     position_i_gain: int = number(0, 0, GAIN_MAX, "", "I gain during the measurement")
-    position_d_gain: int = number(0, 0, GAIN_MAX, "", "D gain during the measurement")
+    position_d_gain: int = number(POSITION_D_GAIN, 0, GAIN_MAX, "", "D gain during the measurement")
     servos: tuple[MeasuredServo, MeasuredServo, MeasuredServo] = field(
         default_factory=lambda: (MeasuredServo(), MeasuredServo(), MeasuredServo())
     )

@@ -28,8 +28,9 @@ from deltacharger_docking.ease import ease
 from deltacharger_docking.energy import check_battery, de_energise
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
-from deltacharger_docking.press import Look, approach, contact, first_push, press_again
+from deltacharger_docking.press import Look, contact, first_push, press_again
 from deltacharger_docking.release import lift_off
+from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import Target, measure
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with the detector's answer
@@ -195,22 +196,6 @@ def prepare(context: Context) -> Script[None]:
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
-    yield from weigh(context)
-
-
-def weigh(context: Context) -> Script[None]:
-    """Estimate the servo stiffness by the arm's weight, or confirm an earlier estimate."""
-    springs = context.springs
-    end = context.time + context.parameters.weighing_timeout
-    yield from context.read()
-    while not springs.is_estimated and context.time < end:
-        yield from context.read()
-    if springs.is_estimated:
-        values = {
-            "estimated_Nm_per_rad": springs.stiffness,
-            "configured_Nm_per_rad": context.parameters.servo_stiffness,
-        }
-        context.decide("stiffness", "the estimated stiffness of the servos", **values)
 
 
 def _servos_silent(context: Context) -> bool:

@@ -44,6 +44,7 @@ class Code(IntEnum):
     OVERCURRENT = 303
     SERVO_FAULT = 304
     STUCK = 305
+    TARGET_ROLLS = 306
     NO_TACTILE_CONTACT = 401
     TACTILE_STALE = 402
     CRITICAL_ANGLE = 403
@@ -155,6 +156,10 @@ class Stuck(DockingError, code=Code.STUCK, retriable=True):
     """The magnets did not release within the allowed pull, or the arm did not come home."""
 
 
+class TargetRolls(Stuck, code=Code.TARGET_ROLLS):
+    """The target gives way to the push or comes along with the magnets. Example: its brakes are not set."""
+
+
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
     """The servos push but no taxel measures a force: the pads missed the target's ridges."""
 
@@ -235,6 +240,7 @@ REMEDIES: dict[Code, str] = {
     "charge current: have the power stage's limiter checked",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
+    Code.TARGET_ROLLS: "set the brakes of target and charger, and move the target back to its place",
     Code.NO_TACTILE_CONTACT: "check coordinates, and what lies between pads and ridges",
     Code.TACTILE_STALE: "check the board's cable, tactile_node and misalignment_node",
     Code.CRITICAL_ANGLE: "level the target or the charger",

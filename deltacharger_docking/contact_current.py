@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import pstdev
 
 from deltacharger_docking.observation import NAN3
 from deltacharger_docking.parameters import DockingParameters
@@ -122,6 +123,14 @@ class ContactCurrent:
             return NAN3
         a, b, c = (sum(reading[2][index] for reading in self._window) / count for index in range(3))
         return a, b, c
+
+    @property
+    def currents_error(self) -> float:
+        """Largest standard error (A) of those means, by the scatter of the readings; 0 with fewer than two."""
+        count = len(self._window)
+        if count < 2:
+            return 0.0
+        return max(pstdev(reading[2][index] for reading in self._window) for index in range(3)) / math.sqrt(count)
 
     @property
     def repeats_itself(self) -> bool:

@@ -24,13 +24,15 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.senses import TwoSenses
 from deltacharger_docking.yielding import RemainingShare
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between
+from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between, pull
 
 _READING = 0.01  # s between two readings: the servos' cycle
+_SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
 _NEARLY = 0.95  # of a servo's current bound
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
@@ -71,12 +73,17 @@ class Context:
         self.energy = 0.0
         self.commanded: Vector = NAN3
         self.share = RemainingShare(parameters)
+        self.senses = TwoSenses(parameters)
         self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
+        self.shortfall = (0.0, 0.0)  # m along x and y, by which friction kept the platform from its command in free air
+        self.touched = math.nan  # m, z where the pads began to touch
+        self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known
         self.deadline = math.inf
         self.waits = NEXT  # what the script waited for in its last step
         self._retreats = False  # the line under way leads away from the target
+        self._line: tuple[Vector, Vector, float] | None = None  # under way: start and end (m), peak speed (m/s)
         self._calls: Calls[Reply] = Calls()
         self._override: Piece | None = None  # in place of the line under way
         self._set_back = 0.0
@@ -112,6 +119,8 @@ class Context:
             self.contact.update(self.time, observation.angles, observation.currents)
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
+        if observation.tactile_contact and not self.observation.tactile_contact:
+            self.touched = self.position[2]
         self.observation = observation
         self._calls.receive(observation.replies)
         power = observation.charge_current * observation.target_voltage
@@ -120,6 +129,7 @@ class Context:
         self.doubtful |= bool(observation.duplicate_sources)
         self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position
+        self.status.dampings, self.status.friction_force = self.springs.dampings, self.springs.friction_force
         self.status.contact_current, self.status.contact_force = self.contact.value, self.contact.force
 
     def command(self) -> Command:
@@ -214,6 +224,36 @@ class Context:
         """Send this piece in this tick, in place of the line under way."""
         self._override = piece
 
+    @property
+    def unexplained_lead(self) -> float:
+        """Distance (m) along z by which the command leads the platform beyond what push, friction and speed explain."""
+        springs, ahead, speed = self.springs, self.commanded, 0.0
+        if self._line is not None and self.feed.is_under_way(self.time):
+            start, goal, speed = self._line
+            ahead = between(start, goal, way_done(self.feed.share(self.time)))
+        x, y, z = self.position
+        held = self.kinematics.holding_torque(x, y, z, self.parameters.gravity)
+        yields = (
+            ((bound - abs(torque)) / springs.stiffness + springs.play) * lever
+            for bound, torque, lever in zip(
+                self.planner.bound(held), held, self.kinematics.jacobian(x, y, z)[6:], strict=True
+            )
+        )
+        return ahead[2] - z - sum(yields) - springs.lag * speed
+
+    def pull(self, goal: Vector, bound: Vector, rest: Vector | None = None) -> None:
+        """Set the servos' goals (rad) and torque bounds (N·m) at once.
+
+        Unless repeated, the arm soon goes to `rest` (rad, without weight), or stands where it is if that is None.
+        """
+        geometry, stiffness = self.kinematics.geometry, self.springs.stiffness
+        held = self.kinematics.holding_torque(*self.position, self.parameters.gravity)
+        place = rest or self.observation.angles
+        wanted = (angle + torque / stiffness for angle, torque in zip(place, held, strict=True))
+        a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
+        self.feed.stop()
+        self._override, self.goal_angles = pull(goal, bound, (a, b, c), self.planner.bound(held)), goal
+
     def hold(self) -> None:
         """Stop where the arm is."""
         self._override = self.feed.hold(self.time)
@@ -256,6 +296,7 @@ class Context:
             ServoFailure: the arm's position is unknown; nothing was moved.
         """
         start = self.commanded if math.isfinite(self.commanded[0]) else self.measured()
+        self._line = start, goal, speed
         self.follow(self.planner.line(start, goal, speed), retreats=goal[2] < start[2])
         self.commanded = goal
         while self.feed.is_under_way(self.time):
@@ -282,17 +323,17 @@ class Context:
         after, span = self.observation.angles, self.time - began
         slow = all(abs(now - then) <= _SLOW for now, then in zip(after, before, strict=True))
         live = math.isfinite(self.goal_angles[0]) and not self.contact.repeats_itself
-        if slow and live and not self._is_bound(self.contact.currents):
+        if slow and live and not self.is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
             self.springs.add_reading(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
             self.feed.lag = self.springs.lag
 
-    def _is_bound(self, currents: Vector) -> bool:
+    def is_bound(self, currents: Vector) -> bool:
         """Return whether a current (A) is at its bound and so no longer shows how far the servo yields."""
         parameters = self.parameters
         held = self.kinematics.holding_torque(*self.position, parameters.gravity)
-        bounds = (abs(torque) / parameters.torque_constant + parameters.push_current for torque in held)
-        return not all(abs(now) < _NEARLY * bound for now, bound in zip(currents, bounds, strict=True))
+        share = _NEARLY / parameters.torque_constant
+        return not all(abs(now) < share * most for now, most in zip(currents, self.planner.bound(held), strict=True))
 
     def check_way(self, *places: Vector) -> None:
         """Check the way from the measured position through `places` before the arm moves.
@@ -327,7 +368,9 @@ class Context:
         yield from self.wait(min(settle_time, parameters.settle_touching if touching else math.inf))
         while True:
             yield from self.read()
-            if self.time > settled or not abs(contact.drift) > parameters.drift_max:
+            if self.time > settled or not abs(contact.drift) > max(
+                parameters.drift_max, _SIGMAS * contact.currents_error
+            ):
                 break
         end = self.time + parameters.servo_age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:

@@ -11,6 +11,7 @@ from deltacharger_docking.context import Context
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
+_SIGMAS = 2.0  # of the readings' noise that easing does not follow
 _POINTS = 16  # of the line in joint angles; receivers interpolate linearly, so more would not help
 
 
@@ -30,7 +31,8 @@ def ease(context: Context) -> Script[bool]:
         wanted = _wanted(context, holds)
         asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
         known = all(map(math.isfinite, (*asked, *context.goal_angles)))
-        if not known or max(map(abs, asked)) <= parameters.ease_tolerance:
+        noise = _SIGMAS * context.contact.currents_error
+        if not known or max(map(abs, asked)) <= max(parameters.ease_tolerance, noise):
             break
         slipped = yield from _adjust(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
         yield from context.rest()
@@ -98,14 +100,13 @@ def _adjust(context: Context, change: Vector, place: Vector) -> Script[bool]:
 def _ramp(context: Context, start: Vector, change: Vector, duration: float) -> tuple[Waypoint, ...]:
     """Return a line of joint angles (rad) from `start` by `change`, inside the joint limits, with the push bound."""
     x, y, z = context.position
-    geometry, parameters = context.kinematics.geometry, context.parameters
-    held = context.kinematics.holding_torque(x, y, z, parameters.gravity)
-    a, b, c = (abs(torque) + parameters.push_current * parameters.torque_constant for torque in held)
+    geometry = context.kinematics.geometry
+    bound = context.planner.bound(context.kinematics.holding_torque(x, y, z, context.parameters.gravity))
     points = []
     for index in range(1, _POINTS + 1):
         share = index / _POINTS
         d, e, f = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in _shifted(start, change, share))
-        points.append(Waypoint(share * duration, (d, e, f), (a, b, c)))
+        points.append(Waypoint(share * duration, (d, e, f), bound))
     return tuple(points)
 
 

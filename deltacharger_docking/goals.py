@@ -151,7 +151,8 @@ class GoalDesk:
 
     def succeed(self, message: str, notice: str = "") -> None:
         """End the goal with success, if there is one; `notice` is further information for its client."""
-        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notice))
+        notes = "; ".join(filter(None, (notice, self._context.status.senses)))
+        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notes))
 
     def fail(self, error: DockingError) -> None:
         """End the goal with the code of `error` and the message of the status, if there is one."""
@@ -160,6 +161,7 @@ class GoalDesk:
 
     def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> DockingOutcome:
         context = self._context
+        least, most = context.springs.true_force(context.contact.force)
         measured = math.nan if context.parameters.always_live else context.observation.charge_current
         return DockingOutcome(
             success=success,
@@ -172,6 +174,8 @@ class GoalDesk:
             estimate=context.status.estimate,
             contact_current=context.contact.value,
             contact_force=context.contact.force,
+            contact_force_min=least,
+            contact_force_max=most,
             charge_current=measured,
             energy=context.energy,
             elapsed=context.time - self.started,

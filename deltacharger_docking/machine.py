@@ -37,6 +37,7 @@ from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
+_LEAD_MAX = 0.003  # m that the command may lead the platform beyond what is explained
 _BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
 
 
@@ -233,10 +234,15 @@ class DockingMachine:
                 f"a servo reports hardware error {observation.hardware_error:#04x}; remove the cause, then call "
                 "reboot_servos"
             )
-        if context.contact.value > parameters.hard_current:
+        if context.contact.value > parameters.hard_current and not context.lets_go:
             return Overcurrent(
                 f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A"
                 f"{context.springs.contradiction}"
+            )
+        if context.status.state is State.CONTACT and (lead := context.unexplained_lead) > _LEAD_MAX:
+            return ServoFailure(
+                f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
+                "look for an obstacle, a cable that drags, or a servo that slips"
             )
         touches = context.status.state in _NEEDS_TOUCH
         if touches and self._is_missing(observation.tactile_age, parameters.tactile_age_max):

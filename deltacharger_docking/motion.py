@@ -54,11 +54,21 @@ class Planner:
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
         held = self._delta.holding_torque(line.positions, self.parameters.gravity)
         angles, velocities = self._command(line, held / self.springs.stiffness)
-        bound = np.abs(held) + self.parameters.push_current * self.parameters.torque_constant
+        bound = np.abs(held) + self._beyond_weight()
         return tuple(
             Waypoint(time, _vector(row), _vector(torque), _vector(rate))
             for time, row, torque, rate in list(zip(line.times.tolist(), angles, bound, velocities, strict=True))[1:]
         )
+
+    def bound(self, held: Vector) -> Vector:
+        """Return the torque bound (N·m) of each servo that holds `held`: its free-motion torque and the push."""
+        a, b, c = (abs(torque) + more for torque, more in zip(held, self._beyond_weight(), strict=True))
+        return a, b, c
+
+    def _beyond_weight(self) -> Vector:
+        push = self.parameters.push_current * self.parameters.torque_constant
+        a, b, c = self.springs.beyond_weight
+        return a + push, b + push, c + push
 
     def check_way(self, speed: float, *places: Vector) -> None:
         """Check every leg of a way through `places` before the arm moves.

@@ -244,6 +244,8 @@ class DockingOutcome(GoalOutcome):
     energy: float = 0.0
     suggested_base: BasePose | None = None
     redockings: int = 0
+    contact_force_min: float = math.nan
+    contact_force_max: float = math.nan
 
 
 @dataclass
@@ -269,3 +271,6 @@ class DockingStatus:
     redockings: int = 0
     waiting_for: str = ""
     contact_force: float = math.nan
+    senses: str = ""  # what pads and currents contradict each other in
+    dampings: Vector = NAN3
+    friction_force: float = math.nan

@@ -35,7 +35,6 @@ _ORDERED = (
     ("battery_voltage_min", "battery_voltage_max"),
     ("target_voltage_min", "target_voltage_max"),
     ("clearance_sigmas", "clearance_sigmas_sure"),
-    ("release_travel", "spring_travel"),
 )
 
 
@@ -68,7 +67,6 @@ class DockingParameters(Bounded):
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     contact_window: float = number(0.12, 0.02, 0.5, "s", "window of the contact current's median")
     free_current: float = number(0.06, 0.005, 0.5, "A", "largest size of the contact current in free air")
-    weighing_timeout: float = tunable(0.5, 0.0, 10.0, "s", "limit for the arm to sag under its weight, after torque on")
     home_x: float = tunable(0.0, -0.06, 0.06, "m", "home position, x")
     home_y: float = tunable(0.0, -0.06, 0.06, "m", "home position, y")
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
@@ -84,7 +82,6 @@ class DockingParameters(Bounded):
     search_from: float = tunable(0.007, 0.0, 0.05, "m", "distance before the expected contact where the search begins")
     search_depth: float = tunable(0.025, 0.0, 0.05, "m", "distance beyond the expected contact where the search ends")
     near: float = tunable(0.004, 0.0, 0.02, "m", "distance before the known contact where press_speed begins")
-    touch_current: float = tunable(0.1, 0.005, 0.5, "A", "contact current that ends the search")
     settle_touching: float = tunable(0.05, 0.0, 1.0, "s", "shortest settling time of electrodes in contact")
     drift_max: float = tunable(
         0.015, 0.001, 0.2, "A", "change of the contact current within its window that counts as rest"
@@ -98,7 +95,7 @@ class DockingParameters(Bounded):
         0.5, 0.05, 2.0, "A", "upper end of the contact current's band; the servos can hold it for four hours"
     )
     aim_below: float = tunable(0.02, 0.0, 0.1, "A", "how far below the band's middle a press on a known contact aims")
-    band_margin: float = tunable(0.015, 0.0, 0.04, "A", "least distance of an accepted reading from the band's ends")
+    band_margin: float = tunable(0.015, 0.0, 0.04, "A", "distance of an accepted reading from the band's lower end")
     step_share: float = tunable(0.7, 0.1, 1.0, "", "largest share of the way to the band in one step")
     step_near: float = tunable(0.75, 0.1, 1.0, "", "share of the band's lower end from which one step goes all the way")
     step_max: float = tunable(0.015, 0.001, 0.03, "m", "longest pressing step, however soft the contact seems")
@@ -108,26 +105,15 @@ class DockingParameters(Bounded):
     response_max: float = tunable(2.5, 1.0, 20.0, "", "largest multiple of the expected response that is accepted")
     overshoots_max: int = tunable(3, 0, 20, "", "overshoots of the band after which contact fails")
     overshoot_back_off: float = tunable(0.35, 0.05, 1.0, "A", "contact current to release after an overshoot")
-    push_current: float = tunable(0.6, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
-    release_current: float = tunable(2.8, 0.5, STALL_CURRENT, "A", "current bound of each servo during release")
+    push_current: float = tunable(0.7, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
+    release_current: float = tunable(3.5, 0.5, STALL_CURRENT, "A", "current bound of each servo during release")
     release_time: float = tunable(1.0, 0.1, 2.0, "s", "longest pull against the magnets")
-    release_behind: float = tunable(0.001, 0.0, 0.005, "m", "goal's distance behind the platform; soft servos: more")
-    release_travel: float = tunable(
-        0.001, 0.0002, 0.01, "m", "retreat that shows release if the pads are free; soft servos: more"
-    )
-    spring_travel: float = tunable(0.004, 0.0002, 0.02, "m", "retreat that sprung electrodes cannot follow")
-    setting_back_time: float = tunable(0.05, 0.01, 0.5, "s", "time to move the goal behind the platform")
-    return_share: float = tunable(0.5, 0.1, 0.9, "", "share of the way back that shows that the platform followed")
-    return_shortfall: float = tunable(
-        0.001, 0.0002, 0.01, "m", "allowed shortfall of the way back: some encoder counts"
-    )
-    release_pulls_max: int = tunable(3, 1, 10, "", "pulls after which a platform that does not move is stuck")
     ease_current_max: float = tunable(0.57, 0.05, 2.0, "A", "largest common current of the servos at ease")
     ease_spared_max: float = tunable(
         0.03, 0.0, 0.5, "A", "largest reduction of the current at ease by ease_current_max"
     )
     ease_tolerance: float = tunable(0.015, 0.001, 0.2, "A", "allowed error of a servo's current at ease")
-    ease_time_min: float = tunable(0.4, 0.1, 10.0, "s", "shortest time of one easing round")
+    ease_time_min: float = tunable(0.25, 0.1, 10.0, "s", "shortest time of one easing round")
     ease_lags: float = tunable(4.0, 0.0, 50.0, "", "shortest time of a round in servo lags, damping / stiffness")
     ease_rounds: int = tunable(4, 1, 20, "", "most easing rounds; each corrects the stiffness")
     slip_max: float = tunable(0.0004, 0.00015, 0.01, "m", "sideways travel from which the platform slips")

@@ -10,27 +10,14 @@ from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, KnownContact
-from deltacharger_docking.release import take_off
+from deltacharger_docking.release import rolls, take_off
 from deltacharger_kinematics.geometry import Vector
+
+_YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
+_PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
 
 Look = Callable[[], Script[MisalignmentEstimate | None]]
 """Measures at the first contact; returns the estimate if it forbids pressing further."""
-
-
-def approach(context: Context, target: Vector) -> Script[None]:
-    """Move to the standoff before `target` (m, charger_base) and tare the contact current there.
-
-    The tare is taken at rest after a motion along +z, so that the servos' friction has the sign of pushing.
-    """
-    parameters = context.parameters
-    context.enter(State.APPROACH, parameters.approach_timeout)
-    x, y, z = target
-    standoff = z - parameters.standoff
-    run_up = min(parameters.run_up, max(standoff - context.position[2], 0.0))
-    yield from context.move((x, y, standoff - run_up), parameters.approach_speed, settle=False)
-    yield from context.move((x, y, standoff), parameters.run_up_speed)
-    context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
-    context.contact.tare()
 
 
 def contact(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
@@ -128,9 +115,8 @@ def step_to(context: Context, z: float) -> Script[None]:
     """
     while context.observation.servo_age > context.parameters.press_age_max:
         yield NEXT
-    x, y, _ = context.commanded
     try:
-        yield from context.move((x, y, z), context.parameters.press_speed)
+        yield from context.move((*_beside(context), z), context.parameters.press_speed)
     except Unreachable as error:
         raise NoContact(f"no contact before the arm's limit: {error}") from error
 
@@ -169,6 +155,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
         touched = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _touches(context))
         if touched and context.position[2] < before:
             return (yield from _press_on(context))
+        _note_shortfall(context)
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
@@ -189,17 +176,22 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
 def _search(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
     """Move along z to the start of the search, then slowly up to `depth` (m) until contact; continue pressing there."""
     parameters, (x, y, z) = context.parameters, context.commanded
-    free = depth - parameters.search_depth - parameters.search_from
-    for end, speed in ((free, parameters.travel_speed), (depth, parameters.search_speed)):
-        if z < end and (
-            yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _touches(context))
-        ):
+    expected = depth - parameters.search_depth
+    free = expected - parameters.search_from
+    legs = [(free, parameters.travel_speed)] if z < free else []
+    # The first line of the search starts faster than the long one.
+    legs += [(end, parameters.search_speed) for end in (expected + _PROBABLY, depth) if z < end]
+    for end, speed in legs:
+        if speed < parameters.travel_speed and not _touches(context):
+            _note_shortfall(context)
+        if (yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _touches(context))):
             return (yield from _press_on(context, look))
     return None
 
 
 def _touches(context: Context) -> bool:
-    return context.observation.tactile_contact or context.contact.value > context.parameters.touch_current
+    """Return whether the pads touch; the currents alone must show a full push, for friction and inertia show some."""
+    return context.observation.tactile_contact or context.contact.value > context.parameters.current_min
 
 
 def _press_on(context: Context, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
@@ -211,22 +203,36 @@ def _press_on(context: Context, look: Look | None = None) -> Script[Misalignment
         yield NEXT
     if look is not None and (estimate := (yield from look())) is not None:
         return estimate
-    x, y, z = context.commanded
+    z = context.commanded[2]
     pressing = context.position[2] + parameters.step_share * parameters.current_target / slope_expected(context)
-    yield from context.move((x, y, max(z, pressing)), parameters.press_speed)
+    yield from context.move((*_beside(context), max(z, pressing)), parameters.press_speed)
     return None
+
+
+def _note_shortfall(context: Context) -> None:
+    (x, y, _), (to_x, to_y, _) = context.position, context.commanded
+    context.shortfall = to_x - x, to_y - y
+
+
+def _beside(context: Context) -> tuple[float, float]:
+    """Return the command along x and y: in contact where the magnets drew the platform, which else strains the arm."""
+    if not context.observation.tactile_contact:
+        return context.commanded[:2]
+    return context.position[0] + context.shortfall[0], context.position[1] + context.shortfall[1]
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:
     """Step coarsely until the current leaves its baseline, then by the missing current; enter the band from below."""
     parameters = context.parameters
-    low, high = parameters.current_min + parameters.band_margin, parameters.current_max - parameters.band_margin
+    low, high = parameters.current_min + parameters.band_margin, parameters.current_max
     response, overshoots = 1.0, 0  # response: the slope's share of the expected one
     while True:
         expected = slope_expected(context)
         slope = response * expected
         before, z = context.contact.value, context.commanded[2]
-        if low <= before <= high:
+        if low <= before <= high or (
+            low > before >= parameters.current_min and context.is_bound(context.contact.currents)
+        ):
             return
         if before > high:
             overshoots += 1
@@ -257,6 +263,9 @@ def _guarded(context: Context, depth: float) -> Script[None]:
 
 
 def _check_depth(context: Context, depth: float) -> None:
+    if context.observation.tactile_contact and context.position[2] > min(depth, context.touched + _YIELDS):
+        way = 1000.0 * (context.position[2] - context.touched)
+        raise rolls(context, f"it gives way by {way:.0f} mm to a push of {context.contact.force:.0f} N")
     if context.position[2] > depth:
         raise NoContact(
             f"no contact up to z = {1000 * depth:.0f} mm (charger_base); check that the target is there and that its "

@@ -27,7 +27,8 @@ from deltacharger_core.script import Script
 from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned
 from deltacharger_docking.context import Context
-from deltacharger_docking.press import approach, contact, first_push, press_again
+from deltacharger_docking.press import contact, first_push, press_again
+from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import Target, measure, record_verdict, rolled_too_far
 from deltacharger_kinematics.geometry import Vector
 

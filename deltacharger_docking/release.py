@@ -1,41 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Release from the magnets: pull, check that the platform follows, and pull again if not."""
+"""Release from the magnets: pull at once, hold until the platform rests beyond their reach, prove that it is apart.
+
+Targets yield on their wheels, so travel alone proves nothing: the pads show whether the electrodes still touch. A hard
+pull parts even a robot that rolls, because its mass resists before its wheels turn.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
-from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.codes import DockingError, Stuck
+from deltacharger_docking.codes import DockingError, Stuck, TargetRolls
 from deltacharger_docking.context import Context
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.trajectory_feed import PULL_HORIZON, pull
+from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
+
+REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) pull less than the push bound holds
+_BACK = 0.012  # m from where it parted: the arm swings by half of it when it stops there
+_FARTHEST = 0.025  # m that a braked target follows at most: 5 N/mm and 2 mm of play under push and magnets
+_FOLLOWS = 0.010  # m from which one that did not part counts as rolling
+_SET_BACK = 0.05  # s in which the goal moves behind the platform, under the push bound
+_PULLS = 3  # after which a platform that does not move is stuck
+_SAME_FRAME = 0.001  # s between two dates of one tactile frame
+_STILL = 0.0001  # m between two readings of a platform at rest
 
 
 def take_off(context: Context, z: float) -> Script[None]:
-    """Pull the electrodes off the magnets and go straight back to `z` (m, charger_base).
-
-    Soft electrodes follow the pull after the pads have lost contact, so only the way back shows whether the magnets
-    have released. If the platform does not follow, it is pulled again, and farther.
+    """Pull the electrodes off the magnets, and stay where they came to rest, or go on to `z` (m, charger_base).
 
     Raises:
         Stuck: the platform did not move within the allowed time.
+        TargetRolls: the target came along.
         Unreachable: it was released where the arm has no way back; it holds there.
         ServoFailure: the position after release is unknown; it holds there.
     """
-    parameters = context.parameters
-    lacks = max((1.0 - parameters.return_share) * (context.measured()[2] - z), parameters.return_shortfall)
-    first = min(_softness(context) * parameters.release_travel, parameters.spring_travel)
-    for travel in (first, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
-        yield from release(context, travel)
-        x, y, _ = context.position
-        yield from context.move((x, y, z), parameters.travel_speed, settle=False)
+    for _ in range(_PULLS):
+        context.lets_go = True
+        try:
+            yield from _release(context)
+        finally:
+            context.lets_go = False
+            context.contact.clear()  # of what pulled and braked
+        x, y, away = context.commanded
+        if away > z:
+            yield from context.move((x, y, z), context.parameters.travel_speed, settle=False)
         end = context.time + context.springs.settle_time
-        while context.position[2] > z + lacks and context.time < end:
+        near = min(z, away) + REACH
+        while context.time < end and (touches(context) or context.position[2] > near):
             yield NEXT
-        if not context.position[2] > z + lacks:
+        if not touches(context) and context.position[2] <= near:
             return
     raise _stuck(context)
 
@@ -53,86 +66,102 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
     context.status.docked = False
 
 
-def release(context: Context, travel: float) -> Script[None]:
-    """Pull the electrodes off the magnets until the platform has moved back by `travel` m.
+def _release(context: Context) -> Script[None]:
+    """Pull the electrodes off the magnets, and hold until the platform rests beyond their reach.
 
     A servo jumps if its bound rises while its current is clipped. So the goal first moves behind the measured position
-    under the push bound; only then may it pull. The bound drops as soon as the platform has moved.
+    under the push bound; only then may it pull. If docking ends meanwhile, an arm that flies goes on to where it would
+    have come to rest: where it was last seen, the magnets would draw it in again.
 
     Raises:
         DockingError: as for `take_off`.
     """
-    parameters, geometry = context.parameters, context.kinematics.geometry
+    parameters, kinematics = context.parameters, context.kinematics
     while not all(map(math.isfinite, context.observation.angles)):
         yield NEXT
     context.feed.stop()
     x, y, z = context.position
     lead = parameters.release_current * context.springs.compliance
-    a, b, c = (max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
-    goal = a, b, c
+    a, b, c = (max(angle - lead, kinematics.geometry.joint_min) for angle in context.observation.angles)
+    behind = kinematics.inverse(x, y, z - _BACK)
+    rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
-    yield from _pull(context, goal, parameters.push_current, z - travel, parameters.setting_back_time)
-    yield from _pull(context, goal, parameters.release_current, z - travel, parameters.release_time)
-    if not _is_off(context, z - travel):
-        raise _stuck(context)
+    parted = yield from _pull(context, (a, b, c), parameters.push_current, _SET_BACK, z, rest)
+    if context.position[2] > parted - REACH:
+        most, seconds = parameters.release_current, parameters.release_time
+        parted = yield from _pull(context, (a, b, c), most, seconds, parted, rest)
+    here = context.measured()
+    if here[2] > parted - REACH:
+        raise (
+            _stuck(context)
+            if here[2] > z - _FOLLOWS
+            else rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
+        )
     context.decide(
         "released",
         "the electrodes are released",
         contact_current_A=pushed,
         pull_bound_A=parameters.release_current,
         time_s=context.time - begun,
+        followed_m=z - parted,
     )
+    context.commanded = back = (x, y, min(here[2], parted - _BACK))
     try:
-        free = context.measured()
-        context.commanded = (x, y, free[2] - _softness(context) * parameters.release_behind)
-        line = context.planner.line(free, context.commanded, parameters.travel_speed)
+        goal = context.planner.line(here, back, parameters.travel_speed)[-1]
     except DockingError:
         context.hold()  # ends the pull
         raise
-    context.follow(line, retreats=True)
-    if context.is_blind:
-        context.send_piece((replace(line[-1], time=0.0),))  # ends the pull here also
-    yield NEXT
+    most = parameters.release_current * parameters.torque_constant
+    yield from _come_to_rest(context, goal.angles, (most, most, most), back)
 
 
-def _softness(context: Context) -> float:
-    """Return how much softer than usual the servos are, at least 1: magnets pull a soft arm back from farther away."""
-    return max(SERVO_STIFFNESS / context.springs.stiffness, 1.0)
+def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -> Script[None]:
+    """Hold `goal` (rad) until the platform, flying off the magnets, rests near `back` (m), or as long as it swings."""
+    end, before, rest = context.time + context.springs.settle_time, math.inf, context.kinematics.inverse(*back)
+    near = back[2] + REACH
+    while context.time < end and not (abs(context.position[2] - before) < _STILL and context.position[2] < near):
+        before = context.position[2]
+        context.pull(goal, bound, rest)
+        yield NEXT
 
 
-def _is_off(context: Context, z: float) -> bool:
-    """Return whether the platform is back at `z` m; with contact at the pads, farther by the travel of springs."""
-    observation, parameters = context.observation, context.parameters
-    held = observation.tactile_contact and observation.tactile_age <= parameters.tactile_age_max
-    return context.position[2] <= (z - (parameters.spring_travel - parameters.release_travel) if held else z)
+def touches(context: Context) -> bool:
+    """Return whether fresh frames of the pads show contact."""
+    observation = context.observation
+    return observation.tactile_contact and observation.tactile_age <= context.parameters.press_age_max
 
 
-def _pull(context: Context, goal: Vector, current: float, z: float, seconds: float) -> Script[None]:
-    """Pull toward the angles `goal` for this time, or until the platform is off at `z` m.
+def _pull(
+    context: Context, goal: Vector, current: float, seconds: float, parted: float, rest: Vector | None
+) -> Script[float]:
+    """Pull toward the angles `goal` for this time, or until the platform is out of the magnets' reach.
 
-    The pull is sent in every tick and lapses by itself, so it ends if docking stops or servo_state is missing. Time
-    without a pull does not count here; it counts for the phase.
+    The pull is sent in every tick and lapses by itself, to `rest`, so it ends if docking stops or servo_state is
+    missing. Time without a pull does not count here; it counts for the phase.
+
+    Returns:
+        z (m) where the pads last touched, at first `parted`.
     """
     constant = context.parameters.torque_constant
-    bound, push = ((each * constant,) * 3 for each in (current, context.parameters.push_current))
-    last, left = context.time, seconds
-    while left > 0.0 and not _is_off(context, z):
-        observation = context.observation
+    bound = (current * constant,) * 3
+    last, left, start, newest = context.time, seconds, parted, -math.inf
+    while left > 0.0:
+        z, observation = context.position[2], context.observation
+        sampled = context.time - observation.tactile_age
+        if not touches(context):
+            if z <= parted - REACH:
+                break
+        elif sampled > newest + _SAME_FRAME:  # an earlier frame does not show that the target came along until now
+            newest, parted = sampled, min(parted, z)
+            if z < start - _FARTHEST:
+                break
         known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
         if known:
-            context.send_piece(pull(goal, bound, _standing(context), push))
+            context.pull(goal, bound, rest)
         yield NEXT
         left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # a pull lapses after PULL_HORIZON
         last = context.time
-
-
-def _standing(context: Context) -> Vector:
-    """Return the angles (rad) that keep the arm in place, with its weight compensated."""
-    geometry, stiffness = context.kinematics.geometry, context.springs.stiffness
-    held = context.kinematics.holding_torque(*context.position, context.parameters.gravity)
-    wanted = (angle + torque / stiffness for angle, torque in zip(context.observation.angles, held, strict=True))
-    a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
-    return a, b, c
+    return parted
 
 
 def _stuck(context: Context) -> Stuck:
@@ -144,3 +173,10 @@ def _stuck(context: Context) -> Stuck:
         f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
         f"{context.springs.contradiction}"
     )
+
+
+def rolls(context: Context, how: str) -> TargetRolls:
+    """Stop where the arm is, and return the error of a target that rolls."""
+    context.hold()
+    context.decide("rolls", how)
+    return TargetRolls(f"the target rolls: {how}; set its brakes, or the charger's")

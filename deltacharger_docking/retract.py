@@ -10,7 +10,7 @@ from deltacharger_docking.codes import ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise
 from deltacharger_docking.observation import Service
-from deltacharger_docking.release import lift_off
+from deltacharger_docking.release import lift_off, rolls, touches
 
 _OFF_TIME = 0.1  # s: servo_node switches the torque off within some cycles
 
@@ -43,6 +43,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         yield from lift_off(context, pull=strayed and not observation.torque_enabled)
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
         yield from context.wait(context.springs.settle_time)
+        if touches(context):
+            raise rolls(context, "it followed the arm home")
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
         if away > parameters.lift:

@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's model of the servos' position loop: a spring of the configured stiffness until it is estimated."""
+"""Docking's model of the servos: springs that brake and rub, as configured until they are measured."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+from deltacharger_core.machine import SERVO_INERTIA, SERVO_STIFFNESS
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.swing import Swung
 
-_LEAST_LOAD, _LEAST_YIELD = 0.02, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
+_LEAST_LOAD, _LEAST_YIELD = 0.3, 0.003  # A and rad of all servos, root of the sum of squares: above noise and counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two readings in the band
 _UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play and encoder resolution
 _SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are accepted: the tested range, 2 to 40, and a margin
+_LOAD_SHARES = 0.15, 0.3  # of the torque, friction by load (BAM's fits of the MX-64, without the worst)
+_SOUND = 4.5  # N of friction in free air, above which gears are worn and take a larger share
+_HELD_BACK = 1.2  # of the friction without load that may come on top; chosen on one family of seeds
+_CONSTANT_MAX = 1.66 / 1.463  # BAM's torque constant over the one by stall
+_LONGEST_SETTLE = 1.5  # s, of servos that hardly brake, or creep
 _FITS = 1.5  # ratio of configured and estimated stiffness that is not reported
 
 
@@ -24,13 +32,24 @@ class Springs:
 
     Attributes:
         compliance: yield of a servo per ampere, rad/A.
+        damping: of a servo, N·m·s/rad: as configured, then the mean of those measured.
+        dampings: of each, as measured last; NaN = not.
+        play: between encoder and arm, rad: the mean of those measured.
+        friction: of each gear with its share of the cable, measured in free air, N·m.
+        beyond_weight: torque of free motion beyond the arm's weight, N·m: friction, and a cable that pulls.
+        friction_force: of all along z, N.
         is_estimated: whether it was estimated, not only configured.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
         self._configured = parameters.servo_stiffness
         self._constant = parameters.torque_constant
-        self._damping = parameters.servo_damping
+        self.damping = parameters.servo_damping
+        self.dampings: Vector = (math.nan, math.nan, math.nan)
+        self.play = 0.0
+        self.friction: Vector = (0.0, 0.0, 0.0)
+        self.beyond_weight: Vector = (0.0, 0.0, 0.0)
+        self.friction_force = 0.0
         self._yields = self._squares = 0.0  # rad·A and A²
         self.compliance = self._constant / self._configured
         self.is_estimated = False
@@ -43,12 +62,51 @@ class Springs:
     @property
     def lag(self) -> float:
         """Delay with which a servo follows its goal, s."""
-        return self._damping / self.stiffness
+        return self.damping / self.stiffness
+
+    @property
+    def softness(self) -> float:
+        """Ratio of the usual stiffness to this one."""
+        return SERVO_STIFFNESS / self.stiffness
+
+    @property
+    def frequency(self) -> float:
+        """Of the servo's undamped oscillation, rad/s."""
+        return math.sqrt(self.stiffness / SERVO_INERTIA)
 
     @property
     def settle_time(self) -> float:
-        """Time for the arm in free air to come to rest after a step: four time constants of the servo, s."""
-        return max(4.0 * self.lag, 0.1)
+        """Time for the arm in free air to come to rest after a step: four time constants of its slower mode, s."""
+        half = 0.5 * self.damping / SERVO_INERTIA
+        slower = half - math.sqrt(max(half * half - self.frequency**2, 0.0))
+        return min(max(4.0 / slower, 0.1), _LONGEST_SETTLE) if slower > 0.0 else _LONGEST_SETTLE
+
+    def true_force(self, told: float) -> tuple[float, float]:
+        """Return the least and the largest push (N) that currents of `told` N may mean.
+
+        The tare takes out friction without load while pressing on. What it leaves: friction by load and by the cable,
+        which may hold back or, after the push fell, hold on; and the torque constant.
+        """
+        least, most = _LOAD_SHARES
+        most *= max(self.friction_force / _SOUND, 1.0)
+        return (
+            max((1.0 - most) * told - _HELD_BACK * self.friction_force, min(told, 0.0)),
+            (1.0 - least) * _CONSTANT_MAX * told + self.friction_force,
+        )
+
+    def learn_swing(self, servos: Sequence[Swung]) -> None:
+        """Take over what the servos showed of their springs and dampers; NaN = not shown."""
+        a, b, c = (each.damping for each in servos)
+        self.dampings = a, b, c
+        known = [each for each in servos if math.isfinite(each.damping)]
+        if not known:
+            return
+        self.damping = max(sum(each.damping for each in known) / len(known), 0.0)
+        stiffness = sum(each.stiffness for each in known) / len(known)
+        self.play = sum(each.play for each in known) / len(known)
+        if _SOFTEST <= stiffness <= _STIFFEST:
+            self.compliance, self.is_estimated = self._constant / stiffness, True
+            self._yields, self._squares = self.compliance * _REMEMBERED, _REMEMBERED
 
     @property
     def contradiction(self) -> str:
@@ -69,7 +127,7 @@ class Springs:
         earlier were wrong.
         """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
-        braked = self._damping / self._constant
+        braked = self.damping / self._constant
         loads = tuple(current + braked * rate for current, rate in zip(currents, rates, strict=True))
         size, squares = math.hypot(*lags), sum(load * load for load in loads)
         if not (squares >= _LEAST_LOAD * _LEAST_LOAD and size >= _LEAST_YIELD):

@@ -13,6 +13,7 @@ from deltacharger_core.machine import (
     EXTENDED_TICKS,
     FRAME_RATE,
     GAIN_MAX,
+    POSITION_D_GAIN,
     POSITION_P_GAIN,
     SERVO_IDS,
     STALL_CURRENT,
@@ -54,12 +55,14 @@ class ServoNodeParameters(Bounded):
     )
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo")
     current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "current bound if a trajectory sets none")
-    current_max: float = number(3.0, 0.0, STALL_CURRENT, "A", "largest current bound a trajectory may set")
+    current_max: float = number(STALL_CURRENT, 0.0, STALL_CURRENT, "A", "largest current bound a trajectory may set")
     position_p_gain: int = number(
         POSITION_P_GAIN, 1, GAIN_MAX, "", "servos' position P gain, register 84: 434 = 15 N·m/rad; the vendor's is 850"
     )
     position_i_gain: int = number(0, 0, GAIN_MAX, "", "servos' position I gain, register 82")
-    position_d_gain: int = number(0, 0, GAIN_MAX, "", "servos' position D gain, register 80")
+    position_d_gain: int = number(
+        POSITION_D_GAIN, 0, GAIN_MAX, "", "servos' position D gain, register 80: nothing else brakes in mode 5"
+    )
     joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
     joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
     reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "margin until a reply counts as missing")

@@ -91,7 +91,7 @@ def to_outcome(action: str, result: Any) -> Outcome:
 
 
 def _dock_details(result: Any) -> dict[str, Any]:
-    numbers = ("contact_current", "contact_force", "charge_current", "energy")
+    numbers = ("contact_current", "contact_force", "contact_force_min", "contact_force_max", "charge_current", "energy")
     estimates = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
     return {
         "aligned": result.aligned,

@@ -4,9 +4,10 @@
 A step of milliseconds ends before or after an impact, never at its peak, and backward Euler damps the rebound.
 Therefore, from shortly before contact, the motion along z is integrated again in sub-steps, with Jacobian, mass, goals
 and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets − contact force. The
-lateral motion is the step's. The trapezoidal rule conserves the energy of a rebound. Sub-steps are short against the
-contact's oscillation period. They end where contact begins or is lost, and at the hard stop. Their largest force is
-the step's, once the step itself has contact. The light model's own motion does not use it.
+target stands, though one that yields is struck less. The lateral motion is the step's. The trapezoidal rule conserves
+the energy of a rebound. Sub-steps are short against the contact's oscillation period. They end where contact begins or
+is lost, and at the hard stop. Their largest force is the step's, once the step itself has contact. The light model's
+own motion does not use it.
 
 Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's. It ends when the
 contact has settled or the sub-steps are used up: a rebound that nothing drives never exceeds the first impact.
@@ -47,6 +48,7 @@ class StepForces(NamedTuple):
         drives: of the powered servos.
         gears: stiffness of all gears' bristles along z, N/m.
         friction: of all gears along z, N.
+        drag: viscosity of all gears along z, N·s/m.
         carried: weight along z, N.
         mass: effective, along z, kg.
         x: position of the target's centre in end_effector, m.
@@ -56,6 +58,7 @@ class StepForces(NamedTuple):
     drives: list[Drive]
     gears: float
     friction: float
+    drag: float
     carried: float
     mass: float
     x: float
@@ -161,7 +164,9 @@ class Impact:
             h = min(longest, dt)
             gear = min(max(self._gear - 0.5 * bristle * h * speed, -most), most)
             force += d * held * speed + gear + forces.carried + magnet - normal
-            h, end_speed = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * sprung + stiff - softer))
+            h, end_speed = self._move(
+                h, force, mass, 0.5 * (d * held + forces.drag), 0.25 * (k * sprung + stiff - softer)
+            )
             self._gear = min(max(self._gear - bristle * (gap - self._gap), -most), most)
             dt, remaining = dt - h, remaining - 1
             self._left -= self._touched and longest < _LONGEST

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from deltacharger_sim.parameters import ServoParameters
 
-Command = tuple[int, bool, float, float, float]
+Command = tuple[int, bool, float, float, float, float]
 State = tuple[float, float, float, float, float]
 
 _ROUNDING = 1e-9  # s; sums of steps differ from their product by less

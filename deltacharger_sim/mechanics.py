@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Platform, servos, electrodes and magnets as one implicit step in plain Python floats.
 
-The unknown of a step is the platform's displacement δ (3). Servos are springs and dampers behind a torque limit, τ =
-clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + (dθ/dp) δ. Friction of gears and electrodes uses radial return:
-an elastic bristle whose force is cut back to the friction limit. It has no smoothing speed and so stays right at any
-step. Electrodes are springs with a hard stop; magnets pull across the gap. A damped Newton iteration solves backward
-Euler of their balance, m δ̈ = Σ forces, with a tangent from each part. The magnets' negative stiffness counts in the
-tangent only while it is less than half of the rest, so that the iteration moves on to the stable side of a snap
-instead of diverging.
+The unknown of a step is the platform's displacement δ (3). A servo in mode 5 gives a current, so its torque is Kt I =
+clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + (dθ/dp) δ: k by its P gain, d by its D gain, and no back-EMF. Its
+gear adds viscosity and a friction that grows with the torque. Friction of gears, cable and electrodes uses radial
+return: an elastic bristle whose force is cut back to the friction limit. It has no smoothing speed and so stays right
+at any step. Electrodes are springs with a hard stop; magnets pull across the gap and toward the target's centre. A
+damped Newton iteration solves the balance m δ̈ = Σ forces with a tangent from each part. The magnets' negative
+stiffness counts in the tangent only while it is less than half of the rest, so that the iteration moves on to the
+stable side of a snap instead of diverging.
 
-Within a step the kinematics are linear. A step that would move the platform by more than 5 mm, or that finds no
-balance, is halved. At rest nothing is computed: if a step moved nothing and its inputs stay, the next one moves
-nothing either.
+In free air the step is the midpoint rule, which neither brakes nor drives an arm that swings. In contact it is backward
+Euler, which takes up a blow. Within a step the kinematics are linear. A step that would move the platform by more than
+5 mm, or that finds no balance, is halved. At rest nothing is computed: if a step moved nothing and its inputs stay, the
+next one moves nothing either.
 """
 
 from __future__ import annotations
@@ -21,9 +23,10 @@ import math
 from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_sim.impact import StepForces, make_impact
-from deltacharger_sim.linkage import Linkage
+from deltacharger_sim.linkage import Linkage, Rows
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.surroundings import Cable, Stand
 from deltacharger_sim.touch import TargetTouch
 
 GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
@@ -40,9 +43,11 @@ _FINEST = 0.001  # s, step that is not halved further
 _ASIDE = 1e-6  # m, lateral move with no effect on the magnets' pull and the overlap
 _REST = 1e-10  # m in a step, below which rest is tried
 _REST_ENOUGH = 1e-6**2  # N² of imbalance that permits rest
+_MIDPOINT, _END = 0.5, 1.0  # share of a step at which its forces hold: midpoint rule, backward Euler
 
 # Of one joint in a step: the row dθ/dp, spring torque at the start, stiffness of spring and damper, torque limit,
-# gear bristle's torque, its friction, angles to the lower and upper joint limit, and torque of weight and inertia.
+# gear bristle's torque, its friction without load, angles to the lower and upper joint limit, and torque of weight and
+# inertia.
 _Joint = tuple[float, float, float, float, float, float, float, float, float, float, float]
 # Imbalance (N) and the positive-definite tangent (N/m): xx, xy, xz, yy, yz, zz.
 _Balance = tuple[float, float, float, float, float, float, float, float, float]
@@ -72,18 +77,22 @@ class Mechanics(Motion):
         self._touch = TargetTouch(parameters)
         self._impact = make_impact(parameters)
         self._play = 0.5 * parameters.servo.backlash
+        self._cable = Cable(parameters.cable, start) if parameters.cable.acts else None
+        self._stand = Stand(parameters.stand) if parameters.stand.stiffness > 0.0 else None
         here = self._linkage.linearise(*start)
         if here is None:
             raise ValueError(f"start {start!r} is out of the arm's reach: give a point in its workspace (m)")
         self.angles, self._rows, self._turns = here
         self.gear: Vector = (0.0, 0.0, 0.0)
         self.rub: tuple[float, float] = (0.0, 0.0)
-        # Rates by the rows at the step's start; the next step's use its own rows. The difference of both contains all
-        # of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; exact rates would lose half of the second term.
+        # Rates at the step's end by the rows at its start; the next step's use its own rows. The difference of both
+        # contains all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; exact rates would lose a part of the second term.
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._velocity_before: Vector = (0.0, 0.0, 0.0)
         self._aside = (math.inf, math.inf)
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
+        self._at = _MIDPOINT  # share of the step at which its forces hold
+        self._yields = (0.0, 0.0, 1.0)  # N of the target's imbalance, N/m of the contact's tangent and of both together
         self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
 
     def step(
@@ -97,37 +106,45 @@ class Mechanics(Motion):
                 return
         else:
             self._set_inputs(inputs, dt, enabled, reference, limit, x, y)
+        self._at = _END if self.contact_force > 0.0 else _MIDPOINT
         joints = self._joints(dt)
         dx, dy, dz = self._solve(joints, dt)
+        if self._at < _END and self._found[3] > 0.0:
+            self._at = _END
+            joints = self._joints(dt)
+            dx, dy, dz = self._solve(joints, dt)
         if dt > _FINEST and (dx * dx + dy * dy + dz * dz > _FARTHEST or self.imbalance > _UNSOLVED):
             self.step(0.5 * dt, enabled, reference, limit, x, y)
             peak = self.peak_force
             self.step(0.5 * dt, enabled, reference, limit, x, y)
             self.peak_force = max(peak, self.peak_force)
             return
-        gap, struck = self._target_z - self.position[2], 0.0
+        gap, struck = self.gap, 0.0
         impact, speed = self._impact, self.velocity[2]
         if (gap < impact.reach or impact.follows) and impact.concerns(gap, speed, dt, self._touch.onset):
             struck = self._strike(joints, gap, dx, dy, dt)
-        self._accept(dx, dy, dz, dt)
+        self._accept(joints, dx, dy, dz, dt)
         self.peak_force = struck if struck > self.contact_force else self.contact_force
 
     def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
         """Return the largest force (N) of a strike within a step from `gap` (m), with a lateral move dx, dy (m)."""
-        damper, momentum = self._parameters.servo.damping / dt, self._inertia * dt
+        servo, momentum = self._parameters.servo, self._inertia * dt
         drives, squares, friction, gear, carried = [], 0.0, 0.0, 0.0, self._mass * self._gravity[2]
-        for joint, spin, share, servo in zip(joints, self._spin, self.gains, self._servos, strict=True):
+        for joint, spin, share, (spring, damper, _, _, _) in zip(
+            joints, self._spin, self.gains, self._servos, strict=True
+        ):
             gx, gy, gz, lead, slope, limit, bristle, rubs, _, _, weight = joint
             squares += gz * gz
-            friction += abs(gz) * rubs
+            friction += abs(gz) * (rubs + servo.friction_share * min(abs(lead), limit))
             gear += gz * bristle
             carried += gz * (weight - momentum * spin)
             if slope > 0.0:
-                yields = 0.5 * servo[0] + damper
+                yields = 0.5 * spring + damper
                 drives.append((gz, lead - yields * (gx * dx + gy * dy), limit, share))
-        mass = self._mass + self._parameters.servo.inertia * squares
+        mass = self._mass + servo.inertia * squares
         x, y = self._aside
-        forces = StepForces(drives, GEAR_BRISTLE * squares, friction, carried, mass, x, y)
+        drag = servo.viscosity * squares
+        forces = StepForces(drives, GEAR_BRISTLE * squares, friction, drag, carried, mass, x, y)
         return self._impact.step(dt, gap, self.velocity[2], gear, forces, self._found[3] > 0.0)
 
     @property
@@ -169,29 +186,31 @@ class Mechanics(Motion):
             self._aside = (x, y)
         if inputs[:4] == known:
             return
-        self._inertia = servo.inertia / (dt * dt)
-        self._mass_rate = self._mass / (dt * dt)
         damper, constant, k = servo.damping / dt, servo.torque_constant, servo.stiffness
         self._servos = tuple(
-            (k * gain, k * gain + damper, bound * constant, servo.friction, goal)
+            (k * gain, damper * braking, bound * constant, servo.friction, goal)
             if on
             else (0.0, 0.0, 0.0, servo.unpowered_friction, 0.0)
-            for on, goal, bound, gain in zip(enabled, reference, limit, self.gains, strict=True)
+            for on, goal, bound, gain, braking in zip(enabled, reference, limit, self.gains, self.brakes, strict=True)
         )
 
     def _joints(self, dt: float) -> list[_Joint]:
-        servo, geometry = self._parameters.servo, self._geometry
+        servo, geometry, at = self._parameters.servo, self._geometry, self._at
         most = servo.stall_torque
         if servo.stall_sag > 0.0:
             most *= 1.0 - servo.stall_sag * (1.0 - self.voltage / NOMINAL_VOLTAGE)
+        square = at * dt * dt
+        self._inertia, self._mass_rate = servo.inertia / square, self._mass / square
+        self._drag = servo.viscosity / dt
         momentum, low, high = self._inertia * dt, geometry.joint_min, geometry.joint_max
         joints = []
         parts = (self._rows, self.angles, self._spin, self._turns, self.gear, self._servos, self._elbows)
         for row, angle, spin, (cosine, sine), gear, servo_now, (up, out) in zip(*parts):  # noqa: B905 strict costs
-            stiffness, slope, limit, friction, goal = servo_now
+            stiffness, damper, limit, friction, goal = servo_now
             carried = up * cosine - out * sine + momentum * spin
             lead = stiffness * (goal - angle)
             most_now = limit if limit < most else most
+            slope = at * stiffness + damper
             joints.append((*row, lead, slope, most_now, gear, friction, low - angle, high - angle, carried))
         return joints
 
@@ -209,12 +228,17 @@ class Mechanics(Motion):
         if -_REST < dx < _REST and -_REST < dy < _REST and -_REST < dz < _REST:
             dx = dy = dz = 0.0
             enough = _REST_ENOUGH
-        best, least = (dx, dy, dz), math.inf
+        best, least, moved, best_move = (dx, dy, dz), math.inf, 0.0, 0.0
+        if self._stand is not None:
+            moved = best_move = self._stand.begin(dt)
         for iteration in range(_ITERATIONS):
             fx, fy, fz, xx, xy, xz, yy, yz, zz = self._evaluate(joints, dx, dy, dz, dt)
             size = fx * fx + fy * fy + fz * fz
+            if self._stand is not None:
+                size += self._yields[0] ** 2
+                moved = self._stand.move
             if size < least:
-                best, least = (dx, dy, dz), size
+                best, least, best_move = (dx, dy, dz), size, moved
             if size < enough or size < _ENOUGH_IN_MOTION * (dx * dx + dy * dy + dz * dz):
                 break
             enough = _ENOUGH
@@ -229,24 +253,35 @@ class Mechanics(Motion):
             square = cx * cx + cy * cy + cz * cz
             if not square >= _SHORTEST:
                 break
+            share, full = 1.0, cz
             if iteration >= _FULL_STEPS or square > _LONGEST:
                 share = min(0.5 if iteration >= _FULL_STEPS else 1.0, math.sqrt(_LONGEST / square))
                 cx, cy, cz = share * cx, share * cy, share * cz
             dx, dy, dz = dx + cx, dy + cy, dz + cz
+            if self._stand is not None:
+                left, coupled, stiff = self._yields
+                self._stand.move += share * (left + coupled * full) / stiff
         if (dx, dy, dz) != best:
+            if self._stand is not None:
+                self._stand.move = best_move
             self._evaluate(joints, *best, dt)
         self.imbalance = math.sqrt(least)
         return best
 
     def _evaluate(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> _Balance:
         """Return imbalance (N) and tangent (N/m) at a displacement (m), and store the parts' forces in `_found`."""
-        mass, inertia, play = self._mass_rate, self._inertia, self._play
+        mass, inertia, play, drag = self._mass_rate, self._inertia, self._play, self._drag
+        share = self._parameters.servo.friction_share
         vx, vy, vz = self.velocity
         gravity_x, gravity_y, gravity_z = self._gravity
         fx = mass * (vx * dt - dx) + self._mass * gravity_x
         fy = mass * (vy * dt - dy) + self._mass * gravity_y
         fz = mass * (vz * dt - dz) + self._mass * gravity_z
         xx = yy = zz = mass
+        if self._cable is not None:
+            (px, py, pz), stiff = self._cable.forces(self.position, dx, dy, dz)
+            fx, fy, fz = fx + px, fy + py, fz + pz
+            xx = yy = zz = mass + stiff
         xy = xz = yz = 0.0
         motors: list[float] = []
         gears: list[float] = []
@@ -255,21 +290,23 @@ class Mechanics(Motion):
             if play:
                 lead, slope = self._through_play(lead, slope, turn, self._servos[len(motors)][0])
             drive = lead - slope * turn
-            stiffness = inertia
+            stiffness = inertia + drag
+            sprung = slope
             if drive > limit:
-                drive = limit
+                drive, sprung = limit, 0.0
             elif drive < -limit:
-                drive = -limit
-            else:
-                stiffness += slope
+                drive, sprung = -limit, 0.0
+            rubs = friction + share * (drive if drive > 0.0 else -drive)
             gear -= GEAR_BRISTLE * turn
-            if gear > friction:
-                gear = friction
-            elif gear < -friction:
-                gear = -friction
+            if gear > rubs:
+                gear = rubs
+                stiffness += sprung * (1.0 + share if drive > 0.0 else 1.0 - share)
+            elif gear < -rubs:
+                gear = -rubs
+                stiffness += sprung * (1.0 - share if drive > 0.0 else 1.0 + share)
             else:
-                stiffness += GEAR_BRISTLE
-            torque = drive + gear + carried - inertia * turn
+                stiffness += sprung + GEAR_BRISTLE
+            torque = drive + gear + carried - (inertia + drag) * turn
             if turn < low:
                 torque += END_STOP * (low - turn)
                 stiffness += END_STOP
@@ -289,11 +326,24 @@ class Mechanics(Motion):
             yz += sy * gz
             zz += stiffness * gz * gz
         magnet = normal = rx = ry = side = 0.0
-        gap = self._target_z - self.position[2] - dz
+        gap, stand = self.gap - dz, self._stand
         if gap < math.inf:
-            magnet, normal, rx, ry, side, along = self._touch.forces(gap, dx, dy, self.rub, zz)
-            fx, fy, fz = fx + rx, fy + ry, fz + magnet - normal
-            zz += along
+            if stand is not None:
+                gap += stand.move
+            magnet, normal, rx, ry, side, along, aligns = self._touch.forces(gap, dx, dy, self.rub, zz)
+            x, y = self._aside
+            fx, fy, fz = fx + rx + aligns * (x - dx), fy + ry + aligns * (y - dy), fz + magnet - normal
+            side += aligns
+            if stand is None:
+                zz += along
+            else:  # eliminates the target's own displacement
+                left, stiff = stand.forces(normal - magnet)
+                if along < -0.5 * stiff:
+                    along = 0.0
+                self._yields = left, along, stiff + along
+                passed = along / (stiff + along)
+                fz += passed * left
+                zz += along * (1.0 - passed)
         self._found = motors, gears, magnet, normal, rx, ry
         return fx, fy, fz, xx + side, xy, xz, yy + side, yz, zz
 
@@ -301,14 +351,15 @@ class Mechanics(Motion):
         """Return spring torque and slope with play: within it only the damper acts on the arm."""
         if slope == 0.0:
             return lead, slope
-        error, play = lead - stiffness * turn, stiffness * self._play
+        stiffness *= self._at
+        error, play = lead - stiffness * turn, stiffness / self._at * self._play
         if abs(error) < play:
             return 0.0, slope - stiffness
         return lead - math.copysign(play, error), slope
 
-    def _accept(self, dx: float, dy: float, dz: float, dt: float) -> None:
+    def _accept(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> None:
         """Apply the displacement (m), or as much of it as the arm reaches."""
-        before, angles, (first, second, third) = self.position, self.angles, self._rows
+        before, before_rows = self.position, self._rows
         at_rest = self.velocity == self.rates == (0.0, 0.0, 0.0)
         share = 1.0
         while True:
@@ -319,25 +370,46 @@ class Mechanics(Motion):
                 self.angles, self._rows, self._turns = here
                 break
             share = 0.5 * share if share > 1e-6 else 0.0
-        self._velocity_before = self.velocity
-        self.velocity = (moved[0] / dt, moved[1] / dt, moved[2] / dt)
-        vx, vy, vz = self.velocity
-        self._spin = (
-            first[0] * vx + first[1] * vy + first[2] * vz,
-            second[0] * vx + second[1] * vy + second[2] * vz,
-            third[0] * vx + third[1] * vy + third[2] * vz,
-        )
-        now = self.angles
-        self.rates = ((now[0] - angles[0]) / dt, (now[1] - angles[1]) / dt, (now[2] - angles[2]) / dt)
-        self.still = at_rest and moved == (0.0, 0.0, 0.0)
+        self._velocity_before, at = self.velocity, self._at
+        if moved == (0.0, 0.0, 0.0):
+            self.velocity = moved
+        else:
+            vx, vy, vz = (now + (way / dt - now) / at for now, way in zip(self.velocity, moved, strict=True))
+            self.velocity = vx, vy, vz
+        self._spin = self._turning(before_rows)
+        self.rates = rates = self._turning(self._rows)
+        if at < _END:  # the rows change by half as much up to the middle of the step
+            (a, b, c), (d, e, f) = self._spin, rates
+            self._spin = 0.5 * (a + d), 0.5 * (b + e), 0.5 * (c + f)
+        stood = self._stand is None or self._stand.keep(dt)
+        self.still = at_rest and moved == (0.0, 0.0, 0.0) and stood
         motors, gears, self.magnet_force, self.contact_force, rx, ry = self._found
+        if at < _END:
+            motors = [self._motor(index, joint[5], dt) for index, joint in enumerate(joints)]
         self.torques = (motors[0], motors[1], motors[2])
         self.gear = (gears[0], gears[1], gears[2])
         self.rub = (rx, ry)
+        if self._cable is not None:
+            self._cable.keep()
+        if self._stand is not None:
+            self._shift = self._stand.shift(self.rub)
         if self._play:
             self._take_up_play()
         if (tilt := self._touch.tilt) is not None:
             self.tilt, self._bars = tilt.keep()
+
+    def _motor(self, index: int, limit: float, dt: float) -> float:
+        """Return a motor's torque (N·m) at the step's end, as its servo reports it with that angle and rate."""
+        stiffness, damper, _, _, goal = self._servos[index]
+        error, play = goal - self.angles[index], self._play
+        error -= min(max(error, -play), play)
+        return min(max(stiffness * error - damper * dt * self.rates[index], -limit), limit)
+
+    def _turning(self, rows: Rows) -> Vector:
+        """Return the arms' rates (rad/s) by these rows."""
+        (a, b, c), (d, e, f), (g, h, i) = rows
+        x, y, z = self.velocity
+        return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
     def _take_up_play(self) -> None:
         """Let each powered encoder run ahead of its arm toward its goal, within the play."""

@@ -36,7 +36,8 @@ class Motion(ABC):
         contact_force: total normal force on the electrodes, N.
         peak_force: largest one within the last step, N; in MuJoCo, at its end.
         magnet_force: pull of the magnets, N.
-        gains: each servo's stiffness relative to the parameter, by its gain register; 1 = as servo_node sets it.
+        gains: each servo's stiffness relative to the parameter, by its P gain; 1 = as servo_node sets it.
+        brakes: each servo's damping likewise, by its D gain.
         imbalance: residual force of the last step's solution, N; small unless the step is long and friction slips.
         still: whether the last step moved nothing, so that the next one with equal inputs will not either.
     """
@@ -47,6 +48,8 @@ class Motion(ABC):
         self.position = start
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.gains: Vector = (1.0, 1.0, 1.0)
+        self.brakes: Vector = (1.0, 1.0, 1.0)
+        self._shift = _NONE  # m, of the target from its parameters as the robots yield
         self._inputs: tuple[object, ...] = ()  # of the last step, in the model's form
         self.tilt = (0.0, 0.0)
         self._leans = tilts(parameters)
@@ -54,15 +57,20 @@ class Motion(ABC):
         self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
 
-    def set_gains(self, gains: Vector) -> None:
-        """Set each servo's stiffness, as a share of the parameter."""
-        self.gains = gains
+    def set_gains(self, gains: Vector, brakes: Vector) -> None:
+        """Set each servo's stiffness and damping, as shares of the parameters."""
+        self.gains, self.brakes = gains, brakes
         self._inputs = ()
 
     @property
     def gap(self) -> float:
         """Distance between the contact faces (m); negative = springs compressed, inf = no target."""
-        return self._target_z - self.position[2]
+        return self._target_z + self._shift[2] - self.position[2]
+
+    @property
+    def target_shift(self) -> Vector:
+        """Displacement of the target from its parameters as the robots yield, m."""
+        return self._shift
 
     @property
     def lean(self) -> Lean | None:

@@ -18,7 +18,7 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_sim import mujoco_lean
 from deltacharger_sim.mujoco_springs import IMPEDANCE, spring
-from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.parameters import ServoParameters, WorldParameters
 from deltacharger_sim.tilt import tilts
 
 TIGHT = 0.9999  # d of stiff constraints: closed loops and dry friction
@@ -59,6 +59,10 @@ def refuse(parameters: WorldParameters) -> None:
     without = (
         ("servo.backlash", parameters.servo.backlash, "play"),
         ("servo.stall_sag", parameters.servo.stall_sag, "loss of stall torque"),
+        ("servo.friction_share", parameters.servo.friction_share, "friction by load"),
+        ("cable.stiffness", parameters.cable.stiffness, "cable"),
+        ("cable.drag", parameters.cable.drag, "cable"),
+        ("stand.stiffness", parameters.stand.stiffness, "robots that give way"),
     )
     for key, value, what in without:
         if value != 0.0:
@@ -119,7 +123,7 @@ def _xml(parameters: WorldParameters, geometry: DeltaGeometry, step: float, inte
   <flag refsafe="disable" autoreset="disable"/>
 </option>
 <worldbody>
-{"".join(_limb(geometry, index, servo.inertia, step) for index in limbs)}
+{"".join(_limb(geometry, index, servo, step) for index in limbs)}
 {_platform(parameters, geometry)}
 </worldbody>
 <equality>
@@ -133,7 +137,7 @@ def _xml(parameters: WorldParameters, geometry: DeltaGeometry, step: float, inte
 </mujoco>"""
 
 
-def _limb(geometry: DeltaGeometry, index: int, inertia: float, step: float) -> str:
+def _limb(geometry: DeltaGeometry, index: int, servo: ServoParameters, step: float) -> str:
     limb = geometry.limb(index)
     radius = limb.base_radius + limb.radius_offset
     turned = math.atan2(limb.sine, limb.cosine)
@@ -142,7 +146,7 @@ def _limb(geometry: DeltaGeometry, index: int, inertia: float, step: float) -> s
     return f"""<body pos="0 0 {-limb.motor_height!r}" quat="{math.cos(turned / 2)!r} 0 0 {math.sin(turned / 2)!r}">
  <body pos="{radius!r} {limb.tangential_offset!r} 0" quat="{math.cos(half)!r} 0 {-math.sin(half)!r} 0">
   <inertial pos="0 0 0" mass="{_SPECK}" diaginertia="1e-9 1e-9 1e-9"/>
-  <joint name="arm{index}" axis="0 -1 0" armature="{inertia!r}" limited="true"
+  <joint name="arm{index}" axis="0 -1 0" armature="{servo.inertia!r}" damping="{servo.viscosity!r}" limited="true"
    range="{geometry.joint_min!r} {geometry.joint_max!r}" solimplimit="{IMPEDANCE} {IMPEDANCE} 0.001"
    frictionloss="1e-9" solreffriction="{2.0 * step!r} 1" solimpfriction="{TIGHT} {TIGHT} 0.001"/>
   <body pos="{limb.arm!r} 0 0">

@@ -87,12 +87,18 @@ class MujocoMechanics(Motion):
         data, model, present = self.data, self.model, self._parameters.target.present
         if self._leaning is not None:
             self._leaning.lie(self.position, x, y)
-        offset, vertical = math.hypot(x, y), self._axes[2]
+        magnets, applied, (along_x, along_y, along_z) = self._parameters.magnets, data.qfrc_applied, self._axes
+        centre_x, centre_y = self.position[0] + x, self.position[1] + y
         for _ in range(max(1, round(dt / self._step))):
             if present:
-                gap = self._target_z - float(data.qpos[vertical])
-                self.magnet_force = pull(self._parameters.magnets, gap, offset)
-                data.qfrc_applied[vertical] = self.magnet_force
+                side_x, side_y = centre_x - float(data.qpos[along_x]), centre_y - float(data.qpos[along_y])
+                gap, offset = self._target_z - float(data.qpos[along_z]), math.hypot(side_x, side_y)
+                self.magnet_force, aligning = pull(magnets, gap, offset), side_pull(magnets, gap, offset)
+                applied[along_x], applied[along_y], applied[along_z] = (
+                    aligning * side_x,
+                    aligning * side_y,
+                    self.magnet_force,
+                )
             if self._leaning is not None:
                 self._leaning.turn_back(data)
             self._mujoco.mj_step(model, data)
@@ -100,12 +106,14 @@ class MujocoMechanics(Motion):
 
     def _command(self, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector) -> None:
         servo, model = self._parameters.servo, self.model
-        for index, (on, goal, bound, gain) in enumerate(zip(enabled, reference, limit, self.gains, strict=True)):
-            k = servo.stiffness * gain
+        for index, (on, goal, bound, gain, braking) in enumerate(
+            zip(enabled, reference, limit, self.gains, self.brakes, strict=True)
+        ):
+            k, d = servo.stiffness * gain, servo.damping * braking
             most = min(bound * servo.torque_constant, servo.stall_torque) if on else 0.0
             model.actuator_forcerange[index] = (-max(most, _DEAD), max(most, _DEAD))
             model.actuator_gainprm[index, 0] = k if on else 0.0
-            model.actuator_biasprm[index, 1:3] = (-k, -servo.damping) if on else (0.0, 0.0)
+            model.actuator_biasprm[index, 1:3] = (-k, -d) if on else (0.0, 0.0)
             model.dof_frictionloss[self._arms[index]] = servo.friction if on else servo.unpowered_friction
             self.data.ctrl[index] = goal
 
@@ -152,3 +160,11 @@ def pull(magnets: MagnetParameters, gap: float, offset: float) -> float:
     share = max(magnets.floor, 1.0 / (1.0 + (offset / magnets.width) ** 2))
     ratio = 1.0 + max(gap, 0.0) / magnets.range
     return magnets.force * share / (ratio * ratio)
+
+
+def side_pull(magnets: MagnetParameters, gap: float, offset: float) -> float:
+    """Return the pull toward the target's centre per lateral offset (N/m) at a `gap` and `offset` (m)."""
+    share = 1.0 / (1.0 + (offset / magnets.width) ** 2)
+    if share <= magnets.floor:
+        return 0.0
+    return 2.0 * magnets.force * magnets.range * share**2 / (magnets.width**2 * (1.0 + max(gap, 0.0) / magnets.range))

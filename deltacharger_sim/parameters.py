@@ -20,6 +20,7 @@ from deltacharger_core.machine import (
     MAGNET_WIDTH,
     NOMINAL_VOLTAGE,
     SERVO_DAMPING,
+    SERVO_INERTIA,
     SERVO_STIFFNESS,
     STALL_TORQUE,
     TORQUE_CONSTANT,
@@ -33,17 +34,20 @@ LEVER = 0.038  # m, dz/dθ at the dock: lever of a servo's torque
 
 @dataclass(frozen=True)
 class ServoParameters(Bounded):
-    """MX-64 at 12 V in position mode, at its horn."""
+    """MX-64 at 12 V in current-based position mode (5), at its horn; docs/simulation.md has the sources."""
 
-    stiffness: float = number(SERVO_STIFFNESS, 2.0, 40.0, "N·m/rad", "position loop as a spring")
-    damping: float = number(SERVO_DAMPING, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
+    stiffness: float = number(SERVO_STIFFNESS, 2.0, 40.0, "N·m/rad", "spring of the position loop, by the P gain")
+    damping: float = number(SERVO_DAMPING, 0.0, 5.0, "N·m·s/rad", "damper of the position loop, by the D gain")
+    viscosity: float = number(0.02, 0.0, 1.0, "N·m·s/rad", "drag of the gear, whatever the current bound")
     stall_torque: float = number(STALL_TORQUE, 0.5, 12.0, "N·m", "largest torque whatever the current bound")
     torque_constant: float = number(TORQUE_CONSTANT, 0.5, 3.0, "N·m/A", "torque per current")
-    friction: float = number(0.06, 0.0, 1.0, "N·m", "Coulomb friction of the gear while powered")
+    friction: float = number(0.1, 0.0, 1.0, "N·m", "Coulomb friction of the powered gear without load")
+    friction_share: float = number(0.2, 0.0, 0.9, "", "further friction as a share of the motor's torque")
     unpowered_friction: float = number(0.6, 0.0, 3.0, "N·m", "torque that turns the unpowered gear")
     backlash: float = number(0.0, 0.0, 0.05, "rad", "play between encoder and arm, from stop to stop")
-    inertia: float = number(0.004, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
-    current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
+    inertia: float = number(SERVO_INERTIA, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
+    current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading without load")
+    current_noise_share: float = number(0.02, 0.0, 0.5, "", "further deviation as a share of the current")
     supply_voltage: float = number(NOMINAL_VOLTAGE, 9.5, 16.0, "V", "output of the regulator")
     supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "resistance of regulator and cable, shared by the servos")
     stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that follows the supply voltage below 12 V")
@@ -96,6 +100,31 @@ class PlatformParameters(Bounded):
 
     compliance: float = number(0.0, 0.0, 0.1, "rad/(N·m)", "tilt about x and y per moment; 0 = rigid")
     lever: float = number(0.02, 0.0, 0.1, "m", "distance from the point it tilts about to its contact faces")
+
+
+@dataclass(frozen=True)
+class CableParameters(Bounded):
+    """The charging cable at the platform; none by default."""
+
+    stiffness: float = number(0.0, 0.0, 1000.0, "N/m", "pull of the cable per way from home")
+    drag: float = number(0.0, 0.0, 20.0, "N", "friction of the cable in itself and its guides")
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is a cable that can be felt."""
+        return self.stiffness > 0.0 or self.drag > 0.0
+
+
+@dataclass(frozen=True)
+class StandParameters(Bounded):
+    """How far charger and target together yield on their wheels; rigid by default."""
+
+    stiffness: float = number(
+        0.0, 0.0, 1e6, "N/m", "of both robots' tyres and suspensions at the electrodes; 0 = rigid, and nothing rolls"
+    )
+    mass: float = number(25.0, 1.0, 1000.0, "kg", "reduced mass of both robots")
+    play: float = number(0.0, 0.0, 0.02, "m", "play of the braked wheels, to either side")
+    brakes: float = number(1000.0, 0.0, 10000.0, "N", "force at which the brakes slip; 0 = released")
 
 
 @dataclass(frozen=True)
@@ -154,6 +183,8 @@ class WorldParameters(Bounded):
     terminal: TerminalParameters = field(default_factory=TerminalParameters)
     platform: PlatformParameters = field(default_factory=PlatformParameters)
     target: TargetParameters = field(default_factory=TargetParameters)
+    cable: CableParameters = field(default_factory=CableParameters)
+    stand: StandParameters = field(default_factory=StandParameters)
     circuit: CircuitParameters = field(default_factory=CircuitParameters)
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")

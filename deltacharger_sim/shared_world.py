@@ -39,11 +39,17 @@ class SharedWorld:
         return self.world
 
     def command_servo(
-        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+        self,
+        index: int,
+        torque_enabled: bool,
+        reference: float,
+        current_limit: float,
+        gain: float = 1.0,
+        braking: float = 1.0,
     ) -> None:
-        """Set torque, goal angle (rad), current bound (A) and gain (relative to the world's stiffness) of a servo."""
+        """Set torque, goal angle (rad), current bound (A) and gains of a servo, as shares of its parameters."""
         with self._lock:
-            self._advance().command(index, torque_enabled, reference, current_limit, gain)
+            self._advance().command(index, torque_enabled, reference, current_limit, gain, braking)
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), rate (rad/s), current (A), voltage (V) and temperature (°C) of a servo."""

@@ -23,12 +23,18 @@ class TargetTouch:
         self._magnets, self._contact = parameters.magnets, parameters.contact
         self.tilt = PlatformTilt(parameters) if tilts(parameters) else None
         self.side = min(2.0 * self._contact.stiffness, LATERAL_MOST)
-        self._pull = 0.0
+        if parameters.stand.stiffness > 0.0:  # in series with the robots' tyres
+            self.side /= 1.0 + self.side / parameters.stand.stiffness
+        self._pull = self._aligns = 0.0
 
     def lie(self, x: float, y: float) -> None:
         """Set the target's centre to (x, y) in end_effector, m."""
         distance = hypot(x, y) / self._magnets.width
-        self._pull = self._magnets.force * max(self._magnets.floor, 1.0 / (1.0 + distance * distance))
+        magnets, share = self._magnets, 1.0 / (1.0 + distance * distance)
+        self._pull = magnets.force * max(magnets.floor, share)
+        # From the same energy as the pull: −force · range / (1 + gap/range) · share.
+        steep = 2.0 * magnets.force * magnets.range / magnets.width**2 if share > magnets.floor else 0.0
+        self._aligns = steep * share * share
         if self.tilt is not None:
             self.tilt.lie(x, y)
 
@@ -39,8 +45,8 @@ class TargetTouch:
 
     def forces(
         self, gap: float, dx: float, dy: float, rub: tuple[float, float], before: float
-    ) -> tuple[float, float, float, float, float, float]:
-        """Return pull, normal force, lateral friction along x and y (N), and two tangents (N/m).
+    ) -> tuple[float, float, float, float, float, float, float]:
+        """Return pull, normal force, lateral friction along x and y (N), two tangents and the magnets' aligning (N/m).
 
         Args:
             gap: of the faces, m; negative = compression.
@@ -51,7 +57,7 @@ class TargetTouch:
 
         Returns:
             The tangents are the lateral one and the increase of the normal one. The magnets' negative one counts
-            only while it is less than half of the others'.
+            only while it is less than half of the others'. Aligning is the magnets' lateral pull per offset.
         """
         if self.tilt is not None:
             normal, stiffer = self.tilt.press(-gap)
@@ -59,17 +65,18 @@ class TargetTouch:
             normal, stiffer = self._press(-gap)
         else:
             normal = stiffer = 0.0
-        magnet = self._pull
+        magnet, aligns = self._pull, self._aligns
         if gap > 0.0:
             # With a lean, an end may press while the middle does not touch yet.
             reach = self._magnets.range
             ratio = 1.0 + gap / reach
             magnet /= ratio * ratio
+            aligns /= ratio
             softer = 2.0 * magnet / (ratio * reach)
             if softer < 0.5 * (before + stiffer):
                 stiffer -= softer
         if normal <= 0.0:
-            return magnet, 0.0, 0.0, 0.0, 0.0, stiffer
+            return magnet, 0.0, 0.0, 0.0, 0.0, stiffer, aligns
         if self.tilt is not None:
             swung_x, swung_y = self.tilt.swing
             dx, dy = dx + swung_x, dy + swung_y
@@ -80,7 +87,7 @@ class TargetTouch:
         if size > most:
             scale = most / size
             rx, ry, side = rx * scale, ry * scale, side * scale
-        return magnet, normal, rx, ry, side, stiffer
+        return magnet, normal, rx, ry, side, stiffer, aligns
 
     def _press(self, depth: float) -> tuple[float, float]:
         """Return the normal force (N) and stiffness (N/m) of both electrodes at a compression (m)."""

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_kinematics.calibration.servo_arm import ArmReadings, whole_ticks
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import WorldParameters
@@ -77,8 +76,7 @@ class VirtualArm:
             self._cycle(self._goals)
             rows.append([self.world.servo(index) for index in range(3)])
         states = np.array(rows)
-        angles, currents = states[:, :, 0], states[:, :, 2]
-        return ArmReadings(np.round(angles / TICK) * TICK, np.round(currents / CURRENT_UNIT) * CURRENT_UNIT)
+        return ArmReadings(states[:, :, 0], states[:, :, 2])
 
     def _let(self, seconds: float) -> None:
         for _ in range(round(seconds / PERIOD)):

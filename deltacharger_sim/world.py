@@ -12,6 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap
@@ -93,14 +94,24 @@ class World:
         for warning in doubts(parameters):
             warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
-    def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
-        """Command servo `index`: torque on, goal angle (rad), current bound (A), gain of its stiffness."""
+    def command(
+        self,
+        index: int,
+        enabled: bool,
+        reference: float,
+        current_limit: float,
+        gain: float = 1.0,
+        braking: float = 1.0,
+    ) -> None:
+        """Command servo `index`: torque on, goal angle (rad), current bound (A), gains of its stiffness and damping."""
         if self._late is not None:
-            self._late.command(self.time, (index, enabled, reference, current_limit, gain))
+            self._late.command(self.time, (index, enabled, reference, current_limit, gain, braking))
             return
-        self._obey(index, enabled, reference, current_limit, gain)
+        self._obey(index, enabled, reference, current_limit, gain, braking)
 
-    def _obey(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float) -> None:
+    def _obey(
+        self, index: int, enabled: bool, reference: float, current_limit: float, gain: float, braking: float
+    ) -> None:
         bound = current_limit if math.isfinite(current_limit) else 0.0
         if enabled != self._enabled[index]:
             self._enabled = _with(self._enabled, index, enabled)
@@ -108,8 +119,9 @@ class World:
             self._reference = _with(self._reference, index, reference)
         if bound != self._limit[index]:
             self._limit = _with(self._limit, index, bound)
-        if gain != self.mechanics.gains[index] and 0.0 <= gain < math.inf:
-            self.mechanics.set_gains(_with(self.mechanics.gains, index, gain))
+        known = self.mechanics.gains, self.mechanics.brakes
+        if (gain, braking) != (known[0][index], known[1][index]) and 0.0 <= gain + braking < math.inf:
+            self.mechanics.set_gains(_with(known[0], index, gain), _with(known[1], index, braking))
 
     def step(self, dt: float | None = None) -> None:
         """Advance by `dt` s (default: the parameter `step`)."""
@@ -121,8 +133,7 @@ class World:
         moved = self._moving is not None
         if moved:
             self._move(dt)
-        target, position, jitter = self.parameters.target, mechanics.position, self._jitter
-        x, y = target.x - position[0] + jitter[0], target.y - position[1] + jitter[1]
+        x, y = self._offset()
         mechanics.step(dt, self._enabled, self._reference, self._limit, x, y)
         self.time += dt
         if self._late is not None:
@@ -197,15 +208,19 @@ class World:
         )
 
     def servo(self, index: int) -> tuple[float, float, float, float, float]:
-        """Return angle (rad), rate (rad/s), measured current (A), voltage (V) and temperature (°C) of a servo."""
+        """Return angle (rad), rate (rad/s), current (A), voltage (V) and temperature (°C) of a servo.
+
+        Angle and current have the resolution of its registers.
+        """
         state = self._state(index) if self._late is None else self._late.state(index) or self._state(index)
         angle, rate, current, voltage, temperature = state
-        noise = self.parameters.servo.current_noise
+        servo = self.parameters.servo
+        noise = servo.current_noise + servo.current_noise_share * abs(current)
         if not self._enabled[index]:
             current = 0.0
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
-        return angle, rate, current, voltage, temperature
+        return round(angle / TICK) * TICK, rate, round(current / CURRENT_UNIT) * CURRENT_UNIT, voltage, temperature
 
     def _state(self, index: int) -> tuple[float, float, float, float, float]:
         """Return the reading of servo `index` without noise and delay."""
@@ -221,15 +236,23 @@ class World:
         mechanics = self.mechanics
         return self._tactile.sample(self.time, self.misalignment, mechanics.contact_force, mechanics.lean)
 
+    def _offset(self) -> tuple[float, float]:
+        """Return the target's centre in end_effector, m along x and y."""
+        target, position, shift, jitter = (
+            self.parameters.target,
+            self.mechanics.position,
+            self.mechanics.target_shift,
+            self._jitter,
+        )
+        return target.x + shift[0] - position[0] + jitter[0], target.y + shift[1] - position[1] + jitter[1]
+
     def _relative(self) -> Pose:
-        target, position = self.parameters.target, self.mechanics.position
-        dx, dy, turn = self._jitter
-        x, y = target.x - position[0] + dx, target.y - position[1] + dy
+        x, y = self._offset()
         tilt = self.mechanics.tilt
         if tilt != (0.0, 0.0):
             lever = self.parameters.platform.lever
             x, y = x - lever * tilt[1], y + lever * tilt[0]
-        return x, y, target.roll + turn
+        return x, y, self.parameters.target.roll + self._jitter[2]
 
     def _follow_contact(self) -> None:
         """Draw a new docking's jitter at first touch; update the overlap if the pose has changed."""

@@ -20,7 +20,7 @@ from deltacharger.action import ChargeRobot  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 
 RESULT, STAGE = ChargeRobot.Result, ChargeRobot.Feedback
-FATAL = (304, 305, 502, 504, 505, 506, 507, 999)  # the codes that need a person: docs/fleet.md
+FATAL = (304, 305, 306, 502, 504, 505, 506, 507, 999)  # the codes that need a person: docs/fleet.md
 goal = ChargeRobot.Goal(request_id="order-1/startCharging")
 goal.stop_after.sec = int(sys.argv[1]) if len(sys.argv) > 1 else 0
 goal.target.header.frame_id, goal.target.pose.position.x = "map", 2.0  # the navigator's frame; m

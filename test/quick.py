@@ -10,10 +10,7 @@ from typing import Any
 
 from deltacharger_scenes.scene import Scene, load_scene
 
-DAMPING = 0.3
-"""Servo damping that these steps need."""
 STEPS = {
-    "servo_damping": DAMPING,
     "standoff": 0.008,
     "coarse_step": 0.004,
     "search_speed": 0.05,
@@ -26,16 +23,13 @@ STEPS = {
 }
 """Parameters of docking_node."""
 SCENE = {
-    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": DAMPING}}},
+    "simulation": {"seed": 1, "rig_seed": 1},
     "parameters": {"docking_node": STEPS},
 }
 """A complete simulated charger whose target is exactly at the given pose."""
 
 
 def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
-    """Return a packaged scene of the simulated charger with these servos and steps, or with given ones."""
+    """Return a packaged scene of the simulated charger with these steps, or with given ones."""
     packaged = load_scene(name)
-    assert packaged.simulation is not None
-    world = packaged.simulation.world
-    quick = replace(packaged.simulation, world=replace(world, servo=replace(world.servo, damping=DAMPING)))
-    return replace(packaged, simulation=quick, parameters={**packaged.parameters, "docking_node": {**STEPS, **steps}})
+    return replace(packaged, parameters={**packaged.parameters, "docking_node": {**STEPS, **steps}})

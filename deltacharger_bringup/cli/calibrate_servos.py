@@ -182,15 +182,20 @@ def _as_text(measured: MeasuredArm) -> str:
         cells = [*zip(values, fit.error(what), strict=True), fit.common(what)]
         rows.append(f"{name:<16}{unit:<8}" + "".join(f"{_cell(*cell):>18}" for cell in cells))
     cells = [(1e3 * width, 1e3 * error) for width, error in zip(play.width, play.error, strict=True)]
-    cells_text = "".join(f"{_cell(*cell) if math.isfinite(cell[0]) else 'unknown':>18}" for cell in cells)
+    cells_text = "".join(f"{_cell(*cell):>18}" for cell in cells)
     rows.append(f"{'play':<16}{'mrad':<8}{cells_text}")
+    brakes = "".join(f"{_cell(each.damping, each.damping_stddev):>18}" for each in measured.swings)
+    rows.append(f"{'damping':<16}{'N·m·s/rad':<10}{brakes[2:]}")
     rows += ["", f"{len(measured.readings)} places in {measured.seconds:.0f} s"]
     rows.append(f"scatter {fit.scatter:.2f} of what noise and ticks explain")
+    rows.append(f"friction takes {100.0 * fit.friction_share:.0f} % of the torque besides")
     if np.isnan(play.width).any():
         rows.append("play is measured only for a servo that is almost unloaded somewhere; weight hides it elsewhere")
     return "\n".join(rows)
 
 
 def _cell(value: float, error: float) -> str:
+    if not math.isfinite(value):
+        return "unknown"
     digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 3
     return f"{value:.{digits}f} ± {error:.{digits}f}"

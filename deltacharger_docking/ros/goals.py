@@ -31,7 +31,10 @@ from deltacharger_ros.tf_tree import TransformError
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
-MEASURED = ("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy")
+MEASURED = (
+    *("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy"),
+    *("contact_force_min", "contact_force_max"),
+)
 """Fields of a Dock result that have the same names in an outcome."""
 
 

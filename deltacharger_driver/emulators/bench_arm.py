@@ -28,7 +28,7 @@ class BenchArm:
         voltage: V of each servo's supply without load.
         supply_resistance: Ω of regulator and cable, common to all servos.
         temperature: °C of each servo.
-        commands: last (torque enabled, reference rad, current limit A, gain) of each servo; None before the first.
+        commands: last (torque enabled, reference rad, current limit A, P and D gain) of each servo; None before it.
 
     Args:
         angles: initial angles, rad.
@@ -42,7 +42,7 @@ class BenchArm:
         self.voltage = [NOMINAL_VOLTAGE] * len(angles)
         self.supply_resistance = 0.0
         self.temperature = [30.0] * len(angles)
-        self.commands: list[tuple[bool, float, float, float] | None] = [None] * len(angles)
+        self.commands: list[tuple[bool, float, float, float, float] | None] = [None] * len(angles)
         self._angle = list(angles)
         self._velocity = [0.0] * len(angles)
         self._current = [0.0] * len(angles)
@@ -63,12 +63,18 @@ class BenchArm:
             return [command is not None and command[0] for command in self.commands]
 
     def command_servo(
-        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+        self,
+        index: int,
+        torque_enabled: bool,
+        reference: float,
+        current_limit: float,
+        gain: float = 1.0,
+        braking: float = 1.0,
     ) -> None:
-        """Make servo `index` hold `reference` (rad) with at most `current_limit` (A) at `gain` times its stiffness."""
+        """Make servo `index` hold `reference` (rad) with at most `current_limit` (A); its damping never changes."""
         with self._lock:
             self._advance()
-            self.commands[index] = (torque_enabled, reference, current_limit, gain)
+            self.commands[index] = (torque_enabled, reference, current_limit, gain, braking)
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), velocity (rad/s), current (A), voltage (V) and temperature (°C) of servo `index`."""
@@ -95,7 +101,7 @@ class BenchArm:
         if command is None or not command[0]:
             self._velocity[index] = self._current[index] = 0.0
             return
-        _, reference, current_limit, gain = command
+        _, reference, current_limit, gain, _ = command
         limit, stiffness = TORQUE_CONSTANT * current_limit, SERVO_STIFFNESS * gain
         # Implicit in the angle: stable at any stiffness. If the torque is clipped, it is known.
         change = (stiffness * (reference - self._angle[index]) + self.load[index]) / (SERVO_DAMPING / _STEP + stiffness)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from deltacharger_core.machine import POSITION_P_GAIN
+from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_driver.servos.control_table import ACCESS, OK, RESULT_FAIL, ControlTable
 from deltacharger_driver.servos.mx64 import (
     ALERT,
@@ -36,11 +36,18 @@ class ServoPlant(Protocol):
     """The physics behind emulated servos: motor, gear, load and supply. It has its own clock."""
 
     def command_servo(
-        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+        self,
+        index: int,
+        torque_enabled: bool,
+        reference: float,
+        current_limit: float,
+        gain: float = 1.0,
+        braking: float = 1.0,
     ) -> None:
         """Make the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A).
 
-        `gain` is the position P gain relative to servo_node's value; it scales the plant's stiffness.
+        `gain` and `braking` are the position P and D gains relative to servo_node's; they scale the plant's stiffness
+        and damping.
         """
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
@@ -71,7 +78,7 @@ class ServoFirmware:
         self._silent_until = -math.inf
         self._heard = -math.inf
         self._reference = 0.0  # rad, goal of the position loop
-        self._commanded: tuple[bool, float, float, float] | None = None
+        self._commanded: tuple[bool, float, float, float, float] | None = None
         self._start(-math.inf)
 
     @property
@@ -242,8 +249,8 @@ class ServoFirmware:
         limit = table.get("current_limit")
         if mode == MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
-        gain = table.get("position_p_gain") / POSITION_P_GAIN
-        command = (on, self._reference, limit * CURRENT_UNIT, gain)
+        gain, braking = table.get("position_p_gain") / POSITION_P_GAIN, table.get("position_d_gain") / POSITION_D_GAIN
+        command = (on, self._reference, limit * CURRENT_UNIT, gain, braking)
         if command != self._commanded:
             self._commanded = command
             self._plant.command_servo(self._index, *command)

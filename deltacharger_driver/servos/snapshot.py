@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.machine import BAUD_RATE, POSITION_P_GAIN, SERVO_IDS, STALL_CURRENT
+from deltacharger_core.machine import BAUD_RATE, POSITION_D_GAIN, POSITION_P_GAIN, SERVO_IDS, STALL_CURRENT
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import (
@@ -83,7 +83,7 @@ class BusSettings:
     watchdog: int = WATCHDOG
     reply_margin: float = REPLY_MARGIN
     current_max: float = STALL_CURRENT
-    gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, 0)
+    gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, POSITION_D_GAIN)
 
     def __post_init__(self) -> None:
         count = len(self.ids)

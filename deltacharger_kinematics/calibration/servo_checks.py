@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.servos_file import MeasuredServo, MeasuredServos
 from deltacharger_kinematics.calibration.servo_arm import ServoTask
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, loads_at
 from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm
 from deltacharger_kinematics.geometry import LIMB_COUNT
+from deltacharger_kinematics.swing import LEAST_DAMPING, surely_swings
 
 NAMES = ("stiffness", "torque constant", "friction")
 UNITS = ("N·m/rad", "N·m/A", "N·m")
@@ -36,12 +37,12 @@ class Gains:
 
     p: int = POSITION_P_GAIN
     i: int = 0
-    d: int = 0
+    d: int = POSITION_D_GAIN
 
 
 def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
     """Return the reasons not to use the measurement; empty = use it."""
-    found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains)]
+    found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains), *_of_the_swings(measured, gains)]
     if not found:  # otherwise these explain it
         found = [
             f"play and friction do not explain how servo {servo + 1} turns back: check for a loose rod or horn"
@@ -101,6 +102,15 @@ def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
     return found
 
 
+def _of_the_swings(measured: MeasuredArm, gains: Gains) -> list[str]:
+    return [
+        f"servo {number} swings: its damping is {each.damping:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
+        f"position_d_gain of servo_node ({gains.d}), and measure again"
+        for number, each in enumerate(measured.swings, 1)
+        if surely_swings(each)
+    ]
+
+
 def gravity_by_currents(measured: MeasuredArm, task: ServoTask) -> Array:
     """Return the direction (3,) of gravity that fits the currents best."""
     angles = np.array([reading.angles for reading in measured.readings])
@@ -142,7 +152,7 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
     Raises:
         ParameterError: a value lies outside the bounds of the nodes.
     """
-    fit, play = measured.fit, measured.play
+    fit, play, swings = measured.fit, measured.play, measured.swings
     servos = [
         MeasuredServo(
             **_numbers(
@@ -150,6 +160,7 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
                 (fit.torque_constant[servo], fit.error(CONSTANT)[servo]),
                 (fit.friction[servo], fit.error(FRICTION)[servo]),
                 (play.width[servo], play.error[servo]),
+                (swings[servo].damping, swings[servo].damping_stddev),
             )
         )
         for servo in range(LIMB_COUNT)
@@ -158,10 +169,14 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
     common_play = (math.nan, math.nan)
     if seen.any():
         common_play = (float(play.width[seen].mean()), float(np.hypot.reduce(play.error[seen]) / seen.sum()))
-    common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play)
+    known = [(each.damping, each.damping_stddev) for each in swings if math.isfinite(each.damping)]
+    mean, errors = np.mean(known, axis=0) if known else (math.nan, math.nan)
+    damping = float(mean), float(errors) / math.sqrt(max(len(known), 1))
+    common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play, damping)
     first, second, third = servos
     return MeasuredServos(
         **common,
+        friction_share=float(f"{fit.friction_share:.3g}"),
         position_p_gain=gains.p,
         position_i_gain=gains.i,
         position_d_gain=gains.d,
@@ -171,7 +186,8 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
 
 def _numbers(*pairs: tuple[float, float]) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for name, (value, error) in zip(("stiffness", "torque_constant", "friction", "backlash"), pairs, strict=True):
+    names = "stiffness", "torque_constant", "friction", "backlash", "damping"
+    for name, (value, error) in zip(names, pairs, strict=True):
         known = math.isfinite(value)
         found[name] = float(f"{value:.6g}") if known else None
         found[f"{name}_error"] = float(f"{error:.3g}") if known else None

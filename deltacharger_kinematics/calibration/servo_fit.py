@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates stiffness, torque constant and friction of each servo by one least-squares fit over all readings at rest.
 
-At rest, a servo that last turned in direction s holds the torque T = w L + s f. L is its share of the weight of
-platform and rods, known from the pose up to a common factor w near 1; f is its friction. The torque is visible twice:
-current = T / Kt, and goal − angle = T / k. Unknown are k, Kt and f of each servo, and w, of which only the tolerance is
-known. As k, Kt and f all depend on w, it enters all their standard errors. Also unknown is each arm's offset from its
-encoder, caused by play (the arm hangs on one side of it) and by remaining errors of the geometry. If k turns a load
-into few encoder ticks, `servo_ticks` counts them.
+At rest, a servo that last turned in direction s holds the torque T = w L + s (f + g |T|). L is its share of the weight
+of platform and rods, known from the pose up to a common factor w near 1; f is its friction without load, and g the
+share of the torque that all gears take besides. The torque is visible twice: current = T / Kt, and goal − angle = T /
+k. Unknown are k, Kt and f of each servo, g, and w, of which only the tolerance is known. As k, Kt and f all depend on
+w, it enters all their standard errors. Also unknown is each arm's offset from its encoder, caused by play (the arm
+hangs on one side of it) and by remaining errors of the geometry. If k turns a load into few encoder ticks,
+`servo_ticks` counts them.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ OFFSET_ERROR = 0.003
 _MANY_TICKS = 8.0  # rms of goal − angle above which rounding averages out
 _CREEP = 1e-4  # rad that an arm may still be short of rest
 _ROUNDS = 12
+_PRIORS = LIMB_COUNT + 2  # rows: of weight, offsets and share
 _TURNED = 1e-4  # rad, for slopes of the loads
-_WEIGHT = 3 * LIMB_COUNT  # index of the weight's factor; the three offsets follow
+_WEIGHT = 3 * LIMB_COUNT  # index of the weight's factor; the three offsets and the share of the load follow
+_SHARE, _SHARE_ERROR = 0.2, 0.15  # of the torque that a gear takes, and its standard deviation before the fit (BAM)
 _TOO_FEW = "too few readings of servo {}: give more --seconds"
 _FEWEST = 6  # readings of a servo, at least 2 per direction
 
@@ -49,6 +52,7 @@ class ServoFit:
         torque_constant: N·m/A, (3,).
         friction: N·m, (3,).
         weight: factor of the weight, near 1.
+        friction_share: share of the torque that friction takes besides.
         covariance: of 3 × (stiffness, torque_constant, friction) and weight, (10, 10), in their units.
         current_residuals: in standard deviations, (n readings, 3); NaN if a servo's reading was not used.
         angle_residuals: the same for goal − angle.
@@ -59,6 +63,7 @@ class ServoFit:
     torque_constant: Array
     friction: Array
     weight: float
+    friction_share: float
     covariance: Array
     current_residuals: Array
     angle_residuals: Array
@@ -155,7 +160,7 @@ def _table(readings: Sequence[StaticReading], task: ServoTask, play: Array) -> _
 
 def _first_guess(table: _Table) -> Array:
     """Return a first estimate of all numbers by linear fits to each servo's readings."""
-    numbers = [1.0] * (_WEIGHT + 1) + [0.0] * LIMB_COUNT
+    numbers = [1.0] * (_WEIGHT + 1) + [0.0] * LIMB_COUNT + [_SHARE]
     for servo in range(LIMB_COUNT):
         used = table.signs[:, servo] != 0.0
         signs = table.signs[used, servo]
@@ -174,16 +179,16 @@ def _first_guess(table: _Table) -> Array:
 
 
 def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, Array]:
-    """Return residuals (rows) in standard deviations and their slopes (rows, 13); the priors are last."""
+    """Return residuals (rows) in standard deviations and their slopes (rows, 14); the priors are last."""
     residuals, slopes = [], []
-    weight, offsets = numbers[_WEIGHT], numbers[_WEIGHT + 1 :]
+    weight, offsets = numbers[_WEIGHT], numbers[_WEIGHT + 1 : -1]
     angle_error = math.hypot(ANGLE_ERROR, _CREEP)
     for servo in range(LIMB_COUNT):
         used = table.signs[:, servo] != 0.0
         turning, sign = table.turning[used, servo], table.signs[used, servo]
         load = table.loads[used, servo] + turning @ offsets
-        ln_k, ln_constant, friction = numbers[3 * servo : 3 * servo + 3]
-        torque = weight * load + sign * friction
+        ln_k, ln_constant, _ = numbers[3 * servo : 3 * servo + 3]
+        torque, grip = _torques(numbers, servo, load, sign)
         measured = (
             (ln_k, STIFFNESS, table.errors[used, servo], np.full(load.shape, angle_error)),
             (ln_constant, CONSTANT, table.currents[used, servo], table.current_errors[used, servo]),
@@ -192,15 +197,25 @@ def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, 
             per_torque = math.exp(-logarithm) / errors
             rows = np.zeros((len(load), len(numbers)))
             rows[:, 3 * servo + what] = -torque * per_torque
-            rows[:, 3 * servo + FRICTION] = sign * per_torque
-            rows[:, _WEIGHT] = load * per_torque
-            rows[:, _WEIGHT + 1 :] = weight * turning * per_torque[:, None]
+            rows[:, 3 * servo + FRICTION] = sign * grip * per_torque
+            rows[:, _WEIGHT] = load * grip * per_torque
+            rows[:, _WEIGHT + 1 : -1] = weight * turning * (grip * per_torque)[:, None]
+            rows[:, -1] = np.abs(torque) * sign * grip * per_torque
             residuals.append(torque * per_torque - values / errors)
             slopes.append(rows)
-    priors = np.zeros((LIMB_COUNT + 1, len(numbers)))
-    priors[:, _WEIGHT:] = np.diag([1.0 / tolerance] + [1.0 / OFFSET_ERROR] * LIMB_COUNT)
-    residuals.append(priors @ (numbers - np.eye(len(numbers))[_WEIGHT]))
+    priors = np.zeros((_PRIORS, len(numbers)))
+    priors[:, _WEIGHT:] = np.diag([1.0 / tolerance] + [1.0 / OFFSET_ERROR] * LIMB_COUNT + [1.0 / _SHARE_ERROR])
+    expected = np.zeros(len(numbers))
+    expected[_WEIGHT], expected[-1] = 1.0, _SHARE
+    residuals.append(priors @ (numbers - expected))
     return np.concatenate(residuals), np.concatenate([*slopes, priors])
+
+
+def _torques(numbers: Array, servo: int, load: Array, sign: Array) -> tuple[Array, Array]:
+    """Return the motor's torques (N·m) that hold `load` after turning in a direction, and their slope by the load."""
+    unloaded = numbers[_WEIGHT] * load + sign * numbers[3 * servo + FRICTION]
+    grip = 1.0 / (1.0 - sign * np.sign(unloaded) * min(max(float(numbers[-1]), -0.9), 0.9))
+    return unloaded * grip, grip
 
 
 def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, scatter: float) -> None:
@@ -209,8 +224,8 @@ def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, s
     errors = table.errors[used, servo]
     if float(np.sqrt(np.mean(errors**2))) > _MANY_TICKS * TICK:
         return
-    load = table.loads[used, servo] + table.turning[used, servo] @ numbers[_WEIGHT + 1 :]
-    torques = numbers[_WEIGHT] * load + table.signs[used, servo] * numbers[3 * servo + FRICTION]
+    load = table.loads[used, servo] + table.turning[used, servo] @ numbers[_WEIGHT + 1 : -1]
+    torques, _ = _torques(numbers, servo, load, table.signs[used, servo])
     place = 3 * servo + STIFFNESS
     squares = float(np.sum((torques * math.exp(-numbers[place])) ** 2))
     rounded = scatter * (ANGLE_ERROR**2 + _CREEP**2) / squares
@@ -228,7 +243,7 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
         for kind in range(2):
             by_reading[kind, used, servo] = residuals[start : start + used.sum()]
             start += int(used.sum())
-    rows = len(residuals) - LIMB_COUNT - 1
+    rows = len(residuals) - _PRIORS
     scatter = float(np.sum(residuals[:rows] ** 2) / max(1, rows - _WEIGHT))
     information = slopes[:rows].T @ slopes[:rows] / max(1.0, scatter) + slopes[rows:].T @ slopes[rows:]
     covariance: Array = np.asarray(np.linalg.inv(information)[: _WEIGHT + 1, : _WEIGHT + 1], dtype=float)
@@ -242,6 +257,7 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
         np.asarray(constant),
         logarithms[:, FRICTION],
         float(numbers[_WEIGHT]),
+        float(numbers[-1]),
         np.asarray(covariance),
         by_reading[1],
         by_reading[0],

@@ -11,14 +11,16 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics.calibration.servo_arm import ServoArm, ServoTask, StaticReading
-from deltacharger_kinematics.calibration.servo_fit import ServoFit, fit_servos
+from deltacharger_kinematics.calibration.servo_fit import CONSTANT, STIFFNESS, ServoFit, fit_servos
 from deltacharger_kinematics.calibration.servo_plan import PosePlanner
 from deltacharger_kinematics.calibration.servo_play import Play, sweep_play
 from deltacharger_kinematics.calibration.servo_walk import ArmWalk
+from deltacharger_kinematics.swing import SwingReading, Swung, fit_swing
 
 _FIRST_TURN, _TURN = 0.12, 0.03  # rad, smallest rotation of a servo before and after its friction is known
 _ROUGH = 8  # readings between fits of the model
 _SURELY_TURNED = 0.015  # rad of encoder rotation, more than any play
+_SWING, _SWINGS = 0.9, 2  # A by which the goals jump, forward and back
 _AT_REST = 0.8  # share of the time for readings at rest; the other share is for play
 
 
@@ -30,12 +32,14 @@ class MeasuredArm:
         readings: at rest, in order.
         fit: stiffness, torque constant and friction.
         play: play between encoder and arm.
+        swings: how each servo springs and brakes.
         seconds: duration of the measurement.
     """
 
     readings: tuple[StaticReading, ...]
     fit: ServoFit
     play: Play
+    swings: tuple[Swung, Swung, Swung]
     seconds: float
 
 
@@ -71,8 +75,19 @@ def measure_servos(
     play = sweep_play(walk, planner, fit, max(task.seconds - walk.spent, 0.0))
     if not np.isnan(play.width).all():
         fit = fit_servos(readings, task, np.nan_to_num(play.width))
+    swings = _swing(walk, planner, fit)
     progress(1.0)
-    return MeasuredArm(tuple(readings), fit, play, walk.spent)
+    return MeasuredArm(tuple(readings), fit, play, swings, walk.spent)
+
+
+def _swing(walk: ArmWalk, planner: PosePlanner, fit: ServoFit) -> tuple[Swung, Swung, Swung]:
+    """Let the arm swing in the middle, forward and back."""
+    walk.visit(planner.middle(walk.arm.read(0.1).angles[-1], walk.model))
+    turn = _SWING * float(fit.common(CONSTANT)[0] / fit.common(STIFFNESS)[0])
+    rows: list[SwingReading] = []
+    for sign in (1.0, -1.0) * _SWINGS:
+        rows += walk.swing(sign * turn)
+    return fit_swing(rows, float(fit.common(CONSTANT)[0]))
 
 
 def _begin(walk: ArmWalk, planner: PosePlanner) -> Array:

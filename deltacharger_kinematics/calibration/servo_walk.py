@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import SERVO_DAMPING, SERVO_STIFFNESS
+from deltacharger_core.machine import SERVO_DAMPING, SERVO_INERTIA, SERVO_STIFFNESS
 from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.servo_arm import (
     ArmReadings,
@@ -15,15 +15,18 @@ from deltacharger_kinematics.calibration.servo_arm import (
     ServoTrouble,
     StaticReading,
     at_rest,
+    whole_ticks,
 )
 from deltacharger_kinematics.calibration.servo_fit import ServoFit, loads_at
 from deltacharger_kinematics.calibration.servo_plan import SHORTEST, ServoModel, Way, seconds_of
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
+from deltacharger_kinematics.swing import SwingReading, swing_readings
 
 PUSH = 0.6  # A per servo beyond the arm's weight, the usual bound before contact
 _SETTLED = 7.0  # time constants of the servos until less than a thousandth of a motion is left
 _SOONEST, _LATEST = 0.1, 4.0  # s until the arm counts as settled
 _READ = (0.2, 0.6)  # s of reading, least and most
+_JUMP, _SWINGS, _FREE = 0.01, 8.0, 0.9  # s; rad of oscillation that are read; share of the bound that may not cut
 _POINTS = 0.02  # s between points of a move
 _STILL = 1.5 * TICK  # rad, largest encoder variation at rest
 _PATIENCE = 5  # readings before an arm that does not come to rest is given up
@@ -114,6 +117,18 @@ class ArmWalk:
         self.arm.follow([(0.02, goals)], (float(most[0]), float(most[1]), float(most[2])))
         self.arm.read(wait)
         return self._reading(self.arm.read(read), (0, 0, 0))
+
+    def swing(self, turn: float) -> list[SwingReading]:
+        """Set the goals back or forward by `turn` rad at once; return the readings while the arm swings."""
+        begin = np.array(self.arm.goals())
+        most = np.abs(self.loads(begin)) + PUSH * self.task.torque_constant
+        goals = whole_ticks((begin + turn).tolist())
+        self.arm.follow([(_JUMP, goals)], (float(most[0]), float(most[1]), float(most[2])))
+        seconds = _SWINGS * float(np.sqrt(SERVO_INERTIA / self.model.stiffness.min()))
+        seen = self.arm.read(seconds)
+        times = np.linspace(0.0, seconds, len(seen.angles), endpoint=False).tolist()
+        rows = list(zip(times, seen.angles.tolist(), seen.currents.tolist(), strict=True))
+        return swing_readings(rows, goals, (_FREE * most / self.task.torque_constant).tolist())
 
     def rest(self, directions: tuple[int, int, int] = (0, 0, 0)) -> StaticReading:
         """Wait until the arm is at rest and read it.

@@ -35,6 +35,10 @@ RESULTS: dict[str, tuple[type, str]] = {
     "moves": (int, "lateral corrections and repeated contacts"),
     "contact_current": (float, "A per servo at the outcome, as measured"),
     "reported_push": (float, "N, force of the servos on the target along z at the outcome, as docking reports it"),
+    "force_min": (float, "N, least true push that docking allows then"),
+    "force_max": (float, "N, largest one"),
+    "friction_force": (float, "N, friction along z that docking measured in free air"),
+    "senses": (str, "what docking tells of pads and currents that contradict each other"),
     "true_push": (float, "N, truth then, without magnets"),
     "assumed_stiffness": (float, "N·m/rad of a servo, as docking assumes it at the outcome"),
     "charge_current": (float, "A into the target at the outcome"),
@@ -48,6 +52,11 @@ RESULTS: dict[str, tuple[type, str]] = {
     "servo_current_3": (float, "A, of the third"),
     "servo_current_hottest": (float, "A, the largest of the three"),
     "ended": (str, f"name of the code that ended charging within those {SECONDS:g} s, else empty"),
+    "undocked": (str, "name of the code of undocking after that, NONE = success; empty = it did not charge"),
+    "undock_time": (float, "s that undocking took"),
+    "undock_message": (str, "its message of a failure, else empty"),
+    "still_touching": (bool, "whether undocking succeeded although the electrodes touch the target"),
+    "target_moved": (float, "m, how far the target stands from its place along z after that"),
     "nudge_opened": (
         float,
         "s from the start of a nudge until the contactor opened; NaN = no nudge, or it stayed closed",
@@ -157,7 +166,22 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
         row |= Rest(charger, watched, nudging).watch()
     if nudging is not None:
         row["nudge_opened"] = nudging.opened
+    if charger.machine.status.charging:
+        row |= _undock(charger)
     return row | _record(charger) | {"servo_push": effort.most}
+
+
+def _undock(charger: VirtualCharger) -> dict[str, Any]:
+    """Undock, and return the columns about it."""
+    began, left = charger.now, charger.undock()
+    mechanics = charger.world.mechanics
+    return {
+        "undocked": left.code.name,
+        "undock_time": charger.now - began,
+        "undock_message": "" if left.success else left.message,
+        "still_touching": left.success and mechanics.contact_force > 0.0,
+        "target_moved": mechanics.target_shift[2],
+    }
 
 
 def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
@@ -189,6 +213,10 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "moves": outcome.alignments + outcome.redockings,
         "contact_current": outcome.contact_current,
         "reported_push": outcome.contact_force,
+        "force_min": outcome.contact_force_min,
+        "force_max": outcome.contact_force_max,
+        "friction_force": charger.machine.planner.springs.friction_force,
+        "senses": charger.machine.status.senses,
         "true_push": truth.push if outcome.success else math.nan,
         "assumed_stiffness": charger.machine.planner.springs.stiffness,
         "charge_current": outcome.charge_current,

@@ -29,7 +29,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.quick_motion import OnePieceFeed, QuickPlanner
-from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
+from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
@@ -196,7 +196,7 @@ class QuickCharger(VirtualCharger):
     def _reading(self) -> tuple[Vector, Vector]:
         servo = self.world.servo
         (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = servo(0), servo(1), servo(2)
-        return (a, b, c), (counts(i), counts(j), counts(k))
+        return (a, b, c), (i, j, k)
 
     def _feels(self) -> bool:
         """Return whether some taxel reads 1 N; a hardly changed contact is not computed again."""

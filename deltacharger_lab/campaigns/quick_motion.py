@@ -93,7 +93,6 @@ class QuickPlanner(Planner):
             self._scalar.holding_torque(*point, parameters.gravity)
             for point in (start, between(start, goal, 0.5), goal)
         ]
-        allowed = parameters.push_current * parameters.torque_constant
         softness, low, high = 1.0 / self.springs.stiffness, geometry.joint_min, geometry.joint_max
         for index in range(1, len(ways)):
             way, (a, b, c) = ways[index], angles[index]
@@ -104,8 +103,7 @@ class QuickPlanner(Planner):
                 min(max(b + e * softness, low), high),
                 min(max(c + f * softness, low), high),
             )
-            bound = abs(d) + allowed, abs(e) + allowed, abs(f) + allowed
-            yield Waypoint(index / (len(ways) - 1) * duration, led, bound)
+            yield Waypoint(index / (len(ways) - 1) * duration, led, self.bound((d, e, f)))
 
 
 class OnePieceFeed(TrajectoryFeed):

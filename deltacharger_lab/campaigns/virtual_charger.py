@@ -43,7 +43,6 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import WorldParameters
@@ -68,11 +67,6 @@ class PoseModel(Protocol):
 def packaged_model() -> PoseEstimator:
     """Return the packaged model of the pads, read once per process."""
     return default_model()
-
-
-def counts(current: float) -> float:
-    """Return a current (A) with the resolution of the servo's register."""
-    return round(current / CURRENT_UNIT) * CURRENT_UNIT
 
 
 @dataclass
@@ -250,7 +244,7 @@ class VirtualCharger:
     def _reading(self) -> tuple[Vector, Vector]:
         """Return angles (rad) and currents (A) as in servo_state."""
         (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = (self.plant.read_servo(index) for index in range(3))
-        return (a, b, c), (counts(i), counts(j), counts(k))
+        return (a, b, c), (i, j, k)
 
     def _feels(self) -> bool:
         """Return whether some taxel is in contact."""

@@ -88,6 +88,8 @@ def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
         misalignment=unknown_misalignment(frame_id),
         contact_current=math.nan,
         contact_force=math.nan,
+        contact_force_min=math.nan,
+        contact_force_max=math.nan,
         charge_current=math.nan,
     )
 

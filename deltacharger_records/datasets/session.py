@@ -19,9 +19,10 @@ from deltacharger_docking.codes import DockingError, Rejected, ServoFailure, Sta
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.press import approach, contact
+from deltacharger_docking.press import contact
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.retract import retract
+from deltacharger_docking.standoff import approach
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.006  # m before the standoff, where the run-up along +z starts

@@ -17,6 +17,7 @@ from deltacharger_core.machine import (
     GRAVITY,
     MAGNET_FORCE,
     SERVO_DAMPING,
+    SERVO_INERTIA,
     SERVO_STIFFNESS,
     TORQUE_CONSTANT,
 )
@@ -113,16 +114,16 @@ class MockArm:
         before = list(self.angles)
         for index, (hold, press) in enumerate(zip(held, pressed, strict=True)):
             if not self.torque_enabled[index]:
-                self._torque[index] = 0.0
+                self._torque[index] = self._velocity[index] = 0.0
                 continue
             bound = self.bounds[index] * TORQUE_CONSTANT
-            wanted = self._stiffness * (self.goals[index] - self.angles[index])
+            wanted = self._stiffness * (self.goals[index] - self.angles[index]) - self._damping * self._velocity[index]
             self._torque[index] = min(max(wanted, -bound), bound)
             if not self.jammed:
-                self.angles[index] += dt * (self._torque[index] - hold - press) / self._damping
+                self._velocity[index] += dt * (self._torque[index] - hold - press) / SERVO_INERTIA
+                self.angles[index] += dt * self._velocity[index]
         if not math.isfinite(self.position[0]):
-            self.angles = before  # the rods' end stop
-        self._velocity = [(now - was) / dt for now, was in zip(self.angles, before, strict=True)]
+            self.angles, self._velocity = before, [0.0, 0.0, 0.0]  # the rods' end stop
 
     def _contact_force(self, position: Vector) -> Vector:
         """Return the platform's force on the target (N); friction is a spring that slides at its cone."""

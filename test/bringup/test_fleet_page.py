@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 import yaml
 
-from deltacharger_docking.codes import Code, DockingError
+from deltacharger_docking import codes
+from deltacharger_docking.codes import Code
 from deltacharger_mission.dialogue import Stage
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import parse_scene
@@ -29,7 +30,8 @@ CLIENT = ROOT / "examples" / "charge_robot.py"
 _ROW = re.compile(r"^\| (\d+) \| ([A-Z_]+) \| (\S+) \| ([^|]+) \| ([^|]+) \|$", re.MULTILINE)
 _GOAL = re.compile(r'ros2 action send_goal (\S+) deltacharger/action/(\S+) "([^"]+)"')
 # Classes of a code in the order of definition: the first is the rule, the others are exceptions.
-RETRIABLE = {kind.code: kind.retriable for kind in reversed(DockingError.__subclasses__()) if "code" in vars(kind)}
+_KINDS = [kind for kind in vars(codes).values() if isinstance(kind, type) and issubclass(kind, codes.DockingError)]
+RETRIABLE = {kind.code: kind.retriable for kind in reversed(_KINDS) if "code" in vars(kind)}
 
 
 def test_page_client_and_codes_agree() -> None:

@@ -21,7 +21,21 @@ import pytest
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.script import NEXT
 from deltacharger_core.servos_file import MeasuredServo
-from deltacharger_docking import algorithm, charging, codes, context, energy, goals, machine, place, touch, visit, wired
+from deltacharger_docking import (
+    algorithm,
+    charging,
+    codes,
+    context,
+    energy,
+    goals,
+    machine,
+    place,
+    release,
+    standoff,
+    touch,
+    visit,
+    wired,
+)
 from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.ease import ease
@@ -38,6 +52,7 @@ from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot,
 from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.swing import Swung, surely_swings
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
@@ -170,11 +185,15 @@ def has_battery(battery_voltage: float) -> bool:
     return passes(energy.check_battery, scene(battery_voltage=battery_voltage))
 
 
-def continues(state: State = State.MEASURE, seen: Observation | None = None, **changes: Any) -> bool:
-    """Return whether a script goes on in this state."""
+def continues(
+    state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any
+) -> bool:
+    """Return whether a script goes on in this state, whose command leads the arm by so much (m) more than explained."""
 
     def script(shared: context.Context) -> Iterator[Any]:
         shared.enter(state, INF)
+        shared.commanded = DOCK
+        shared.commanded = 0.0, 0.0, 0.08 - shared.unexplained_lead + lead
         while True:
             yield NEXT
 
@@ -183,6 +202,23 @@ def continues(state: State = State.MEASURE, seen: Observation | None = None, **c
     docking.step(pressing())
     docking.step(replace(seen or pressing(), **{"time": 0.2} | changes))
     return docking.status.code is Code.NONE
+
+
+def parts(retreat: float, touches: bool = False) -> bool:
+    """Return whether electrodes that are pulled so far (m) from where they last touched count as released."""
+    shared = scene()
+    pull = release._pull(shared, DOCK, 3.5, 1.0, 0.08, None)
+    next(pull)
+    shared.observe(replace(pressing(z=0.08 - retreat), time=0.01, tactile_contact=touches))
+    return next(pull, None) is None
+
+
+def leaves(magnet_force: float) -> bool:
+    return passes(standoff._check_pull, context.Context(DockingParameters(magnet_force=magnet_force), DeltaGeometry()), DOCK)
+
+
+def brakes(damping: float) -> bool:
+    return not surely_swings(Swung(15.0, damping, 0.0, 0.0))
 
 
 def moves_on(state: State = State.CONTACT, **changes: Any) -> bool:
@@ -225,6 +261,12 @@ OBSERVATION = (
     *fields(continues, 0, (1, 0x20, 0xFF), "hardware_error"),
     *fields(continues, True, (False,), "torque_enabled"),
     Limit("hard contact, A", lambda v: continues(seen=pressing(v)), 0.99, 1.01, ()),
+    Limit("lead, mm", lambda v: continues(State.CONTACT, lead=v * MM), 2.9, 3.1, ()),
+    Limit("retreat that parts, mm", lambda v: parts(v * MM), 4.1, 3.9, ()),
+    Limit("pads when parting", lambda v: parts(0.005, v), False, True, ()),
+    # 3.5 A pull with 134 N, of which gears leave 70 %; 1.3 times the magnets.
+    *fields(leaves, 72.2, (72.4,), "magnet_force"),
+    *fields(brakes, 0.151, (0.149, 0.0, -0.1), "damping"),
     Limit("first data, s", lambda v: continues(State.APPROACH, time=v, servo_age=INF, tactile_age=INF), 2.9, 3.1, ()),
     *fields(moves_on, 0.09, (0.11, INF, NAN), "servo_age", "tactile_age"),
 )
@@ -655,7 +697,7 @@ SETTINGS = (
     *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
     *settable(DockingParameters, ("zero_current", 2.0, 2.1), ("probe_resistance_min", 0.1, 0.09)),
     *settable(DockingParameters, ("thermal_reserve_min", 0.0, -0.1), ("pause_max", 5.0, 5.1)),
-    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 3.0, 3.1)),
+    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
     *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
     *settable(PadDockingParameters, ("position_jitter", 5e-3, 6e-3)),
     *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),

@@ -13,7 +13,8 @@ from deltacharger_core.servos_file import MeasuredServo, MeasuredServos, load_se
 
 ONE = MeasuredServo(14.2, 0.3, 1.41, 0.03, 0.07, 0.002)
 WHOLE = MeasuredServos(
-    14.1, 0.28, 1.4, 0.03, 0.07, 0.001, 0.004, 0.0002, 500, 1, 2, (ONE, dataclasses.replace(ONE, backlash=0.004), ONE)
+    *(14.1, 0.28, 1.4, 0.03, 0.07, 0.001, 0.004, 0.0002, 0.7, 0.02, 0.2, 500, 1, 2),
+    servos=(ONE, dataclasses.replace(ONE, backlash=0.004), ONE),
 )
 
 

@@ -15,7 +15,7 @@ from deltacharger_docking.observation import Command, Decision, DockGoal, Reply,
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_tactile.source import ContactSource
 
 from .. import quick
@@ -45,9 +45,8 @@ def charger(
 
 
 def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **more: Any) -> VirtualCharger:
-    """The same with quick steps; other servos need their damping."""
-    servo = {"servo": ServoParameters(damping=quick.DAMPING)}
-    return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **more})
+    """The same with quick steps."""
+    return charger(*place, parameters={**quick.STEPS, **parameters}, **more)
 
 
 def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> VirtualCharger:
@@ -129,7 +128,9 @@ def assert_safe_at_home(run: VirtualCharger) -> None:
     assert truth.charge_current == 0.0
     assert record.energised_shorts == 0
     assert record.energised_unsafe == 0.0
-    assert math.dist(truth.position, run.parameters.home) < 3 * MILLIMETRE
+    servo = run.world.parameters.servo
+    held = 0.12 * servo.friction / servo.stiffness  # m from home, where its gears hold an arm with levers of 0.12 m
+    assert math.dist(truth.position, run.parameters.home) < max(3 * MILLIMETRE, held)
     assert not run.observe().torque_enabled
     assert run.machine.status.state is State.IDLE
 

@@ -21,7 +21,7 @@ from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters
+from deltacharger_sim.parameters import CircuitParameters, MagnetParameters, ServoParameters
 
 from .dockings import (
     MILLIMETRE,
@@ -54,7 +54,7 @@ class Scripted:
         self, *offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), degrees: float = 1.0, **more: Any
     ) -> None:
         parameters, coarse = {"approach": "published", **more.pop("parameters", {})}, more.pop("coarse", False)
-        self.run = quick_charger(*place, parameters=parameters, coarse=coarse)
+        self.run = quick_charger(*place, parameters=parameters, coarse=coarse, **more.pop("world", {}))
         self._offsets, self._degrees, self.felt = list(offsets) or [ZERO], degrees, more
         self.places: list[tuple[float, float]] = []
         self.sent = commands(self.run)
@@ -70,7 +70,9 @@ class Scripted:
 
 
 def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
-    scripted = Scripted((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0), coarse=True)
+    # The platform follows its command where gears do not hold it and wide magnets do not draw it aside.
+    world = {"servo": ServoParameters(friction=0.0, friction_share=0.0), "magnets": MagnetParameters(width=0.1)}
+    scripted = Scripted((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0), coarse=True, world=world)
     outcome = scripted.run.dock()
     assert outcome.success, outcome.message
     assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, True)
@@ -300,7 +302,7 @@ def test_a_tilt_measured_at_first_touch_is_not_pressed() -> None:
 
 
 def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
-    wired = Wired(0.0, 6.0, 4.0)
+    wired = Wired(0.0, 12.0, 4.0)  # the magnets draw the electrodes to 9 mm
     wired.run.begin(DockGoal(GOAL))
     wired.run.until(lambda: "move" in wired.kinds, 60.0)
     assert wired.pressed < PRESSED
@@ -317,7 +319,7 @@ def test_after_an_unsure_first_touch_it_presses_and_judges_then() -> None:
 
 def test_a_first_touch_with_a_tilt_beyond_the_limit_is_never_pressed_even_if_unsure() -> None:
     wired = Wired(0.0, 0.0)
-    feel(wired.run, angle=math.radians(14.0), sure=False)
+    feel(wired.run, angle=math.radians(14.0), horizontal=0.0, vertical=0.0, sure=False)  # no place to look elsewhere
     assert wired.run.dock().code is Code.CRITICAL_ANGLE
     assert wired.run.world.record.contacts == 2, "one repeated contact"
     assert wired.pressed < PRESSED

@@ -16,7 +16,9 @@ from deltacharger_sim.parameters import ContactParameters, ServoParameters
 from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, spoil
 
-STRIKE_MOST = 115.0  # N without the magnets, on electrodes of 1e5 N/m, with impact; the magnets' snap takes 40 to 60
+STRIKE_MOST = 130.0
+"""N without the magnets, on electrodes of 1e5 N/m, with impact. The magnets' snap takes 40 to 60. At the 0.12 m/s of
+free travel, platform and rotors (0.012 kg·m², 0.11 m/rad together: 3.3 kg) take 69, and the servos push on."""
 
 
 def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:

@@ -29,7 +29,7 @@ from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.servo_load import Effort
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.parameters import CircuitParameters, ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import CircuitParameters, TargetParameters, WorldParameters
 
 from .. import quick
 from ..marks import rest
@@ -54,7 +54,7 @@ _TOPICS = {"servo_state": _SERVO, "tactile_frame": _PADS, "charger_power": _POWE
 
 
 class Faulty(VirtualCharger):
-    """A charger with quick steps whose target is 6 mm off in both axes, so that every phase occurs.
+    """A charger with quick steps whose target is 10 mm off in both axes, so that every phase occurs.
 
     Args:
         off: distance (m) of the target in each axis.
@@ -70,9 +70,9 @@ class Faulty(VirtualCharger):
         twice: whether each answer is repeated in every following tick.
     """
 
-    def __init__(self, off: float = 0.006, nearer: float = 0.0, **parameters: object) -> None:
+    def __init__(self, off: float = 0.010, nearer: float = 0.0, **parameters: object) -> None:
         target = TargetParameters(x=off, y=off, z=0.080 - nearer, roll=0.03)
-        world = WorldParameters(target=target, servo=ServoParameters(damping=quick.DAMPING), step=0.01)
+        world = WorldParameters(target=target, step=0.01)
         super().__init__(world, DockingParameters(**{**quick.STEPS, **parameters}), 1)
         self.silent = self.frozen = ""
         self.since = 0.0
@@ -334,7 +334,7 @@ def test_cancel_in_every_phase(run: Faulty, state: State) -> None:
 def test_old_data_stop_the_arm_fresh_data_continue_and_missing_data_end_the_goal(
     state: State, age: str, code: Code
 ) -> None:
-    run = Faulty(travel_speed=0.1, lift=0.015)
+    run = Faulty(travel_speed=0.1, lift=0.015, search_speed=0.02)  # 2 mm in the 0.1 s that data may be old
     run.reach(state)
     if state is State.ALIGN:  # sideways, off the magnets
         run.until(lambda: run.world.snapshot().position[0] > 1.0 * MILLIMETRE, 10.0)
@@ -367,7 +367,7 @@ def test_the_time_limit_runs_while_the_arm_is_stopped() -> None:
 
 @pytest.mark.parametrize("state", [*MOVING, State.RETRACT])
 def test_motion_ends_with_the_machine(state: State) -> None:
-    """Also a pull just before its release: no servo goes on pulling."""
+    """Also a pull just before or after its release: no servo goes on pulling, and no magnet draws the arm in again."""
     for later in (0, 4) if state is State.ALIGN else (3,):
         run = Faulty()
         run.reach(state)
@@ -378,7 +378,7 @@ def test_motion_ends_with_the_machine(state: State) -> None:
         run.run(0.3)
         assert not moves(run, 0.1)
         assert not moves(run, 1.0)
-        assert state is not State.ALIGN or max(run._bound) < 1.5
+        assert state is not State.ALIGN or (max(run._bound) < 1.5 and run.world.record.contacts == 1)
 
 
 @pytest.mark.parametrize(
@@ -476,7 +476,7 @@ def test_every_answer_twice_and_then_in_every_tick_changes_nothing() -> None:
     assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was repeated"
 
 
-FROZEN = {"servo_state": Code.NO_CONTACT, "tactile_frame": Code.NO_TACTILE_CONTACT}
+FROZEN = {"servo_state": Code.SERVO_FAULT, "tactile_frame": Code.NO_TACTILE_CONTACT}
 
 
 @pytest.mark.parametrize("phase", [rest(State.APPROACH), State.CONTACT, State.ENERGISE, State.CHARGING])

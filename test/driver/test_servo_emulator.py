@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS
+from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS
 from deltacharger_driver.servos import control_table as table
 from deltacharger_driver.servos.control_table import LIMIT, OK
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
@@ -125,12 +125,14 @@ def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     assert host.arm.commands[1] is None or not host.arm.commands[1][0]
     host.write(2, "goal_current", 100)
     host.write(2, "torque_enable", 1)
-    on, reference, limit, _ = host.arm.commands[1]
+    on, reference, limit, *gains = host.arm.commands[1]
     assert on
     assert reference == pytest.approx(-0.7, abs=TICK)
     assert limit == pytest.approx(100 * CURRENT_UNIT)
+    assert gains == pytest.approx([850 / POSITION_P_GAIN, 0.0])  # relative to servo_node's; by default nothing brakes
     host.write(2, "goal_position", 2048 + 100)
-    assert host.arm.commands[1][1] == pytest.approx(100 * TICK)
+    host.write(2, "position_d_gain", 2 * POSITION_D_GAIN)
+    assert host.arm.commands[1][1::3] == pytest.approx((100 * TICK, 2.0))
 
 
 def test_the_position_p_gain_is_the_stiffness(host: Host) -> None:

@@ -30,7 +30,9 @@ def rows(count: int, **changes: Any) -> Columns:
     usual: dict[str, Any] = dict.fromkeys(names, 0.001)
     usual |= {"place_roll": 0.0, "code_name": "NONE", "charged": True, "ended": "", "moves": 1, "time": 8.0}
     usual |= {"shorts": 0, "parted_live": 0, "energised": 4.0, "energised_unsafe": 0.0, "rest_push": 17.0}
-    usual |= {"rest_current": 0.45, "servo_current_hottest": 0.5, **changes}
+    usual |= {"rest_current": 0.45, "servo_current_hottest": 0.5, "aligned": True, "undocked": "NONE"}
+    usual |= {"true_push": 17.0, "reported_push": 17.0, "force_min": 15.0, "force_max": 19.0, "still_touching": False}
+    usual |= changes
     found = {name: [value] * count for name, value in usual.items()}
     return docking_summary.columns(found | {"number": list(range(count))})
 
@@ -69,15 +71,17 @@ def test_bins_have_every_docking_of_either_sign_once() -> None:
         ("random", {"code_name": "CRASHED"}, {"dockings that crashed"}),
         ("default", {"moves": 4}, {"moves, default, median", "moves, default, 99 %"}),
         ("default", {"time": 9.0}, {"seconds to charging, default, median"}),
-        ("random", {"time": 9.6}, {"seconds to charging, random, median"}),
+        ("random", {"time": 10.1}, {"seconds to charging, random, median"}),
         ("edge", {"charged": False}, {"charged, scenes at 8–11°", "seconds to charging, edge, median"}),
         ("default", {"final_horizontal": 0.0026}, {"at rest within 2.5 mm in both axes, default"}),
-        ("strike", {"peak_push": 30.0}, {"strike, exact, default, 99 %"}),
+        ("strike", {"peak_push": 121.0}, {"strike, exact, default, largest"}),
+        ("worn_arm", {"force_min": 18.0}, {"true force in the told interval, worn_arm"}),
+        ("real_arm", {"still_touching": True}, {"undocked while touching, real_arm"}),
     ],
 )
 def test_only_its_own_figure_and_scene_miss_a_target(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
     good = docking_summary.summarise(rows(10))
-    found = dict.fromkeys(("default", "soft_servos", "random", "edge", "strike"), good)
+    found = dict.fromkeys((*docking_summary.SECONDS_MOST, "strike"), good)
     found[scene] = docking_summary.summarise(rows(10, **changes))
     assert {each["name"] for each in docking_summary.targets(found, good) if not each["met"]} == missed
     assert {each["met"] for each in docking_summary.targets({}, None)} == {None}, "nothing was measured"

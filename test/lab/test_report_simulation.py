@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,7 @@ from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, ax
 from deltacharger_lab.reports.simulation.reference import angle, on_axis
 from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
 from deltacharger_sim.mechanics import GEAR_BRISTLE
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 
 from ..marks import rest
@@ -27,10 +29,14 @@ def test_its_kinematics_equal_the_deltas(z: float) -> None:
     assert second == pytest.approx((angle(z + 1e-5)[1] - angle(z - 1e-5)[1]) / 2e-5, rel=1e-4)
 
 
+def without_viscosity(parameters: WorldParameters) -> WorldParameters:
+    return replace(parameters, servo=replace(parameters.servo, viscosity=0.0))
+
+
 @pytest.mark.parametrize("contact", [1e5, 1e6, 1e8])
 def test_the_spring_stores_the_magnets_work_at_the_peak(contact: float) -> None:
-    parameters = axis_world(contact, 15.0)
-    gap, magnets = 0.003, parameters.magnets
+    parameters = without_viscosity(axis_world(contact, 15.0))
+    gap, magnets, geometry = 0.003, parameters.magnets, DELTA.geometry
     found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)  # bound 0: the servos are limp
     work = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range))
     k = 2.0 * contact
@@ -38,12 +44,14 @@ def test_the_spring_stores_the_magnets_work_at_the_peak(contact: float) -> None:
     depth = (magnets.force + math.sqrt(magnets.force**2 + 2.0 * k * work)) / k
     assert depth < parameters.contact.hard_stop
     assert found.peak == pytest.approx(k * depth, rel=1e-6)
-    assert 0.5 * 1.235 * found.speed**2 == pytest.approx(work, rel=0.01)
+    rotors = 3.0 * parameters.servo.inertia * angle(parameters.target.z)[1] ** 2
+    mass = geometry.platform_mass + 1.5 * geometry.rod_mass + rotors
+    assert 0.5 * mass * found.speed**2 == pytest.approx(work, rel=1e-5)
 
 
 def test_the_gears_friction_takes_its_work_from_a_strike() -> None:
     gap, contact, torque = 0.003, 1e6, 0.06
-    parameters = world(contact, 15.0, friction=torque, gravity_y=0.0)
+    parameters = without_viscosity(world(contact, 15.0, friction=torque, gravity_y=0.0))
     found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)
     magnets, depth = parameters.magnets, found.peak / (2.0 * contact)
     given = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range)) + magnets.force * depth
@@ -87,7 +95,7 @@ def test_the_light_models_path_converges_with_the_step_and_the_extrapolated_one_
     parameters = axis_world(1e5, 15.0)
     off = [rms(docking("light", parameters, step)["trace"], exact["trace"]) for step in (0.01, 0.005, 0.001)]
     assert off == sorted(off, reverse=True)
-    assert off[-1] < 2e-5
+    assert off[-1] < 3e-5  # backward Euler damps the bounces on the springs, even at 1 ms
     assert rms(docking("light, extrapolated", parameters, 0.01)["trace"], exact["trace"]) < 0.5 * off[0]
 
 

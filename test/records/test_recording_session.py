@@ -24,11 +24,11 @@ from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal, Mismatch
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
 from deltacharger_records.datasets.session import NotKept, Rested, TouchSession, check_places
-from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.record import Snapshot
 from deltacharger_tactile.dataset import Dataset
 
-from ..quick import DAMPING, STEPS
+from ..quick import STEPS
 
 FRAMES = 12
 LIMIT = 300.0  # simulated s
@@ -78,7 +78,7 @@ class Bench:
     """A virtual charger that runs sessions."""
 
     def __init__(self, roll: float = 0.0) -> None:
-        world = WorldParameters(target=TargetParameters(roll=roll), servo=ServoParameters(damping=DAMPING))
+        world = WorldParameters(target=TargetParameters(roll=roll))
         self.charger = VirtualCharger(world, DockingParameters(**STEPS))
         self.machine = self.charger.machine
         self.ear = Ear(self.charger)

@@ -267,12 +267,13 @@ def test_every_node_uses_the_values_of_the_file_or_the_defaults(
     path = tmp_path / "servos.yaml"
     path.write_text(CONTENT)
     file = {"servos_file": str(path)} if given else {}
-    constant, stiffness, gain = (1.31, 9.5, 300) if given else (TORQUE_CONSTANT, SERVO_STIFFNESS, POSITION_P_GAIN)
+    constant, stiffness = (1.31, 9.5) if given else (TORQUE_CONSTANT, SERVO_STIFFNESS)
+    gain, braking = (300, 4) if given else (POSITION_P_GAIN, 2715)  # nothing but its D gain brakes a servo in mode 5
     emulator = ServoBusEmulator(BenchArm())
     with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
         node = ServoNode(**options(context, namespace, port=terminal.path, **file))
         values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
-    assert values == [constant, gain, 0, 4 if given else 0]
+    assert values == [constant, gain, 0, braking]
     assert [emulator.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [gain] * 3
     docking = DockingNode(**options(context, namespace, **file))
     assert docking._settings.servo_stiffness == stiffness

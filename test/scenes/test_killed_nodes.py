@@ -20,7 +20,6 @@ from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import parse_scene
 
 from ..chargers import wait_until
-from ..quick import DAMPING
 from ..running_charger import GOAL, QUICK, RunningCharger
 from ..waiting import host
 
@@ -47,11 +46,7 @@ CELLS += [("mock_detector_node", number, "locate") for number in (KILL, STOP)]
 AGES = dict.fromkeys(("servo_age_max", "tactile_age_max", "power_age_max"), OLDEST)
 SLOW = {  # quick, but a phase still lasts when it has been published; the target is aside, so that the arm must align
     "nodes": [*NODES, "mock_detector_node"],
-    "simulation": {
-        "seed": 1,
-        "rig_seed": 1,
-        "world": {"servo": {"damping": DAMPING}, "target": {"x": 6e-3, "y": 6e-3}},
-    },
+    "simulation": {"seed": 1, "rig_seed": 1, "world": {"target": {"x": 10e-3, "y": 10e-3}}},
     "parameters": {
         "docking_node": QUICK["parameters"]["docking_node"]
         | {"home_z": 0.05, "travel_speed": 0.1, "charge_stable_time": 0.5, **AGES}

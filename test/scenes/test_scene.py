@@ -265,7 +265,7 @@ def test_packaged_scenes_set_only_parameters_that_their_nodes_accept() -> None:
         ("servo_node", "rate", 900.0, "outside 20 to 200 Hz"),
         ("servo_node", "rate", True, "not a number"),
         ("servo_node", "ids", [1, 2], "has 2 numbers; give 3"),
-        ("servo_node", "current_bound", 3.5, "is not below"),
+        ("servo_node", "joint_min", 1.3, "is not below"),
         ("docking_node", "approach", "fast", "not one of guarded, paper"),
         ("misalignment_node", "frames", 12.5, "not a whole number"),
     ],

@@ -13,6 +13,7 @@ from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import TactileSource, World
+from test.plain import plain_servo
 
 DELTA = ScalarDelta()
 
@@ -25,7 +26,7 @@ class Arm:
     def __init__(
         self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: TactileSource | None = None
     ) -> None:
-        self.world = World(parameters or WorldParameters(), tactile)
+        self.world = World(parameters or WorldParameters(servo=plain_servo()), tactile)
         self.step = step
         values = self.world.parameters
         self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)

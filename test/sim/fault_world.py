@@ -42,10 +42,10 @@ class RecordedWorld(World):
         """Servos that have torque now."""
         return tuple(self._enabled)
 
-    def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
+    def command(self, index: int, enabled: bool, reference: float, current_limit: float, *gains: float) -> None:
         if enabled != self._enabled[index]:
             self.events.append(Event(self.time, index + 1, enabled, self.circuit.closed))
-        super().command(index, enabled, reference, current_limit, gain)
+        super().command(index, enabled, reference, current_limit, *gains)
 
     def step(self, dt: float | None = None) -> None:
         super().step(dt)

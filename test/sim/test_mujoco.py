@@ -17,19 +17,20 @@ from deltacharger_sim import mujoco_model
 from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance
 from deltacharger_sim.mujoco_world import MujocoMechanics, mujoco_world
 from deltacharger_sim.parameters import (
+    CableParameters,
     ContactParameters,
-    MagnetParameters,
     PlatformParameters,
-    ServoParameters,
+    StandParameters,
     TargetParameters,
     WorldParameters,
 )
 from deltacharger_sim.world import World
+from test.plain import plain_servo
 
 from ..marks import night, rest
 
 ArmFactory = Callable[..., Any]
-SLIPPERY = ServoParameters(friction=0.0)
+SLIPPERY = plain_servo(friction=0.0, viscosity=0.02)
 WEIGHTLESS = {"servo": SLIPPERY, "gravity_y": 0.0}
 NO_TARGET = TargetParameters(present=False)
 
@@ -86,13 +87,18 @@ def test_both_sag_equally(gravity: tuple[float, float, float], geometry: DeltaGe
 def test_both_settle_with_the_same_force_gap_and_contact_current(
     pair: Any, stiffness: float, z: float, bound: float
 ) -> None:
-    """Soft springs at their hard stop, where the current bound holds."""
-    arms = pair(WorldParameters(contact=ContactParameters(stiffness=stiffness), **WEIGHTLESS))
+    """Drawn aside by the magnets; soft springs at their hard stop, where the current bound holds."""
+    # Servos at their bound neither hold nor brake a swing sideways.
+    aside = (0.004, -0.003) if bound > 1.0 else (0.0, 0.0)
+    contact, target = ContactParameters(stiffness=stiffness, friction=0.0), TargetParameters(x=aside[0], y=aside[1])
+    arms = pair(WorldParameters(contact=contact, target=target, **WEIGHTLESS))
     for each in arms:
         each.go((0.0, 0.0, 0.07), 0.6)
         each.go((0.0, 0.0, z), 1.4, bound=bound)
     (light, other) = (each.world.mechanics for each in arms)
-    assert light.contact_force > 70.0
+    assert light.contact_force > 60.0
+    assert light.position[:2] == pytest.approx(other.position[:2], abs=2e-6)
+    assert bound < 1.0 or light.position[0] > 0.001
     assert stiffness > 1e3 or 0.002 < -light.gap < 0.0022
     assert other.contact_force == pytest.approx(light.contact_force, rel=1e-4)
     assert other.gap == pytest.approx(light.gap, abs=2e-6 if stiffness == 1e3 else 2e-7)
@@ -103,7 +109,7 @@ def test_both_settle_with_the_same_force_gap_and_contact_current(
 @pytest.mark.night
 def test_both_agree_in_fast_motion(pair: Any) -> None:
     """The rotors' inertia follows the arms' curved path: a model without half of that is 6 mm off here."""
-    servo = ServoParameters(friction=0.0, inertia=0.02)
+    servo = plain_servo(friction=0.0, inertia=0.02, viscosity=0.05)
     light, other = pair(WorldParameters(servo=servo, target=NO_TARGET), 0.0002)
     light.step = other.step = 0.0002
     for each in (light, other):
@@ -118,22 +124,26 @@ def test_both_agree_in_fast_motion(pair: Any) -> None:
 @pytest.mark.parametrize(
     ("parameters", "key"),
     [
-        (WorldParameters(servo=ServoParameters(backlash=0.01)), "servo.backlash"),
-        (WorldParameters(servo=ServoParameters(stall_sag=0.5)), "servo.stall_sag"),
+        ({"servo": plain_servo(backlash=0.01)}, "servo.backlash"),
+        ({"servo": plain_servo(stall_sag=0.5)}, "servo.stall_sag"),
+        ({"servo": plain_servo(friction_share=0.1)}, "servo.friction_share"),
+        ({"cable": CableParameters(stiffness=10.0)}, "cable.stiffness"),
+        ({"cable": CableParameters(drag=1.0)}, "cable.drag"),
+        ({"stand": StandParameters(stiffness=5000.0)}, "stand.stiffness"),
     ],
 )
-def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: WorldParameters, key: str) -> None:
+def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: Any, key: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        mujoco_model.refuse(parameters)
+        mujoco_model.refuse(WorldParameters(**{"servo": plain_servo()} | parameters))
     assert caught.value.key == key
 
 
 def test_an_unknown_integrator_and_a_start_out_of_reach_are_refused() -> None:
     require_mujoco()
     with pytest.raises(ValueError, match="leapfrog"):
-        mujoco_world(WorldParameters(), integrator="leapfrog")
+        mujoco_world(WorldParameters(servo=SLIPPERY), integrator="leapfrog")
     with pytest.raises(ValueError, match="reach"):
-        MujocoMechanics(WorldParameters(magnets=MagnetParameters(force=0.0)), DeltaGeometry(), (0.0, 0.0, 1.0))
+        MujocoMechanics(WorldParameters(servo=SLIPPERY), DeltaGeometry(), (0.0, 0.0, 1.0))
 
 
 def test_without_mujoco_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +199,8 @@ def test_both_lean_equally_with_equal_forces_on_each_bar(
 
 @pytest.mark.night
 def test_both_agree_in_docking_with_friction_weight_and_a_lever(pair: Any) -> None:
-    parameters = replace(leaning(0.02, -1.0, 2.0), platform=PlatformParameters(compliance=0.02, lever=0.02))
+    leans = leaning(0.02, -1.0, 2.0, servo=plain_servo())
+    parameters = replace(leans, platform=PlatformParameters(compliance=0.02, lever=0.02))
     light, other = pair(parameters, 2e-4)
     squares = []
     for tick in range(24):
@@ -198,11 +209,12 @@ def test_both_agree_in_docking_with_friction_weight_and_a_lever(pair: Any) -> No
             each.run(0.05)
         squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
     # While the face swings aside by 0.7 mm, friction grows with the force: the motion decides whether it holds.
-    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1.6e-4
+    # With it, the light model's own place moves by 0.45 mm between steps of 0.2 and 10 ms.
+    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 2.3e-4
     first, second = light.world.mechanics, other.world.mechanics
     # Friction holds the face while it swings aside by lever · tilt, so that the platform moves the other way.
     assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
-    assert first.position[0] == pytest.approx(second.position[0], abs=1.6e-4)
+    assert first.position[0] == pytest.approx(second.position[0], abs=2.3e-4)
     assert first.tilt == pytest.approx(second.tilt, rel=0.05)
 
 

@@ -66,7 +66,7 @@ CHOICES = (
     Choice(
         (
             *("approach_speed", "travel_speed", "search_speed", "press_speed", "run_up_speed"),
-            *("search_from", "near", "lift", "touch_current", "settle_touching", "drift_max"),
+            *("search_from", "near", "lift", "settle_touching", "drift_max"),
         ),
         f"a trial on seeds of the family 777001, then seeds {_SEEDS}",
     ),
@@ -111,6 +111,9 @@ class OtherWorld(NamedTuple):
 WORLDS = (
     OtherWorld("default", "the headline's conditions"),
     OtherWorld("strike", "every tick and frame computed"),
+    OtherWorld("real_arm", "an arm as others measured theirs"),
+    OtherWorld("worn_arm", "the same arm, worn"),
+    OtherWorld("yielding", "robots that give way"),
     OtherWorld("random", "everything at once"),
     OtherWorld("second", "contact physics that no estimator has seen"),
     OtherWorld("second_1N", "the same, by the pose model for sensors from 1 N on"),

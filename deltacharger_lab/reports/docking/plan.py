@@ -52,6 +52,11 @@ class DockingPlan:
 
 PARTS = (
     CampaignPart("default", "default", 4_000, "one type of charger, careful calibration, rolls up to 5°"),
+    CampaignPart("real_arm", "real_arm", 4_000, "`default`, an arm as others measured theirs, with a cable that drags"),
+    CampaignPart("worn_arm", "worn_arm", 4_000, "the same, worn gears, 1–2° of play, stronger magnets, a weak supply"),
+    CampaignPart(
+        "yielding", "yielding", 4_000, "`default`, robots of 5–20 N/mm with play, brakes that slip at 10–100 N"
+    ),
     CampaignPart("soft_servos", "soft_servos", 4_000, "`default`, servos of 2.5–6 N·m/rad"),
     CampaignPart("random", "random", 20_000, "everything at once, rolls up to 20°"),
     CampaignPart("upright", "upright", 4_000, "the same, rolls up to 7°"),
@@ -108,6 +113,9 @@ PARTS = (
     ),
     CampaignPart("rigid_exact", "rigid", 500, "`rigid`, every tick and frame computed", exact=True),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
+    CampaignPart("real_arm_exact", "real_arm", 500, "`real_arm`, every tick and frame computed", exact=True),
+    CampaignPart("worn_arm_exact", "worn_arm", 500, "`worn_arm`, every tick and frame computed", exact=True),
+    CampaignPart("yielding_exact", "yielding", 500, "`yielding`, every tick and frame computed", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
 )
 

@@ -112,6 +112,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "nudges": summary.nudges(rows["nudged"]) if "nudged" in rows else {},
         "tilts": summary.by_tilt(rows["tilted"]) if "tilted" in rows else [],
         "arms": {name: arms.figures(rows[name]) for name in arms.SCENES if name in rows},
+        "holding": {name: summary.holding(rows[name]) for name in ("yielding", "yielding_exact") if name in rows},
         "lean": {name: lean.figures(rows[name]) for name in lean.SCENES if name in rows},
         "lean_map": {name: lean.by_lean(rows[name]) for name in lean.MAP if name in rows},
         "near_zero": summary.near_zero(near) if near is not None else {},

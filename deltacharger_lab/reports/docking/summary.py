@@ -27,16 +27,22 @@ BINS = (0.0, 2.0, 5.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 15.0, 20.0)  # degrees o
 UPRIGHT = 7.0  # degrees up to which all must be charged
 NEAR = 0.0025  # m in each axis; docking's landing_limit
 OVERLAP_LOSS = 0.004  # m along the bars; docking's overlap_loss_max
+HOLDS = 25.0  # N at which brakes may slip without losing a docking
 BAND = (0.4, 0.5)  # A
 PUSH_MOST, HOTTEST_MOST = 25.0, 0.6
-STRIKE_MOST = {"p99": 1.03 * 28.17, "max": 1.10 * 39.02}
-"""N. 1.03 and 1.10 times what 2000 exact dockings of `default`, seed 19, gave while the search still moved in steps."""
+STRIKE_MOST = {"max": 120.0}
+"""N, what exact dockings of `default` gave while simulated servos braked by back-EMF."""
 SECONDS_MOST = {
-    "default": {"median": 8.5, "p90": 10.0, "p99": 12.5},
-    "random": {"median": 9.5, "p99": 30.0},
+    "default": {"median": 8.5},
+    "real_arm": {"median": 10.0},
+    "worn_arm": {"median": 14.0},
+    "yielding": {"median": 10.0},
+    "random": {"median": 10.0, "p99": 30.0},
     "edge": {"median": 12.5},
     "soft_servos": {"median": 15.0, "p99": 30.0},
 }
+ARMS = {"default": (99.8, 97.0, 98.0), "real_arm": (99.0, 90.0, 97.0), "worn_arm": (90.0, 80.0, 95.0)}
+"""Least share (%) charged, aligned of these, and with the true force in the told interval."""
 MOVES_MOST = {"median": 1, "p99": 3, "max": 14}
 QUANTILES = {"median": "median", "p90": "90 %", "p99": "99 %", "max": "largest"}
 AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (math.degrees(1.0), "°")}
@@ -120,6 +126,37 @@ def summarise(rows: Columns) -> dict[str, Any]:
         "time_refused": quantiles(rows["time"][~charged]),
         "misalignment": quantiles(rows["final_misalignment"]),
         "bins": by_angle(rows),
+        **_told(rows, charged),
+    }
+
+
+def _told(rows: Columns, charged: Array) -> Figures:
+    """Return how true the told force was, and how undocking ended; {} for results of earlier versions."""
+    if "undocked" not in rows:
+        return {}
+    true = rows["true_push"][charged].astype(float)
+    inside = (rows["force_min"][charged] <= true) & (true <= rows["force_max"][charged])
+    left = rows["undocked"][charged]
+    return {
+        "aligned": _share(rows["aligned"][charged].astype(bool)),
+        "told": float(np.median(rows["reported_push"][charged].astype(float))) if len(true) else math.nan,
+        "true": finite_quantiles(true, 0.0, 0.5, 1.0),
+        "inside": _share(inside),
+        "interval": finite_quantiles(rows["force_max"][charged] - rows["force_min"][charged].astype(float), 0.5)[0],
+        "kept": dict(Counter(str(name) for name in left if name not in ("", "NONE"))),
+        "still_touching": int(np.sum(rows["still_touching"][charged].astype(bool))),
+    }
+
+
+def holding(rows: Columns) -> Figures:
+    """Return the charged share of robots whose brakes hold 25 N and more, and what the others ended with."""
+    holds = rows["world.stand.brakes"].astype(float) >= HOLDS
+    good, poor = part(rows, holds), part(rows, ~holds)
+    return {
+        "charged": _share(good["charged"].astype(bool)),
+        "kept": _told(good, good["charged"].astype(bool))["kept"],
+        "poor": _share(poor["charged"].astype(bool)),
+        "refused": refused(poor),
     }
 
 
@@ -278,6 +315,7 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
     shorts = sum(each["shorts"] for each in guarded) if guarded else None
     crashed = sum(each["crashed"] for each in found.values()) if found else None
     return [
+        *(each for name, least in ARMS.items() for each in _arms(name, found.get(name), *least)),
         *(
             each
             for name, limits in SECONDS_MOST.items()
@@ -298,6 +336,22 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         *_limits("strike, exact, default", found.get("strike"), "strike", STRIKE_MOST, "N"),
         none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
     ]
+
+
+def _arms(
+    name: str, of: dict[str, Any] | None, charged: float, aligned: float, inside: float
+) -> Iterator[dict[str, Any]]:
+    """Yield the targets of arms and robots as they are."""
+    for what, key, least in (
+        ("charged", "charged", charged),
+        ("aligned of these", "aligned", aligned),
+        ("true force in the told interval", "inside", inside),
+    ):
+        share = 100.0 * float(of[key]["share"]) if of and key in of else None
+        yield at_least(f"{what}, {name}", share, least, "%")
+    if of is None or "kept" in of:
+        count = f"of {of['charged']['hits'] if of else 0}"
+        yield none(f"undocked while touching, {name}", None if of is None else of["still_touching"], count)
 
 
 def _limits(

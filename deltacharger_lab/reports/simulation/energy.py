@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
-from deltacharger_lab.reports.simulation.scenes import Arm, world
+from deltacharger_lab.reports.simulation.scenes import Arm
 from deltacharger_sim.mechanics import END_STOP, GEAR_BRISTLE, Mechanics
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
 from deltacharger_sim.touch import LATERAL_MOST
 from deltacharger_sim.world import World
 
-PARTS = ("servos' damping", "gears' friction", "electrodes' friction", "the step itself")
+PARTS = ("servos' damping", "gears' viscosity", "gears' friction", "electrodes' friction", "the step itself")
 _NONE = MagnetParameters(force=0.0)
 
 
@@ -29,7 +29,7 @@ def scenes() -> dict[str, tuple[WorldParameters, Vector, tuple[Vector, ...]]]:
         "limp, falls onto target and stops": (falling, (0.0, 0.0, 0.05), ()),
         "limp, swings off centre": (falling, (0.03, 0.0, 0.05), ()),
         "limp with friction, slides on the target": (sliding, (0.0, 0.02, 0.07), ()),
-        "servos hold a goal, magnets snap": (world(), (0.0, 0.0, 0.072), ((0.0, 0.0, 0.079),)),
+        "servos hold a goal, magnets snap": (WorldParameters(), (0.0, 0.0, 0.072), ((0.0, 0.0, 0.079),)),
     }
 
 
@@ -74,6 +74,7 @@ def _dissipated(arm: World, before: Any, step: float, lost: dict[str, float]) ->
         gear = mechanics.gear[index]
         held = 0.5 * (gear * gear - gears[index] ** 2) / GEAR_BRISTLE
         lost["gears' friction"] += -gear * turned - held
+        lost["gears' viscosity"] += servo.viscosity * turned * turned / step
         if arm._enabled[index]:
             lost["servos' damping"] += servo.damping * turned * turned / step
     side = min(2.0 * contact.stiffness, LATERAL_MOST)

@@ -11,13 +11,12 @@ from typing import Any
 from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.impact import axis_extreme
-from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, model_world, world
+from deltacharger_lab.reports.simulation.scenes import COMPARED, DELTA, Arm, model_world, world
 from deltacharger_lab.reports.simulation.stability import REST
 from deltacharger_sim.parameters import (
     LEVER,
     ContactParameters,
     MagnetParameters,
-    ServoParameters,
     TargetParameters,
     WorldParameters,
 )
@@ -183,7 +182,7 @@ def _snaps(arm: Arm) -> Verdict:
     return ok, f"{mechanics.contact_force:.1f} N, {arm.speed:.0e} m/s left"
 
 
-_SLIPPERY = ServoParameters(friction=0.0)
+_SLIPPERY = replace(COMPARED, friction=0.0)
 
 
 def _hung(**gravity: Any) -> WorldParameters:
@@ -195,8 +194,8 @@ _WEIGHT = "at rest the servos carry the weight"
 _LEANING = _hung(gravity_y=GRAVITY[1] * math.cos(_TILT), gravity_z=GRAVITY[1] * math.sin(_TILT))
 _ICE = WorldParameters(servo=_SLIPPERY, contact=ContactParameters(friction=0.0), gravity_y=0.0)
 _AT_CORNER = replace(_ICE, magnets=_NO_PULL, target=TargetParameters(x=_CORNER[0], y=_CORNER[1], z=_CORNER[2]))
-_STICKY = WorldParameters(contact=ContactParameters(friction=10.0))
-_SNAPPY = WorldParameters(magnets=MagnetParameters(force=300.0, range=0.0002), target=TargetParameters(z=0.08))
+_STICKY = WorldParameters(servo=COMPARED, contact=ContactParameters(friction=10.0))
+_SNAPPY = replace(world(), magnets=MagnetParameters(force=300.0, range=0.0002), target=TargetParameters(z=0.08))
 _BEYOND = "all joints to and beyond their limits, nearly singular"
 _ASIDE = (0.02, 0.01, 0.08)
 SCENES = (
@@ -209,7 +208,7 @@ SCENES = (
     ExtremeScene("no friction anywhere, pushed sideways", "rests without lateral force", _ICE, _no_side),
     ExtremeScene("friction of 10, pushed sideways", "holds", _STICKY, _slides(-0.001, 0.02)),
     ExtremeScene("contact at a corner of the workspace", "servos and contact press alike", _AT_CORNER, _corner),
-    ExtremeScene(_BEYOND, "ends at the stops", WorldParameters(target=_FREE), _edges),
+    ExtremeScene(_BEYOND, "ends at the stops", world(target=_FREE), _edges),
     ExtremeScene("one servo without power while docked", "stays docked", world(), _one_limp),
     ExtremeScene("goals that are NaN and infinite", "nothing moves", world(), _not_a_number),
     ExtremeScene("current bound NaN", "no current", world(), _no_bound),

@@ -83,7 +83,7 @@ def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, l
     servo, target = parameters.servo, parameters.target.z
     start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness <= _SOFT and strike.beyond > 0.0)
     way = _BEFORE + strike.beyond + deeper
-    count, lag = math.ceil(way / (strike.speed * COMMANDS) - 1e-9), servo.damping / servo.stiffness
+    count, lag = math.ceil(way / (strike.speed * COMMANDS) - 1e-9), (servo.damping + servo.viscosity) / servo.stiffness
     orders = [(0.0, angle(start)[0], STALL_CURRENT)]
     for index in range(count + 1):
         theta, slope, _ = angle(start + min(strike.speed * COMMANDS * (index + 1), way))
@@ -225,14 +225,15 @@ def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
         moved = World(parameters, start=(0.0, 0.0, start))
         return obey(moved, orders, duration, step), moved.record.peak_force
     parameters = replace(axis_world(contact), target=replace(WorldParameters().target, x=0.03, y=0.02))
-    begin, lag = (0.02, 0.02, parameters.target.z - _BEFORE), parameters.servo.damping / parameters.servo.stiffness
+    begin, servo = (0.02, 0.02, parameters.target.z - _BEFORE), parameters.servo
+    lag = (servo.damping + servo.viscosity) / servo.stiffness
     moved, ends, count, every = World(parameters, start=begin), 0.0, 30, round(COMMANDS / step)
     for index in range(count + 10):
         share, ahead = (min(each / count, 1.0) for each in (index + 1, index + 1 + lag / COMMANDS))
         # It slides along x by 10 mm while it approaches by 15 mm; the point ahead compensates the lag.
         there, on = ((0.02 + 0.01 * part, 0.02, begin[2] + 0.015 * part) for part in (share, ahead))
-        for servo, goal in enumerate(DELTA.inverse(*(on if index < count else there))):
-            moved.command(servo, True, goal, STALL_CURRENT)
+        for each, goal in enumerate(DELTA.inverse(*(on if index < count else there))):
+            moved.command(each, True, goal, STALL_CURRENT)
         for _ in range(every):
             moved.step(step)
             ends = max(ends, moved.mechanics.contact_force)

@@ -13,6 +13,7 @@ from typing import Any
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import (
+    COMPARED,
     LIGHT,
     PUSH,
     Arm,
@@ -80,7 +81,7 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
 def convergence(plan: SimulationPlan) -> dict[str, Any]:
     """Return the light model's error for each step: a swing in free air, and the docking without friction.
 
-    The slope of log(error) over log(step) by least squares is the order; the implicit Euler rule has 1.
+    The slope of log(error) over log(step) by least squares is the order; kinematics that are linear in a step have 1.
     """
     found = {}
     for name, run in (("swing in free air", _swing), ("docking, no friction", _docking)):
@@ -129,7 +130,7 @@ def complete_docking(name: str, step: float, number: int, parameters: WorldParam
         name: of the model.
         step: of the world, s; MuJoCo takes steps of 1 ms in it.
         number: of the docking: target and seed.
-        parameters: of the world; None = default. Its target and step are replaced.
+        parameters: of the world; None = default, without friction by load. Its target and step are replaced.
     """
     import dataclasses
 
@@ -137,7 +138,7 @@ def complete_docking(name: str, step: float, number: int, parameters: WorldParam
     from deltacharger_sim.shared_world import SharedWorld
     from deltacharger_tactile.source import ContactSource
 
-    parameters = dataclasses.replace(parameters or WorldParameters(), target=TARGETS[number], step=step)
+    parameters = dataclasses.replace(parameters or WorldParameters(servo=COMPARED), target=TARGETS[number], step=step)
     tactile = ContactSource(None, 900, number)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnprovenWarning)  # the effect of long steps is measured here

@@ -16,11 +16,13 @@ from deltacharger_lab.reports.simulation.models import complete_docking
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm
 from deltacharger_sim.parameters import (
+    CableParameters,
     CircuitParameters,
     ContactParameters,
     MagnetParameters,
     PlatformParameters,
     ServoParameters,
+    StandParameters,
     WorldParameters,
 )
 from deltacharger_sim.world import TactileSource, World
@@ -29,15 +31,17 @@ STEP = 0.01
 PARTS: dict[str, WorldParameters] = {
     "as delivered": WorldParameters(),
     "without magnets": WorldParameters(magnets=MagnetParameters(force=0.0)),
-    "without gear friction": WorldParameters(servo=ServoParameters(friction=0.0)),
+    "without gear friction": WorldParameters(servo=ServoParameters(friction=0.0, friction_share=0.0)),
     "without electrodes' friction": WorldParameters(contact=ContactParameters(friction=0.0)),
     "without weight": WorldParameters(gravity_y=0.0),
-    "without current noise": WorldParameters(servo=ServoParameters(current_noise=0.0)),
+    "without current noise": WorldParameters(servo=ServoParameters(current_noise=0.0, current_noise_share=0.0)),
     "with play, 6 mrad": WorldParameters(servo=ServoParameters(backlash=0.006)),
     "with sagging stall torque, 0.9 Ω": WorldParameters(servo=ServoParameters(stall_sag=1.0, supply_resistance=0.9)),
     "with commands 20 ms late": WorldParameters(servo=ServoParameters(command_latency=0.02)),
     "with readings 20 ms late": WorldParameters(servo=ServoParameters(reading_latency=0.02)),
     "with a platform that tilts, 5 mrad/(N·m)": WorldParameters(platform=PlatformParameters(compliance=0.005)),
+    "with a cable, 100 N/m and 2 N": WorldParameters(cable=CableParameters(stiffness=100.0, drag=2.0)),
+    "with robots that give way, 5 kN/m": WorldParameters(stand=StandParameters(stiffness=5000.0)),
     "with a target that takes no current": WorldParameters(circuit=CircuitParameters(target_accepts=False)),
 }
 PADS = "with the pads' model, 120 Hz"

@@ -2,8 +2,9 @@
 """The charger on its axis as one degree of freedom, integrated to convergence: the reference of impacts and the map.
 
 At x = y = 0 and without weight all limbs move equally, so the platform's z is the only coordinate: M(z) z̈ + ½ M′ ż² =
-3 θ′ (τ + f) + magnets − electrodes, with M = m + 3 I θ′² (m platform and rods, I rotor), the servos' torque τ = clip(k
-(goal − θ) − d θ′ ż, ±limit), and the gear's friction f, a bristle, as a state. θ(z) is a polynomial through the answers
+3 θ′ (τ + f − b θ′ ż) + magnets − electrodes, with M = m + 3 I θ′² (m platform and rods, I rotor), the servos' torque τ
+= clip(k (goal − θ) − d θ′ ż, ±limit), the gear's viscosity b, and its friction f, a bristle, as a state; it slips at a
+torque that grows with |τ|. θ(z) is a polynomial through the answers
 of `ScalarDelta`, good to 1e-12 rad, whose derivatives are exact. Nothing here uses the light model's equations or
 step.
 
@@ -120,7 +121,7 @@ class _Axis:
         self._tolerance = tolerance
         self._goal = self._most = 0.0
         self._contact = self._clipped = self._slip = 0
-        self._friction = parameters.servo.friction
+        self._rubs = parameters.servo.friction > 0.0 or parameters.servo.friction_share > 0.0
         self.course = AxisCourse()
 
     def run(self, start: float, orders: Sequence[Order], duration: float, sample: float) -> AxisCourse:
@@ -170,15 +171,15 @@ class _Axis:
         wall, stop = self._wall, self._wall + self._electrodes.hard_stop
         high = self._most - _BEYOND_TORQUE * (self._clipped == 1)
         low = -self._most + _BEYOND_TORQUE * (self._clipped == -1)
-        friction = self._friction
+        rubs = self._rubs
         turn = _event(lambda _, y: y[1], 0, terminal=False)
         return [
             _event(lambda _, y: y[0] - (wall, wall, stop)[self._contact], -1 if self._contact else 1),
             _event(lambda _, y: y[0] - stop, 1 if self._contact == 1 else 2),
             _event(lambda _, y: self._raw(y[0], y[1]) - high, -1 if self._clipped == 1 else 1),
             _event(lambda _, y: self._raw(y[0], y[1]) - low, 1 if self._clipped == -1 else -1),
-            _event(lambda _, y: y[1] if self._slip else y[2] - friction, self._slip or (1 if friction else 2)),
-            _event(lambda _, y: y[2] + friction, -1 if friction and not self._slip else 2),
+            _event(lambda _, y: y[1] if self._slip else y[2] - self._friction(y), self._slip or (1 if rubs else 2)),
+            _event(lambda _, y: y[2] + self._friction(y), -1 if rubs and not self._slip else 2),
         ], turn
 
     def _go_on(self, state: Any, ended: list[int]) -> None:
@@ -197,10 +198,11 @@ class _Axis:
                 side = 1 if which == 2 else -1
                 self._clipped = 0 if self._clipped == side else side
             elif which == 4 and self._slip:
-                self._slip, state[2] = 0, state[2] * (1.0 - _BEYOND_TORQUE)
+                state[2] = self._slip * self._friction(state) * (1.0 - _BEYOND_TORQUE)
+                self._slip = 0
             else:
                 # A bristle at its upper limit slips while the arm turns back, until it reverses again.
-                self._slip, state[2] = (1, self._friction) if which == 4 else (-1, -self._friction)
+                self._slip = 1 if which == 4 else -1
 
     def _contact_at(self, z: float) -> int:
         return 0 if z < self._wall else 1 if z < self._wall + self._electrodes.hard_stop else 2
@@ -216,6 +218,14 @@ class _Axis:
         theta, first, _ = angle(z)
         return self._servo.stiffness * (self._goal - theta) - self._servo.damping * first * speed
 
+    def _motor(self, z: float, speed: float) -> float:
+        """Return the torque of a servo (N·m)."""
+        return self._clipped * self._most if self._clipped else self._raw(z, speed)
+
+    def _friction(self, state: Any) -> float:
+        """Return the torque at which a gear slips (N·m)."""
+        return self._servo.friction + self._servo.friction_share * abs(self._motor(state[0], state[1]))
+
     def _normal(self, z: float) -> float:
         depth, contact = z - self._wall, self._electrodes
         if depth <= 0.0:
@@ -230,6 +240,9 @@ class _Axis:
             torque = self._clipped * self._most
         else:
             torque = servo.stiffness * (self._goal - theta) - servo.damping * first * speed
+        if self._slip:
+            bristle = self._slip * (servo.friction + servo.friction_share * abs(torque))
+        torque -= servo.viscosity * first * speed
         depth = z - self._wall
         if self._contact:
             force = self._magnets.force - 2.0 * contact.stiffness * depth
@@ -240,7 +253,7 @@ class _Axis:
             force = self._magnets.force / (ratio * ratio)
         mass = self._mass + 3.0 * servo.inertia * first * first
         force += 3.0 * first * (torque + bristle) - 3.0 * servo.inertia * first * second * speed * speed
-        return [speed, force / mass, 0.0 if self._slip or not self._friction else -GEAR_BRISTLE * first * speed]
+        return [speed, force / mass, 0.0 if self._slip or not self._rubs else -GEAR_BRISTLE * first * speed]
 
 
 def _event(value: Event, direction: int, terminal: bool = True) -> Event:

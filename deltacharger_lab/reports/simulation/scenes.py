@@ -8,6 +8,7 @@ import logging
 import math
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
@@ -25,6 +26,7 @@ EXTRAPOLATED = "light, extrapolated"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
 SAMPLE = 0.01  # s between compared positions, if the step allows
 TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
+COMPARED = ServoParameters(friction_share=0.0)  # MuJoCo has no friction by load
 _FAR = 0.3  # m from the origin that no arm reaches
 PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
 
@@ -172,10 +174,8 @@ def world(
     stiffness: float = 1e5, servo: float = SERVO_STIFFNESS, friction: float | None = None, **changes: Any
 ) -> WorldParameters:
     """Return parameters of a contact and servo stiffness; `friction` of the gears (N·m), None = default."""
-    gears = {} if friction is None else {"friction": friction}
-    return WorldParameters(
-        servo=ServoParameters(stiffness=servo, **gears), contact=ContactParameters(stiffness=stiffness), **changes
-    )
+    gears = replace(COMPARED, stiffness=servo, friction=COMPARED.friction if friction is None else friction)
+    return WorldParameters(servo=gears, contact=ContactParameters(stiffness=stiffness), **changes)
 
 
 def settled_exactly(parameters: WorldParameters, command: float) -> float:

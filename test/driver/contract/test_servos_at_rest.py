@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_core.machine import POSITION_P_GAIN
+from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.servos import mx64
@@ -28,10 +28,11 @@ from .sites import ServoSite
 OLDEST_FIRMWARE = 39
 CYCLES = 60
 RATE = 100.0  # Hz, of servo_node
-ZERO = ("torque_enable", "return_delay", "drive_mode", "homing_offset", "position_i_gain", "position_d_gain")
+ZERO = ("torque_enable", "return_delay", "drive_mode", "homing_offset", "position_i_gain")
 ZERO += ("profile_acceleration", "profile_velocity", "hardware_error")
 SET_UP = dict.fromkeys(ZERO, 0) | {"status_return_level": 2, "secondary_id": 255}
-SET_UP |= {"operating_mode": mx64.MODE_CURRENT_POSITION, "position_p_gain": POSITION_P_GAIN}
+SET_UP |= {"operating_mode": mx64.MODE_CURRENT_POSITION}
+SET_UP |= {"position_p_gain": POSITION_P_GAIN, "position_d_gain": POSITION_D_GAIN}
 JITTER = {"present_current": 30, "present_velocity": 5, "present_position": 4, "input_voltage": 3, "temperature": 1}
 """Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
 

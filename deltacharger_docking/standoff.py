@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the arm shows of itself in free air before it touches: how its servos brake, what its gears and cable rub.
+
+First the goals jump, and each servo's readings show its damping, whatever its gear rubs: with a goal that stands, Kt I
+= k (goal − angle) − d ω. At the standoff the platform is weighed on a way back and on the way forward again; half of
+the difference is friction. The last reading, at rest after a motion along +z, is the tare: friction then has the sign
+of pushing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_core.script import NEXT, Script
+from deltacharger_docking.codes import ServoFailure, State, Stuck
+from deltacharger_docking.context import Context
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.swing import LEAST_DAMPING, SwingReading, fit_swing, surely_swings, swing_readings
+
+_MOST_DAMPED = 3.0  # times what is critical; such a servo creeps, and a D gain that high makes its current chatter
+_JUMP_CURRENT, _LONGEST_JUMP = 0.9, 0.2  # A and rad: twice what sound gears rub, and 23 mm
+_FREE = 0.9  # of the torque bound, below which a current follows the error
+_LATE, _HEARD = 0.15, 0.005  # s until a servo hears of a jump at the latest; rad that show it
+_SWINGS = 5.0  # rad of the servo's own oscillation that are recorded
+_TRIES = 4
+_STRONGER = 1.3  # by which the pull must exceed the magnets
+_LOAD_SHARE = 0.3  # of a motor's torque that the gear takes when it pulls (BAM's fits: 0.15 to 0.5)
+_LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
+_APART = 2.0  # times the others' friction that makes one servo the culprit
+
+
+def approach(context: Context, target: Vector) -> Script[None]:
+    """Move to the standoff before `target` (m, charger_base), learn how the servos brake and rub, and tare there.
+
+    Raises:
+        ServoFailure: a servo swings or creeps, or friction takes what pushing needs.
+        Stuck: the pull would not release the magnets.
+    """
+    parameters, speed = context.parameters, context.parameters.run_up_speed
+    context.enter(State.APPROACH, parameters.approach_timeout)
+    x, y, z = target
+    standoff = x, y, z - parameters.standoff
+    context.check_way(standoff)  # before anything moves
+    yield from _check_swing(context, standoff[2])
+    yield from context.move(standoff, parameters.approach_speed, settle=False)
+    run_up = parameters.run_up * max(1.0, context.springs.softness)
+    for _ in range(_LONGER):
+        yield from context.move((x, y, max(standoff[2] - run_up, min(parameters.home_z, standoff[2]))), speed)
+        down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
+        yield from context.move(standoff, speed)
+        turns = [now - then for now, then in zip(context.observation.angles, angles, strict=True)]
+        if min(turns) * sum(context.kinematics.jacobian(*standoff)[6:]) >= _LOOSE * run_up:
+            break
+        run_up *= 2.0  # friction held the arm: so short a way does not show all of it
+    _learn_friction(context, down, currents)
+    context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
+    context.contact.tare()
+    _check_pull(context, target)
+
+
+def _check_swing(context: Context, farthest: float) -> Script[None]:
+    """Let the arm jump, up to z = `farthest` m, and refuse servos that would swing in contact or lag behind."""
+    springs, rows = context.springs, []
+    for _ in range(_TRIES):
+        rows += yield from _swing(context, farthest)
+        servos = fit_swing(rows, context.parameters.torque_constant)
+        if all(each.damping - each.damping_stddev >= LEAST_DAMPING for each in servos):
+            break
+    springs.learn_swing(servos)
+    values = {f"damping_{number}_Nms_per_rad": each.damping for number, each in enumerate(servos, 1)}
+    text = "how the servos spring and brake"
+    context.decide("swing", text, stiffness_Nm_per_rad=springs.stiffness, **values)
+    most = 2.0 * _MOST_DAMPED * springs.stiffness / springs.frequency
+    for number, each in enumerate(servos, 1):
+        value = each.damping
+        if surely_swings(each):
+            raise ServoFailure(
+                f"servo {number} swings: its damping is {value:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
+                "position_d_gain"
+            )
+        if value > most:
+            raise ServoFailure(
+                f"servo {number} creeps: its damping is {value:.2f} N·m·s/rad, above {most:.1f}: lower position_d_gain"
+            )
+
+
+def _swing(context: Context, farthest: float) -> Script[list[SwingReading]]:
+    """Let the goals jump along z, forward unless that passes `farthest` (m), and return the readings."""
+    parameters, springs, kinematics = context.parameters, context.springs, context.kinematics
+    geometry, (x, y, z) = kinematics.geometry, context.position
+    jump = min(_JUMP_CURRENT * springs.compliance, _LONGEST_JUMP)
+    way = jump * sum(kinematics.jacobian(x, y, z)[6:])
+    jump = jump if z + way < farthest else -jump
+    a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.observation.angles)
+    held = kinematics.holding_torque(x, y, z, parameters.gravity)
+    bound = context.planner.bound(held)
+    seen: list[tuple[float, Vector, Vector]] = []
+    # It swings only once it has heard of the jump, which its angles show.
+    lasts, latest, end = _SWINGS / springs.frequency, context.time + _LATE, math.inf
+    while context.time < end:
+        if context.is_blind:  # the pull lapses, and the swing begins again with the next data
+            seen.clear()
+            latest, end = context.time + _LATE, math.inf
+        else:
+            context.pull((a, b, c), bound)
+        yield NEXT
+        observation = context.observation
+        if observation.servos_valid and not context.is_blind:
+            seen.append((context.time, observation.angles, observation.currents))
+            if end == math.inf and (context.time > latest or _differ(seen[0][1], seen[-1][1])):
+                end = context.time + lasts
+    context.commanded = context.measured()
+    most = tuple(_FREE * torque / parameters.torque_constant for torque in bound)
+    return swing_readings(seen, (a, b, c), most)
+
+
+def _differ(before: Vector, after: Vector) -> bool:
+    return any(abs(now - then) > _HEARD for then, now in zip(before, after, strict=True))
+
+
+def _learn_friction(context: Context, down: float, currents: Vector) -> None:
+    """Take half of the difference between weighing forward, now, and back: force (N) and currents (A)."""
+    parameters, contact, springs = context.parameters, context.contact, context.springs
+    springs.friction_force = max(0.5 * (contact.force - down), 0.0)
+    constant, held = (
+        parameters.torque_constant,
+        context.kinematics.holding_torque(*context.position, parameters.gravity),
+    )
+    forward = [constant * current for current in contact.currents]
+    halves = [0.5 * (now - constant * then) for now, then in zip(forward, currents, strict=True)]
+    a, b, c = (max(half, 0.0) for half in halves)
+    springs.friction = a, b, c
+    a, b, c = (
+        max(abs(now) - abs(weight), rubs) for now, weight, rubs in zip(forward, held, springs.friction, strict=True)
+    )
+    springs.beyond_weight = a, b, c
+    context.decide(
+        "friction",
+        "what gears and cable rub",
+        friction_force_N=springs.friction_force,
+        **{f"friction_{number}_Nm": value for number, value in enumerate(springs.friction, 1)},
+    )
+    taken = max(springs.friction) / constant
+    if taken <= parameters.current_min:
+        return
+    worst = max(range(3), key=lambda index: springs.friction[index])
+    others = [value for index, value in enumerate(springs.friction) if index != worst]
+    culprit = (
+        f"the gear of servo {worst + 1}" if springs.friction[worst] > _APART * max(others) else "the cable or all gears"
+    )
+    raise ServoFailure(
+        f"{culprit} rubs: free motion takes {taken:.2f} A, more than pushing (current_min, "
+        f"{parameters.current_min:g} A); free the cable, or replace the servo"
+    )
+
+
+def _check_pull(context: Context, target: Vector) -> None:
+    """Refuse a target whose magnets the arm could not leave.
+
+    Raises:
+        Stuck: less friction, the pull is below 1.3 times the magnets.
+    """
+    parameters, springs = context.parameters, context.springs
+    torque = parameters.release_current * parameters.torque_constant
+    pull = context.kinematics.force(*target, (torque, torque, torque))[2]
+    left = (1.0 - _LOAD_SHARE) * pull - springs.friction_force
+    needed = _STRONGER * parameters.magnet_force
+    if left < needed:
+        raise Stuck(
+            f"the arm could not let go: {parameters.release_current:.1f} A pull with {left:.0f} N less friction, and "
+            f"magnets of {parameters.magnet_force:.0f} N need {needed:.0f}: raise release_current, free the cable, or "
+            "use weaker magnets"
+        )
