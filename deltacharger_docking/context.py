@@ -34,6 +34,7 @@ from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, betwe
 _READING = 0.01  # s between two readings: the servos' cycle
 _SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
+_SURELY = 0.25  # of the configured stiffness, which a servo whose own is unknown has at least
 _NEARLY = 0.95  # of a servo's current bound
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 
@@ -228,18 +229,19 @@ class Context:
     def unexplained_lead(self) -> float:
         """Distance (m) along z by which the command leads the platform beyond what push, friction and speed explain."""
         springs, ahead, speed = self.springs, self.commanded, 0.0
+        stiffness = springs.stiffness if springs.is_estimated else _SURELY * springs.stiffness
         if self._line is not None and self.feed.is_under_way(self.time):
             start, goal, speed = self._line
             ahead = between(start, goal, way_done(self.feed.share(self.time)))
         x, y, z = self.position
         held = self.kinematics.holding_torque(x, y, z, self.parameters.gravity)
         yields = (
-            ((bound - abs(torque)) / springs.stiffness + springs.play) * lever
+            ((bound - abs(torque)) / stiffness + springs.play) * lever
             for bound, torque, lever in zip(
                 self.planner.bound(held), held, self.kinematics.jacobian(x, y, z)[6:], strict=True
             )
         )
-        return ahead[2] - z - sum(yields) - springs.lag * speed
+        return ahead[2] - z - sum(yields) - springs.damping / stiffness * speed
 
     def pull(self, goal: Vector, bound: Vector, rest: Vector | None = None) -> None:
         """Set the servos' goals (rad) and torque bounds (N·m) at once.

@@ -263,7 +263,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
 
 
 def _check_depth(context: Context, depth: float) -> None:
-    if context.observation.tactile_contact and context.position[2] > min(depth, context.touched + _YIELDS):
+    if context.observation.tactile_contact and context.position[2] > context.touched + _YIELDS:
         way = 1000.0 * (context.position[2] - context.touched)
         raise rolls(context, f"it gives way by {way:.0f} mm to a push of {context.contact.force:.0f} N")
     if context.position[2] > depth:

@@ -16,7 +16,7 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
 
 REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) pull less than the push bound holds
-_BACK = 0.012  # m from where it parted: the arm swings by half of it when it stops there
+_BACK = 0.012  # m from where it first touched or parted: the arm swings by half of it when it stops there
 _FARTHEST = 0.025  # m that a braked target follows at most: 5 N/mm and 2 mm of play under push and magnets
 _FOLLOWS = 0.010  # m from which one that did not part counts as rolling
 _SET_BACK = 0.05  # s in which the goal moves behind the platform, under the push bound
@@ -83,7 +83,8 @@ def _release(context: Context) -> Script[None]:
     x, y, z = context.position
     lead = parameters.release_current * context.springs.compliance
     a, b, c = (max(angle - lead, kinematics.geometry.joint_min) for angle in context.observation.angles)
-    behind = kinematics.inverse(x, y, z - _BACK)
+    free = (z if math.isnan(context.touched) else min(z, context.touched)) - _BACK  # a target that yielded swings back
+    behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
     parted = yield from _pull(context, (a, b, c), parameters.push_current, _SET_BACK, z, rest)
@@ -105,7 +106,7 @@ def _release(context: Context) -> Script[None]:
         time_s=context.time - begun,
         followed_m=z - parted,
     )
-    context.commanded = back = (x, y, min(here[2], parted - _BACK))
+    context.commanded = back = (x, y, min(here[2], parted - _BACK, free))
     try:
         goal = context.planner.line(here, back, parameters.travel_speed)[-1]
     except DockingError:

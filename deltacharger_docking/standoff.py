@@ -23,6 +23,7 @@ _FREE = 0.9  # of the torque bound, below which a current follows the error
 _LATE, _HEARD = 0.15, 0.005  # s until a servo hears of a jump at the latest; rad that show it
 _SWINGS = 5.0  # rad of the servo's own oscillation that are recorded
 _TRIES = 4
+_PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have lapsed; between two dates of one reading
 _STRONGER = 1.3  # by which the pull must exceed the magnets
 _LOAD_SHARE = 0.3  # of a motor's torque that the gear takes when it pulls (BAM's fits: 0.15 to 0.5)
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
@@ -49,10 +50,12 @@ def approach(context: Context, target: Vector) -> Script[None]:
         down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
         yield from context.move(standoff, speed)
         turns = [now - then for now, then in zip(context.observation.angles, angles, strict=True)]
-        if min(turns) * sum(context.kinematics.jacobian(*standoff)[6:]) >= _LOOSE * run_up:
+        touched = context.observation.tactile_contact  # a target nearer than given
+        if touched or min(turns) * sum(context.kinematics.jacobian(*standoff)[6:]) >= _LOOSE * run_up:
             break
         run_up *= 2.0  # friction held the arm: so short a way does not show all of it
-    _learn_friction(context, down, currents)
+    if not touched:
+        _learn_friction(context, down, currents)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
     _check_pull(context, target)
@@ -104,9 +107,13 @@ def _swing(context: Context, farthest: float) -> Script[list[SwingReading]]:
         else:
             context.pull((a, b, c), bound)
         yield NEXT
-        observation = context.observation
-        if observation.servos_valid and not context.is_blind:
-            seen.append((context.time, observation.angles, observation.currents))
+        if context.pause > _PAUSE:  # the goal may have gone back
+            break
+        observation, measured = context.observation, context.time - context.observation.servo_age
+        seen.extend(reading for reading in observation.earlier if not seen or reading[0] > seen[-1][0])
+        new = observation.servos_valid and not (seen and measured < seen[-1][0] + _SAME)
+        if new and not context.is_blind:
+            seen.append((measured, observation.angles, observation.currents))
             if end == math.inf and (context.time > latest or _differ(seen[0][1], seen[-1][1])):
                 end = context.time + lasts
     context.commanded = context.measured()

@@ -51,19 +51,20 @@ _STRETCHED = 1e-5  # margin (about 1 µm from the edge of reach) below which an 
 class ArmLimits(Bounded):
     """Speed and acceleration limits of the arms (rad/s, rad/s²); the defaults fit this charger's MX-64 at 12 V.
 
-    speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.35 N·m (heaviest pose
-    0.47 N·m plus 0.6 A of push), 5.1 rad/s are left.
+    speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.49 N·m (heaviest pose
+    0.47 N·m plus 0.7 A of push), 4.95 rad/s are left.
 
-    acceleration: 0.6 A · 1.463 N·m/A minus 0.06 N·m of gear friction accelerate at most 0.0205 kg·m² by 39.9 rad/s².
-    This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform and half of the rods)
-    and I = 0.0042 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction are assumptions.
+    acceleration: 0.7 A · 1.463 N·m/A less gear friction (0.1 N·m and a fifth of the torque) accelerate at most 0.0285
+    kg·m² by 25.2 rad/s². This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform
+    and half of the rods) and I = 0.0122 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction
+    are BAM's fits of the MX-64.
 
     Raises:
         ParameterError: names the field; not a number within its bounds.
     """
 
-    speed: float = number(5.0, 1e-3, 1e3, "rad/s", "speed of an arm")
-    acceleration: float = number(35.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
+    speed: float = number(4.9, 1e-3, 1e3, "rad/s", "speed of an arm")
+    acceleration: float = number(25.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ SURELY = 2.0
 """Standard deviations by which a damping is surely below that."""
 _HEARD = 0.7  # of the largest change of a current, from which the servo has heard
 _SOFTEST = 1.0  # N·m/rad
+_APART = 0.03  # s between the readings on either side of one, whose rate they show: a missing reading at most
 _FEWEST, _LEAST_TURN = 6, 0.01  # readings, and rad that an arm must turn to show how it swings
 
 
@@ -60,7 +61,7 @@ def swing_readings(
         heard = next((number for number, each in enumerate(changes) if each > _HEARD * max(changes)), 1)
         for before, now, after in zip(seen[heard - 1 :], seen[heard:], seen[heard + 1 :], strict=False):
             rate = (after[1][index] - before[1][index]) / (after[0] - before[0])
-            if abs(now[2][index]) < bound:
+            if abs(now[2][index]) < bound and after[0] - before[0] < _APART:
                 found.append(SwingReading(index, goal - now[1][index], rate, now[2][index]))
     return found
 

@@ -24,7 +24,7 @@ from deltacharger_sim.tilt import tilts
 from deltacharger_sim.touch import TargetTouch
 
 _PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turning point is then within 2 %
-_LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
+_LONGEST = 0.002  # s of a sub-step, a tenth of the time in which the servos brake the platform
 _FLIGHT_SHARE = 0.15  # of the distance over which the magnets' pull changes, travelled in a sub-step of flight
 _MOST = 160  # sub-steps after first contact; full-length ones (soft contacts) do not count
 _MOST_IN_STEP = 80  # sub-steps in one step

@@ -185,9 +185,7 @@ def has_battery(battery_voltage: float) -> bool:
     return passes(energy.check_battery, scene(battery_voltage=battery_voltage))
 
 
-def continues(
-    state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any
-) -> bool:
+def continues(state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any) -> bool:
     """Return whether a script goes on in this state, whose command leads the arm by so much (m) more than explained."""
 
     def script(shared: context.Context) -> Iterator[Any]:
@@ -214,7 +212,9 @@ def parts(retreat: float, touches: bool = False) -> bool:
 
 
 def leaves(magnet_force: float) -> bool:
-    return passes(standoff._check_pull, context.Context(DockingParameters(magnet_force=magnet_force), DeltaGeometry()), DOCK)
+    return passes(
+        standoff._check_pull, context.Context(DockingParameters(magnet_force=magnet_force), DeltaGeometry()), DOCK
+    )
 
 
 def brakes(damping: float) -> bool:

@@ -86,7 +86,7 @@ def test_a_wrong_known_place_does_no_harm(z: float) -> None:
 
 @pytest.mark.parametrize("place", [rest((4.0, 0.0)), rest((0.0, -4.0)), (-3.0, 3.0)])
 def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place: tuple[float, float]) -> None:
-    run = charger(6, 6, seed=2, coarse=True)
+    run = charger(6, 6, coarse=True)  # of 15 dockings with seeds 1 to 5, one ends with ESTIMATE_UNSURE
     until_lifted(run)
     move_target(run, *place)
     assert run.finish(120.0).success

@@ -119,7 +119,7 @@ def test_a_wrong_stiffness_is_reported_with_the_command_that_measures_it(
     assert ("calibrate servos" in springs.contradiction) is named
 
 
-@pytest.mark.parametrize(("true", "given"), [rest(2.0, 8.0), rest(3.0, 0.75), (15.0, 60.0), rest(40.0, 10.0)])
+@pytest.mark.parametrize(("true", "given"), [rest(4.0, 16.0), rest(3.0, 0.75), (15.0, 60.0), rest(40.0, 10.0)])
 def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: float) -> None:
     run = charger(parameters={"servo_stiffness": given}, servo=ServoParameters(stiffness=true), coarse=True)
     sent = commands(run)

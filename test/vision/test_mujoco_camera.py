@@ -186,9 +186,9 @@ def test_without_opengl_the_error_states_what_to_install(camera: MujocoCamera, b
 def test_it_draws_after_mujoco_has_simulated_a_world(camera: MujocoCamera) -> None:
     ended = run(
         "from deltacharger_sim.mujoco_world import mujoco_world\n"
-        "from deltacharger_sim.parameters import WorldParameters\n"
+        "from deltacharger_sim.parameters import ServoParameters, WorldParameters\n"
         "from deltacharger_vision.rendering.mujoco_camera import MujocoCamera\n"
-        "mujoco_world(WorldParameters()).step()\n"
+        "mujoco_world(WorldParameters(servo=ServoParameters(friction_share=0.0))).step()\n"
         "MujocoCamera().close()"
     )
     assert (ended.returncode, ended.stderr) == (0, "")

@@ -100,14 +100,14 @@ def _energy(results: dict[str, Any], path: Path) -> None:
         left.set(xlabel="time, s", ylabel="share of the energy to lose")
         left.legend(fontsize=8)
         whole, end = np.array([sum(row["lost"].values()) for row in rows]), np.zeros(len(rows))
-        for part, colour in zip(PARTS, (PURPLE, BLUE, GREEN, FAINT), strict=True):
+        for part, colour in zip(PARTS, (PURPLE, ORANGE, BLUE, GREEN, FAINT), strict=True):
             share = 100.0 * np.array([row["lost"][part] for row in rows]) / whole
             right.barh(range(len(rows)), share, left=end, color=colour, label=part)
             end = end + share
         right.set_yticks(range(len(rows)), [row["scene"].replace(", ", ",\n") for row in rows], fontsize=8)
         right.invert_yaxis()
         right.set_xlabel("% of the energy lost")
-        right.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=4, columnspacing=0.9)
+        right.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=len(PARTS), columnspacing=0.9)
 
 
 def _impact(results: dict[str, Any], path: Path) -> None:

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the arm shows of itself before it touches, what robots that yield or roll do to it, and two senses of one force.
+
+An arm that could not stop, press or let go is refused before contact, by the name of what is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
+from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.codes import Code
+from deltacharger_docking.observation import DockGoal
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.senses import TwoSenses
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.swing import fit_swing, swing_readings
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters
+
+from .dockings import assert_safe_at_home, charger, commands, decisions, docked
+
+SWUNG = ((12.0, 0.4), (15.0, 0.75), (20.0, 1.0))
+"""Stiffness (N·m/rad) and damping (N·m·s/rad) of three servos."""
+
+
+def swing(draw: random.Random, goal: float = 0.09, friction: float = 0.12) -> list[tuple[float, Vector, Vector]]:
+    """Readings of three servos after a jump of their goals (rad): in counts, noisy, with 1 mrad of play."""
+    seen, angles, rates, dt = [], [0.0] * 3, [0.0] * 3, 1e-4
+    for step in range(1500):
+        torques = [k * (goal - a - 0.001) - d * rate for (k, d), a, rate in zip(SWUNG, angles, rates, strict=True)]
+        if step % 100 == 0:
+            counts = [round(angle / TICK) * TICK for angle in angles]
+            noisy = [torque / TORQUE_CONSTANT + draw.gauss(0.0, 0.01) for torque in torques]
+            currents = [round(current / CURRENT_UNIT) * CURRENT_UNIT for current in noisy]
+            seen.append((step * dt, tuple(counts), tuple(currents)))
+        for index, torque in enumerate(torques):
+            rubbed = torque - friction if rates[index] >= 0.0 else torque + friction
+            rates[index] += dt * rubbed / SERVO_INERTIA
+            angles[index] += dt * rates[index]
+    return seen  # type: ignore[return-value]
+
+
+def test_a_swing_shows_how_each_of_three_servos_springs_and_brakes() -> None:
+    draw, goals, most = random.Random(1), (0.09,) * 3, (2.0,) * 3
+    readings = [each for _ in range(4) for each in swing_readings(swing(draw), goals, most)]
+    for found, (stiffness, damping) in zip(fit_swing(readings, TORQUE_CONSTANT), SWUNG, strict=True):
+        assert found.stiffness == pytest.approx(stiffness, rel=0.2)
+        assert found.damping == pytest.approx(damping, rel=0.2)
+
+
+def refused(run: VirtualCharger, code: Code, *words: str) -> None:
+    """Dock: it is refused before contact for this reason, and the arm is limp, home as far as its gears let it."""
+    outcome = run.dock(DockGoal(GOAL))
+    assert outcome.code is code, outcome.message
+    assert all(word in outcome.message for word in words), outcome.message
+    assert run.world.record.contacts == 0
+    assert run.world.snapshot().position[2] < 0.01
+    assert not run.observe().torque_enabled
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_servo_that_nothing_brakes_is_named_before_contact(number: int) -> None:
+    run = charger(coarse=True)
+    command = run.world.command
+
+    def unbraked(index: int, enabled: bool, goal: float, bound: float, *gains: float) -> None:
+        command(index, enabled, goal, bound, 1.0, 0.0 if index == number - 1 else 1.0)
+
+    run.world.command = unbraked  # type: ignore[method-assign]
+    refused(run, Code.SERVO_FAULT, f"servo {number} swings", "position_d_gain")
+
+
+@pytest.mark.parametrize("longest", [3, 12])
+def test_a_computer_that_stalls_is_no_servo_that_swings(longest: int) -> None:
+    """Readings are missing, and pulls lapse: then a damping is unknown rather than wrong."""
+    run, draw, left = charger(coarse=False), random.Random(1), 0
+    step, sent = run._step, commands(run)
+
+    def stall() -> None:
+        nonlocal left
+        if left == 0:
+            step()
+        left = left - 1 if left else draw.choice((0, 0, draw.randint(1, longest)))
+
+    run._step = stall  # type: ignore[method-assign]
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: bool(decisions(sent, "friction")), 20.0)
+    (swing,) = (dict(each.values) for each in decisions(sent, "swing"))
+    found = [swing[f"damping_{number}_Nms_per_rad"] for number in (1, 2, 3)]
+    assert all(math.isnan(damping) or damping > 0.3 for damping in found), found
+
+
+def wear(run: VirtualCharger, number: int, friction: float) -> None:
+    """Give the gear of one servo this friction (N·m)."""
+    mechanics, set_inputs = run.world.mechanics, run.world.mechanics._set_inputs  # type: ignore[attr-defined]
+
+    def worn(*given: Any) -> None:
+        set_inputs(*given)
+        servos = list(mechanics._servos)  # type: ignore[attr-defined]
+        spring, damper, bound, _, goal = servos[number - 1]
+        servos[number - 1] = spring, damper, bound, friction, goal
+        mechanics._servos = tuple(servos)  # type: ignore[attr-defined]
+
+    mechanics._set_inputs = worn  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("world", "worn", "culprit"),
+    [
+        ({}, 2, "the gear of servo 2"),
+        ({"cable": CableParameters(drag=20.0)}, 0, "the cable or all gears"),
+        ({"servo": ServoParameters(friction=0.8)}, 0, "the cable or all gears"),
+    ],
+)
+def test_friction_that_takes_what_pushing_needs_is_refused_by_its_culprit(
+    world: dict[str, Any], worn: int, culprit: str
+) -> None:
+    run = charger(coarse=True, **world)
+    if worn:
+        wear(run, worn, 0.9)
+    refused(run, Code.SERVO_FAULT, f"{culprit} rubs")
+
+
+@pytest.mark.parametrize(("drag", "stronger"), [(0.0, False), (8.0, True)])
+def test_friction_is_measured_although_it_holds_the_arm_on_a_short_way(drag: float, stronger: bool) -> None:
+    """Free motion takes 4 N; a cable's 8 N, and what its load adds in the gears, hold the arm for more than 4 mm."""
+    run = charger(coarse=True, cable=CableParameters(drag=drag))
+    sent = commands(run)
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    (found,) = (dict(each.values)["friction_force_N"] for each in decisions(sent, "friction"))
+    assert (10.0 if stronger else 3.0) < found < (14.5 if stronger else 5.0)
+
+
+def test_magnets_that_the_arm_could_not_leave_are_not_touched() -> None:
+    run = charger(parameters={"magnet_force": 90.0}, magnets=MagnetParameters(force=90.0), coarse=True)
+    refused(run, Code.STUCK, "could not let go")
+
+
+@pytest.mark.parametrize("coarse", [True, False])
+def test_robots_that_yield_with_play_are_left_without_another_contact(coarse: bool) -> None:
+    """Relieved, they swing back through their play and beyond: farther than they followed the magnets."""
+    run = charger(0.0, 0.0, 0.0, coarse=coarse, stand=StandParameters(stiffness=5e3, play=0.002))
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    contacts = run.world.record.contacts
+    assert contacts == 1 + outcome.alignments + outcome.redockings
+    outcome = run.undock()
+    assert outcome.success, outcome.message
+    assert run.world.record.contacts == contacts
+    assert_safe_at_home(run)
+
+
+def test_a_target_that_rolls_away_from_the_push_is_not_charged() -> None:
+    run = charger(0.0, 0.0, 0.0, coarse=True, stand=StandParameters(stiffness=5e3, brakes=5.0))
+    assert run.dock().code is Code.TARGET_ROLLS
+    assert run.world.record.energised == 0.0
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize("brakes", [15.0, 20.0])
+def test_a_target_that_comes_along_is_never_left_as_undocked_while_it_touches(brakes: float) -> None:
+    run = charger(0.0, 0.0, 0.0, coarse=True, stand=StandParameters(stiffness=5e3, mass=10.0, brakes=brakes))
+    assert run.dock().success
+    outcome = run.undock()
+    touches = run.world.mechanics.contact_force > 0.0
+    assert outcome.code is (Code.TARGET_ROLLS if touches else Code.NONE), outcome.message
+    assert run.machine.status.docked is touches
+
+
+FELT = replace(MisalignmentEstimate(0.0, 0.0, 0.0, 0.001, 0.001, 0.001), left_force=38.0, right_force=39.0)
+"""Pads under 60 N of magnets and a push of 17 N."""
+
+
+@pytest.mark.parametrize("doubtful", [False, True])
+def test_pads_that_depart_from_the_currents_after_good_contacts_are_told(doubtful: bool) -> None:
+    senses = TwoSenses(DockingParameters())
+    assert [senses.compare(FELT, 17.0, doubtful) for _ in range(3)] == [""] * 3
+    told = senses.compare(replace(FELT, left_force=57.0, right_force=58.5), 17.0, doubtful)
+    assert ("the pads" in told) is not doubtful
+    assert ("the servos' currents" in told) is doubtful
+    assert senses.compare(FELT, 17.0, doubtful) == "", "and are not learnt"
+
+
+def test_a_success_tells_of_senses_that_contradict_each_other() -> None:
+    run = docked(start_charging=False)
+    assert run.outcome is not None
+    assert run.outcome.notice == ""
+    assert run.outcome.contact_force_min < run.outcome.contact_force < run.outcome.contact_force_max
+    run.machine.status.senses = "pads say 40 N, currents 17 N"
+    assert "pads say" in run.dock(DockGoal(GOAL, start_charging=False)).notice
