@@ -91,9 +91,7 @@ class DockingParameters(Bounded):
     back_off: float = tunable(0.030, 0.005, 0.06, "m", "distance to go back if the first push is too hard")
     lift: float = tunable(0.008, 0.008, 0.04, "m", "distance that the platform lifts before it moves sideways")
     current_min: float = tunable(0.4, 0.05, 2.0, "A", "lower end of the contact current's band")
-    current_max: float = tunable(
-        0.5, 0.05, 2.0, "A", "upper end of the contact current's band; the servos can hold it for four hours"
-    )
+    current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end of the contact current's band")
     aim_below: float = tunable(0.02, 0.0, 0.1, "A", "how far below the band's middle a press on a known contact aims")
     band_margin: float = tunable(0.015, 0.0, 0.04, "A", "distance of an accepted reading from the band's lower end")
     step_share: float = tunable(0.7, 0.1, 1.0, "", "largest share of the way to the band in one step")
@@ -106,7 +104,7 @@ class DockingParameters(Bounded):
     overshoots_max: int = tunable(3, 0, 20, "", "overshoots of the band after which contact fails")
     overshoot_back_off: float = tunable(0.35, 0.05, 1.0, "A", "contact current to release after an overshoot")
     push_current: float = tunable(0.7, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
-    release_current: float = tunable(3.5, 0.5, STALL_CURRENT, "A", "current bound of each servo during release")
+    release_current: float = tunable(4.0, 0.5, STALL_CURRENT, "A", "current bound of each servo during release")
     release_time: float = tunable(1.0, 0.1, 2.0, "s", "longest pull against the magnets")
     ease_current_max: float = tunable(0.57, 0.05, 2.0, "A", "largest common current of the servos at ease")
     ease_spared_max: float = tunable(

@@ -15,10 +15,18 @@ from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.swing import LEAST_DAMPING, SwingReading, fit_swing, surely_swings, swing_readings
+from deltacharger_kinematics.swing import (
+    LEAST_DAMPING,
+    SURELY,
+    SwingReading,
+    creeps,
+    fit_swing,
+    surely_swings,
+    swing_readings,
+)
 
 _MOST_DAMPED = 3.0  # times what is critical; such a servo creeps, and a D gain that high makes its current chatter
-_JUMP_CURRENT, _LONGEST_JUMP = 0.9, 0.2  # A and rad: twice what sound gears rub, and 23 mm
+_JUMP_CURRENT, _LONGEST_JUMP = 0.9, 0.35  # A and rad: twice what sound gears rub, and 40 mm
 _FREE = 0.9  # of the torque bound, below which a current follows the error
 _LATE, _HEARD = 0.15, 0.005  # s until a servo hears of a jump at the latest; rad that show it
 _SWINGS = 5.0  # rad of the servo's own oscillation that are recorded
@@ -27,6 +35,7 @@ _PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have laps
 _STRONGER = 1.3  # by which the pull must exceed the magnets
 _LOAD_SHARE = 0.3  # of a motor's torque that the gear takes when it pulls (BAM's fits: 0.15 to 0.5)
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
+_MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
 
 
@@ -63,12 +72,17 @@ def approach(context: Context, target: Vector) -> Script[None]:
 
 def _check_swing(context: Context, farthest: float) -> Script[None]:
     """Let the arm jump, up to z = `farthest` m, and refuse servos that would swing in contact or lag behind."""
-    springs, rows = context.springs, []
+    springs, rows, current = context.springs, [], _JUMP_CURRENT
     for _ in range(_TRIES):
-        rows += yield from _swing(context, farthest)
+        last = yield from _swing(context, farthest, current)
+        rows += last
         servos = fit_swing(rows, context.parameters.torque_constant)
-        if all(each.damping - each.damping_stddev >= LEAST_DAMPING for each in servos):
+        unknown = [index for index, each in enumerate(servos) if math.isnan(each.damping)]
+        creeping = [index + 1 for index in unknown if current > _JUMP_CURRENT and creeps(last, index)]
+        if creeping or all(each.damping - each.damping_stddev >= LEAST_DAMPING for each in servos):
             break
+        if unknown:  # softer servos than expected hardly turn
+            current *= 2.0
     springs.learn_swing(servos)
     values = {f"damping_{number}_Nms_per_rad": each.damping for number, each in enumerate(servos, 1)}
     text = "how the servos spring and brake"
@@ -81,17 +95,15 @@ def _check_swing(context: Context, farthest: float) -> Script[None]:
                 f"servo {number} swings: its damping is {value:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
                 "position_d_gain"
             )
-        if value > most:
-            raise ServoFailure(
-                f"servo {number} creeps: its damping is {value:.2f} N·m·s/rad, above {most:.1f}: lower position_d_gain"
-            )
+        if value - SURELY * each.damping_stddev > most or number in creeping:
+            raise ServoFailure(f"servo {number} creeps: damping above {most:.1f} N·m·s/rad; lower position_d_gain")
 
 
-def _swing(context: Context, farthest: float) -> Script[list[SwingReading]]:
-    """Let the goals jump along z, forward unless that passes `farthest` (m), and return the readings."""
+def _swing(context: Context, farthest: float, current: float) -> Script[list[SwingReading]]:
+    """Let the goals jump by `current` (A) along z, forward unless that passes `farthest` (m); return the readings."""
     parameters, springs, kinematics = context.parameters, context.springs, context.kinematics
     geometry, (x, y, z) = kinematics.geometry, context.position
-    jump = min(_JUMP_CURRENT * springs.compliance, _LONGEST_JUMP)
+    jump = min(current * springs.compliance, _LONGEST_JUMP)
     way = jump * sum(kinematics.jacobian(x, y, z)[6:])
     jump = jump if z + way < farthest else -jump
     a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.observation.angles)
@@ -148,7 +160,7 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
         **{f"friction_{number}_Nm": value for number, value in enumerate(springs.friction, 1)},
     )
     taken = max(springs.friction) / constant
-    if taken <= parameters.current_min:
+    if taken <= _MOST_FRICTION:
         return
     worst = max(range(3), key=lambda index: springs.friction[index])
     others = [value for index, value in enumerate(springs.friction) if index != worst]
@@ -156,8 +168,8 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
         f"the gear of servo {worst + 1}" if springs.friction[worst] > _APART * max(others) else "the cable or all gears"
     )
     raise ServoFailure(
-        f"{culprit} rubs: free motion takes {taken:.2f} A, more than pushing (current_min, "
-        f"{parameters.current_min:g} A); free the cable, or replace the servo"
+        f"{culprit} rubs: free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A; free the cable, or replace "
+        "the servo"
     )
 
 

@@ -21,6 +21,7 @@ SURELY = 2.0
 """Standard deviations by which a damping is surely below that."""
 _HEARD = 0.7  # of the largest change of a current, from which the servo has heard
 _SOFTEST = 1.0  # N·m/rad
+_LEFT, _TURNS = 0.4, 0.15  # share of the jump, and rad/s, that a creeping servo has left; friction holds a still one
 _APART = 0.03  # s between the readings on either side of one, whose rate they show: a missing reading at most
 _FEWEST, _LEAST_TURN = 6, 0.01  # readings, and rad that an arm must turn to show how it swings
 
@@ -88,6 +89,16 @@ def fit_swing(readings: Sequence[SwingReading], constant: float) -> tuple[Swung,
             k, d, offset = fit.tolist()
             found[-1] = Swung(k, d, math.sqrt(max(float(spread[1, 1]), 0.0)), 2.0 * abs(offset / k))
     return found[0], found[1], found[2]
+
+
+def creeps(readings: Sequence[SwingReading], servo: int) -> bool:
+    """Return whether a servo still turns toward its goal from far away, after the last of its readings."""
+    own = [each for each in readings if each.servo == servo]
+    if len(own) < _FEWEST:
+        return False
+    left = own[-1].error
+    rate = math.copysign(1.0, left) * sum(each.rate for each in own[-_FEWEST:]) / _FEWEST
+    return abs(left) > _LEFT * abs(own[0].error) and rate > _TURNS
 
 
 def surely_swings(servo: Swung) -> bool:

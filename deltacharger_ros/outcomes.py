@@ -126,10 +126,12 @@ class Outcome:
         rest = details["misalignment"]
         x, y = (figure(1e3 * rest[axis], "", 1) for axis in ("horizontal", "vertical"))
         angle = figure(math.degrees(rest["angle"]), "", 1)
+        least, most = (figure(details.get(f"contact_force_{end}", math.nan), "", 0) for end in ("min", "max"))
+        span = "" if "–" in (least, most) else f" ({least} to {most})"
         counts = ", ".join(f"{name} {details[name]}" for name in ("alignments", "redockings") if name in details)
         return (
             f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}; "
-            f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}; "
+            f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}{span}; "
             f"{counts}; rest ({x}, {y}) mm, {angle}°"
         )
 

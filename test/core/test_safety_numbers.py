@@ -264,8 +264,8 @@ OBSERVATION = (
     Limit("lead, mm", lambda v: continues(State.CONTACT, lead=v * MM), 2.9, 3.1, ()),
     Limit("retreat that parts, mm", lambda v: parts(v * MM), 4.1, 3.9, ()),
     Limit("pads when parting", lambda v: parts(0.005, v), False, True, ()),
-    # 3.5 A pull with 134 N, of which gears leave 70 %; 1.3 times the magnets.
-    *fields(leaves, 72.2, (72.4,), "magnet_force"),
+    # 4 A pull with 153 N, of which gears leave 70 %; 1.3 times the magnets.
+    *fields(leaves, 82.4, (82.8,), "magnet_force"),
     *fields(brakes, 0.151, (0.149, 0.0, -0.1), "damping"),
     Limit("first data, s", lambda v: continues(State.APPROACH, time=v, servo_age=INF, tactile_age=INF), 2.9, 3.1, ()),
     *fields(moves_on, 0.09, (0.11, INF, NAN), "servo_age", "tactile_age"),

@@ -66,16 +66,16 @@ def refused(run: VirtualCharger, code: Code, *words: str) -> None:
     assert not run.observe().torque_enabled
 
 
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_servo_that_nothing_brakes_is_named_before_contact(number: int) -> None:
+@pytest.mark.parametrize(("number", "braking", "wrong"), [(1, 0.0, "swings"), (2, 0.0, "swings"), (3, 6.0, "creeps")])
+def test_a_servo_with_a_wrong_d_gain_is_named_before_contact(number: int, braking: float, wrong: str) -> None:
     run = charger(coarse=True)
     command = run.world.command
 
-    def unbraked(index: int, enabled: bool, goal: float, bound: float, *gains: float) -> None:
-        command(index, enabled, goal, bound, 1.0, 0.0 if index == number - 1 else 1.0)
+    def braked(index: int, enabled: bool, goal: float, bound: float, *gains: float) -> None:
+        command(index, enabled, goal, bound, 1.0, braking if index == number - 1 else 1.0)
 
-    run.world.command = unbraked  # type: ignore[method-assign]
-    refused(run, Code.SERVO_FAULT, f"servo {number} swings", "position_d_gain")
+    run.world.command = braked  # type: ignore[method-assign]
+    refused(run, Code.SERVO_FAULT, f"servo {number} {wrong}", "position_d_gain")
 
 
 @pytest.mark.parametrize("longest", [3, 12])
