@@ -63,6 +63,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
             raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
         yield NEXT
     context.decide("limp", "the servos' torque is off")
+    if touches(context):  # it rolled on until now
+        raise rolls(context, "it followed the arm home")
 
 
 def go_limp(context: Context) -> Script[None]:

@@ -16,8 +16,7 @@ _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two read
 _UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play and encoder resolution
 _SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are accepted: the tested range, 2 to 40, and a margin
 _LOAD_SHARES = 0.15, 0.3  # of the torque, friction by load (BAM's fits of the MX-64, without the worst)
-_SOUND = 4.5  # N of friction in free air, above which gears are worn and take a larger share
-_HELD_BACK = 1.2  # of the friction without load that may come on top; chosen on one family of seeds
+_HELD_BACK, _HELD_ON = 0.5, 0.8  # of the friction in free air that may come on top; chosen on seed 43
 _CONSTANT_MAX = 1.66 / 1.463  # BAM's torque constant over the one by stall
 _LONGEST_SETTLE = 1.5  # s, of servos that hardly brake, or creep
 _FITS = 1.5  # ratio of configured and estimated stiffness that is not reported
@@ -88,10 +87,9 @@ class Springs:
         which may hold back or, after the push fell, hold on; and the torque constant.
         """
         least, most = _LOAD_SHARES
-        most *= max(self.friction_force / _SOUND, 1.0)
         return (
             max((1.0 - most) * told - _HELD_BACK * self.friction_force, min(told, 0.0)),
-            (1.0 - least) * _CONSTANT_MAX * told + self.friction_force,
+            (1.0 - least) * _CONSTANT_MAX * told + _HELD_ON * self.friction_force,
         )
 
     def learn_swing(self, servos: Sequence[Swung]) -> None:
