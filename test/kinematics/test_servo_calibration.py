@@ -64,6 +64,8 @@ def test_measured_values_match_the_servos(measured: MeasuredArm) -> None:
     assert fit.stiffness == pytest.approx(SERVO.stiffness, rel=0.05)
     assert fit.torque_constant == pytest.approx(SERVO.torque_constant, rel=0.03)
     assert fit.friction == pytest.approx(SERVO.friction, rel=0.1)
+    # The gears' friction takes its share of the swing: damping is the coarsest figure.
+    assert [each.damping for each in measured.swings] == pytest.approx([SERVO.damping] * 3, rel=0.3)
     assert 0.7 < fit.scatter < 1.4
     assert not doubts(measured, QUICK, Gains())
     assert not differing(measured)
@@ -110,6 +112,15 @@ def test_a_servo_that_differs_is_named() -> None:
     assert found.fit.stiffness[1] == pytest.approx(0.7 * SERVO.stiffness, rel=0.05)
     (remark,) = differing(found)
     assert "servo 2" in remark
+
+
+@pytest.mark.rest
+def test_friction_by_load_is_told_apart_from_the_torque_constant() -> None:
+    fit = measure_servos(arm(dataclasses.replace(SERVO, friction_share=0.2)), QUICK).fit
+    assert fit.friction_share == pytest.approx(0.2, abs=0.05)
+    assert fit.stiffness == pytest.approx(SERVO.stiffness, rel=0.05)
+    assert fit.torque_constant == pytest.approx(SERVO.torque_constant, rel=0.03)
+    assert fit.friction == pytest.approx(SERVO.friction, rel=0.1)
 
 
 def synthetic(count: int, draw: np.random.Generator, task: ServoTask = QUICK) -> list[StaticReading]:
