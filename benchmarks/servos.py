@@ -38,6 +38,7 @@ class DrawnArm(NamedTuple):
     constant: float
     weight: float
     seed: int
+    share: float
 
 
 class Found(NamedTuple):
@@ -70,6 +71,7 @@ def drawn(seed: int, count: int) -> list[DrawnArm]:
                 TORQUE_CONSTANT * random.uniform(0.8, 1.2),
                 random.normal(1.0, WEIGHT_TOLERANCE),
                 1000 * seed + number,
+                random.uniform(0.1, 0.3),
             )
         )
     return arms
@@ -77,9 +79,8 @@ def drawn(seed: int, count: int) -> list[DrawnArm]:
 
 def virtual(arm: DrawnArm) -> VirtualArm:
     """Return a drawn arm in a world without a target."""
-    # Friction by load would count as a lower stiffness and constant: the fit's are those behind the gear.
     servo = ServoParameters(
-        friction=arm.friction, friction_share=0.0, backlash=arm.backlash, torque_constant=arm.constant
+        friction=arm.friction, friction_share=arm.share, backlash=arm.backlash, torque_constant=arm.constant
     )
     world = WorldParameters(servo=servo, target=TargetParameters(present=False))
     base = DeltaGeometry()

@@ -214,8 +214,12 @@ def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, 
 def _torques(numbers: Array, servo: int, load: Array, sign: Array) -> tuple[Array, Array]:
     """Return the motor's torques (N·m) that hold `load` after turning in a direction, and their slope by the load."""
     unloaded = numbers[_WEIGHT] * load + sign * numbers[3 * servo + FRICTION]
-    grip = 1.0 / (1.0 - sign * np.sign(unloaded) * min(max(float(numbers[-1]), -0.9), 0.9))
+    grip = 1.0 / (1.0 - sign * np.sign(unloaded) * _share(numbers))
     return unloaded * grip, grip
+
+
+def _share(numbers: Array) -> float:
+    return min(max(float(numbers[-1]), -0.9), 0.9)
 
 
 def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, scatter: float) -> None:
@@ -257,7 +261,7 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
         np.asarray(constant),
         logarithms[:, FRICTION],
         float(numbers[_WEIGHT]),
-        float(numbers[-1]),
+        _share(numbers),
         np.asarray(covariance),
         by_reading[1],
         by_reading[0],

@@ -3,9 +3,10 @@
 
 A loaded servo does not reveal its play: the encoder stays on one side of it, and goal − angle is still torque over
 stiffness. If its share of the weight is smaller than its friction, the goal can sweep from one side to the other while
-the arm stands still. The torque then falls from L + f to 0, stays there while the goal crosses the play, and falls on
-to L − f. The width of that step is the play. Sweeps in both directions at several places move in whole ticks. The
-result is mean and spread of all plays that explain the readings, which includes the uncertainty due to ticks.
+the arm stands still. The torque then falls from (L + f) / (1 − g) to 0, stays there while the goal crosses the play,
+and falls on to (L − f) / (1 − g), with f and g of `servo_fit`. The width of that step is the play. Sweeps in both
+directions at several places move in whole ticks. The result is mean and spread of all plays that explain the
+readings, which includes the uncertainty due to ticks.
 """
 
 from __future__ import annotations
@@ -157,6 +158,7 @@ def play_of(sweeps: list[Sweep], fit: ServoFit, servo: int) -> tuple[float, floa
     constant = fit.torque_constant[servo] * (
         1.0 + fit.own_error(CONSTANT)[servo] / fit.torque_constant[servo] * random.normal(size=_DRAWS)
     )
+    grip = 1.0 / (1.0 - fit.friction_share)
     yields = fit.stiffness[servo] / (1.0 + fit.stiffness[servo] * give)
     misfit = np.zeros((_DRAWS, len(_GRID)))
     for sweep in sweeps:
@@ -164,7 +166,8 @@ def play_of(sweeps: list[Sweep], fit: ServoFit, servo: int) -> tuple[float, floa
         for back, current, error in zip(
             sweep.back, sweep.direction * sweep.currents, sweep.current_errors, strict=True
         ):
-            torque = torque_swept(back, _GRID, (load + friction)[:, None], (load - friction)[:, None], yields[:, None])
+            first, last = grip * (load + friction)[:, None], grip * (load - friction)[:, None]
+            torque = torque_swept(back, _GRID, first, last, yields[:, None])
             spread = np.hypot(error * constant, _MODEL_ERROR)[:, None]
             misfit += ((torque - current * constant[:, None]) / spread) ** 2
     likelihood = np.exp(-0.5 * (misfit - misfit.min())).sum(axis=0)
