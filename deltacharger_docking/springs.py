@@ -87,10 +87,9 @@ class Springs:
         which may hold back or, after the push fell, hold on; and the torque constant.
         """
         least, most = _LOAD_SHARES
-        return (
-            max((1.0 - most) * told - _HELD_BACK * self.friction_force, min(told, 0.0)),
-            (1.0 - least) * _CONSTANT_MAX * told + _HELD_ON * self.friction_force,
-        )
+        low = max((1.0 - most) * told - _HELD_BACK * self.friction_force, min(told, 0.0))
+        high = (1.0 - least) * _CONSTANT_MAX * told + _HELD_ON * self.friction_force
+        return min(low, high), max(low, high)  # a pull turns the factors' order
 
     def learn_swing(self, servos: Sequence[Swung]) -> None:
         """Take over what the servos showed of their springs and dampers; NaN = not shown."""

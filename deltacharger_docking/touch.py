@@ -130,7 +130,8 @@ class Target:
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._place.add(estimate, x, y, context.contact.force, again=self._estimated_here)
+        push = sum(context.springs.true_force(context.contact.force)) / 2.0  # gears take a share of what currents tell
+        self._place.add(estimate, x, y, push, again=self._estimated_here)
         self._estimated_here = True
         context.status.estimate = self._place.combined(estimate)
         if self._place.contradicts_itself and not stay:
@@ -148,7 +149,7 @@ class Target:
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:  # the target has moved, so earlier contacts no longer count
             self._place = TargetPlace(parameters, context.share)
-            self._place.add(estimate, x, y, context.contact.force)
+            self._place.add(estimate, x, y, push)
             self._place.choose(self._moves, self._reaches)
         return settled and safe
 

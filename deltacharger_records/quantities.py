@@ -8,7 +8,9 @@ import re
 from collections.abc import Mapping
 
 _UNITS: dict[str, tuple[float, str, int]] = {
+    "Nms_per_rad": (1.0, "N·m·s/rad", 2),
     "Nm_per_rad": (1.0, "N·m/rad", 1),
+    "Nm": (1.0, "N·m", 2),
     "m": (1e3, "mm", 1),
     "rad": (180.0 / math.pi, "°", 1),
     "A": (1.0, "A", 2),

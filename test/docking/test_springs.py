@@ -169,7 +169,7 @@ def test_readings_during_a_motion_or_at_the_current_bound_are_ignored() -> None:
 
 @pytest.mark.rest
 def test_a_soft_arm_leaves_the_magnets_so_far_that_they_do_not_pull_it_back() -> None:
-    run = charger(-8.0, -8.0, 8.0, 5, {"servo_stiffness": 2.0}, coarse=True, servo=ServoParameters(stiffness=2.0))
+    run = charger(-8.0, -8.0, 8.0, 5, {"servo_stiffness": 2.5}, coarse=True, servo=ServoParameters(stiffness=2.5))
     assert run.dock().success
     outcome = run.undock()
     assert outcome.success, outcome.message

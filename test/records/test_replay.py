@@ -138,6 +138,7 @@ def test_numbers_have_the_unit_of_their_name() -> None:
     values = {"angle_rad": 0.1, "x_m": -0.00125, "share": 0.036467, "margin_3_sigma_m": 0.005, "v_V": float("inf")}
     assert numbers(values) == "angle 5.7°, x −1.2 mm, share 0.0365, margin at 3σ 5.0 mm, v infinite"
     assert numbers({"estimated_Nm_per_rad": 17.284}) == "estimated 17.3 N·m/rad"
+    assert numbers({"damping_1_Nms_per_rad": 0.752}) == "damping 1 0.75 N·m·s/rad"
 
 
 def test_a_folder_is_listed(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
