@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.parameters import DockingParameters
 
 _DIFFERS = 5.0  # N that pads and currents may differ beyond what was learnt and how it scatters
@@ -26,13 +29,9 @@ class TwoSenses:
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
-        self._force, self._width, self._floor = (
-            parameters.magnet_force,
-            parameters.magnet_width,
-            parameters.magnet_floor,
-        )
-        self._repeats = parameters.force_repeatability
-        errors = parameters.magnet_error * self._force, parameters.force_error * self._force, _CURRENT_ERROR
+        self._pull, self._repeats = MagnetPull(parameters), parameters.force_repeatability
+        relative = parameters.magnet_error, parameters.force_error
+        errors = *(each * parameters.magnet_force for each in relative), _CURRENT_ERROR
         self.offset, self.stddev = 0.0, math.hypot(*errors)
 
     def compare(self, estimate: MisalignmentEstimate, force: float, currents_doubtful: bool) -> str:
@@ -44,8 +43,8 @@ class TwoSenses:
             currents_doubtful: whether the servos also yield other than their currents explain.
         """
         pads = estimate.left_force + estimate.right_force
-        away = math.hypot(estimate.horizontal, estimate.vertical) / self._width
-        pressed = pads - self._force * max(self._floor, 1.0 / (1.0 + away * away))
+        magnets, _, _ = self._pull.at(np.array(estimate.horizontal), estimate.across, estimate.angle)
+        pressed = pads - float(magnets)
         apart = pressed - force - self.offset
         scatter = self._repeats * pads
         if not math.isfinite(apart):
