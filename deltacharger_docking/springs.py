@@ -11,11 +11,12 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import Swung
 
+LOAD_SHARES = 0.15, 0.3
+"""Of a motor's torque, least and most that its gear takes: BAM's fits of the MX-64, without the worst."""
 _LEAST_LOAD, _LEAST_YIELD = 0.3, 0.003  # A and rad of all servos, root of the sum of squares: above noise and counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two readings in the band
 _UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play and encoder resolution
 _SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are accepted: the tested range, 2 to 40, and a margin
-_LOAD_SHARES = 0.15, 0.3  # of the torque, friction by load (BAM's fits of the MX-64, without the worst)
 _HELD_BACK, _HELD_ON = 0.5, 0.8  # of the friction in free air that may come on top; chosen on seed 43
 _CONSTANT_MAX = 1.66 / 1.463  # BAM's torque constant over the one by stall
 _LONGEST_SETTLE = 1.5  # s, of servos that hardly brake, or creep
@@ -86,7 +87,7 @@ class Springs:
         The tare takes out friction without load while pressing on. What it leaves: friction by load and by the cable,
         which may hold back or, after the push fell, hold on; and the torque constant.
         """
-        least, most = _LOAD_SHARES
+        least, most = LOAD_SHARES
         low = max((1.0 - most) * told - _HELD_BACK * self.friction_force, min(told, 0.0))
         high = (1.0 - least) * _CONSTANT_MAX * told + _HELD_ON * self.friction_force
         return min(low, high), max(low, high)  # a pull turns the factors' order

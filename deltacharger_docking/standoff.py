@@ -14,6 +14,7 @@ import math
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
+from deltacharger_docking.springs import LOAD_SHARES
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import (
     LEAST_DAMPING,
@@ -33,7 +34,6 @@ _SWINGS = 5.0  # rad of the servo's own oscillation that are recorded
 _TRIES = 4
 _PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have lapsed; between two dates of one reading
 _STRONGER = 1.3  # by which the pull must exceed the magnets
-_LOAD_SHARE = 0.3  # of a motor's torque that the gear takes when it pulls (BAM's fits: 0.15 to 0.5)
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
 _MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
@@ -182,7 +182,7 @@ def _check_pull(context: Context, target: Vector) -> None:
     parameters, springs = context.parameters, context.springs
     torque = parameters.release_current * parameters.torque_constant
     pull = context.kinematics.force(*target, (torque, torque, torque))[2]
-    left = (1.0 - _LOAD_SHARE) * pull - springs.friction_force
+    left = (1.0 - LOAD_SHARES[1]) * pull - springs.friction_force
     needed = _STRONGER * parameters.magnet_force
     if left < needed:
         raise Stuck(
