@@ -5,16 +5,20 @@ A single contact cannot distinguish an offset x along the bars from a lean of th
 with a load bias L that all contacts on one target share. The contact force depends on x alone, because the magnets'
 part of it decreases with the distance of the centres. So contacts at different places of the platform give both.
 
+While the platform lands, the magnets also draw it from its command toward the target, as far as the arm yields. That
+is a third measurement, d = share · (target − command). The share follows from the arm's lateral stiffness and the
+magnets', of which the reach is not known.
+
 For a given place of the target, all else is normal and linear. All contacts share the load bias, the gain error of h,
-and the scale errors of the pads' force, of the magnets and of their width. Each contact has its own landing error
-beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is a normal
-density. It is calculated on a grid of places, since it can have two peaks: the force is even in x.
+and the scale errors of the pads' force, of the magnets, of their width and of their draw. Each contact has its own
+landing error beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is
+a normal density. It is calculated on a grid of places, since it can have two peaks: the force is even in x.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +30,9 @@ from deltacharger_docking.place import Offset, contradicts, expected_gain
 _HALF_WIDTH, _POINTS = 0.024, 65  # m around the expected place; number of places of the grid
 _NEGLIGIBLE = 1e-6  # weight of a place
 _LEAST = 1e-12  # m²
+_EACH = 3  # measured numbers of a contact: load, force and draw
+_DRAW_ERROR = 1.0  # of the logarithm of the share's odds; magnets that reach 1 or 4 mm, not 2, are about so far off
+_DRAW_STDDEV = 0.001  # m, by friction of the gears and of the faces; chosen on seed 43
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,8 @@ class LookAlong:
         push: force of the servos on the target, N.
         across: offset across the bars, m.
         angle: rad.
+        drawn: m along x that the magnets drew the platform while it landed.
+        draw_share: share of its way from the command to the target that they are expected to draw; 0 = unknown.
     """
 
     platform: float
@@ -51,6 +60,8 @@ class LookAlong:
     push: float
     across: float
     angle: float
+    drawn: float = 0.0
+    draw_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +71,7 @@ class Plan:
     Attributes:
         gain: expected decrease of the risk of exceeding the limit.
         contacts: their number; the last one is made at the target and remains.
-        aside: offset of the target's centre in the first contact, m along the bars; 0 = at the target.
+        aside: offset of the target's centre from the first contact's command, m along the bars; 0 = at the target.
     """
 
     gain: float
@@ -101,7 +112,8 @@ class AlongFilter:
         self._parameters, self._pull = p, MagnetPull(p)
         self._foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
         shared = math.hypot(bias_stddev, p.horizontal_shared)
-        self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
+        errors = p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error, _DRAW_ERROR
+        self._prior = np.array([shared, *errors]) ** 2
         self._looks: list[LookAlong] = []
         self._weights, self._means, self._spread = np.ones(1), np.full(1, math.nan), math.inf
         self._innovations = 0.0
@@ -112,10 +124,10 @@ class AlongFilter:
         """Add the measurements of one contact; `again`: they replace the last ones."""
         self._looks[-1 if again else len(self._looks) :] = [look]
         places = self._grid()
-        rows, residual, noise, landing = self._rows(places)
+        rows, residual, noise, landing = self._rows(places, self._looks)
         joint = np.einsum("gik,k,gjk->gij", rows, self._prior, rows) + noise
         last = np.zeros_like(residual)
-        last[:, -2:] = landing[:, -2:]
+        last[:, -_EACH:] = landing[:, -_EACH:]
         of_bias = rows[:, :, 0]
         score, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
         square = (residual * score).sum(axis=1)
@@ -154,7 +166,7 @@ class AlongFilter:
     @property
     def contradicts_itself(self) -> bool:
         """Whether the contacts differ by more than their errors allow."""
-        return contradicts(self._parameters, self._innovations, 2 * len(self._looks))
+        return contradicts(self._parameters, self._innovations, _EACH * len(self._looks))
 
     def parts(self, load: float, platform: float) -> tuple[float, float]:
         """Return the parts of an offset by load (m) that the target's place and its lean cause, as expected.
@@ -185,8 +197,7 @@ class AlongFilter:
                 continue
             after = known
             for aside in way:
-                rows, noise, landing = self._foresee(aside)
-                after = after + rows.T @ np.linalg.solve(noise + np.outer(landing, landing), rows)
+                after = after + self._informs(self._expected(aside))
             foreseen, measured = self._landing(after)
             plans.append(Plan(expected_gain(now, foreseen, measured, limit), len(way) + 1, way[0] if way else 0.0))
         return plans
@@ -202,14 +213,14 @@ class AlongFilter:
         middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
-    def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
-        """Return rows (G, 2N, 5) of all contacts, residuals, noise, and the landing's part (G, 2N) for each place."""
-        count, jitter = len(self._looks), self._parameters.docking_jitter
-        rows = np.zeros((len(places), 2 * count, 5))
-        residual, landing = np.zeros((2, len(places), 2 * count))
-        noise = np.zeros((len(places), 2 * count, 2 * count))
-        for index, look in enumerate(self._looks):
-            load, force = 2 * index, 2 * index + 1
+    def _rows(self, places: Array, looks: list[LookAlong]) -> tuple[Array, Array, Array, Array]:
+        """Return rows (G, 3N, 6) of contacts, residuals, noise, and the landing's part (G, 3N) for each place."""
+        size, jitter = _EACH * len(looks), self._parameters.docking_jitter
+        rows = np.zeros((len(places), size, 6))
+        residual, landing = np.zeros((2, len(places), size))
+        noise = np.zeros((len(places), size, size))
+        for index, look in enumerate(looks):
+            load, force, draw = range(_EACH * index, _EACH * index + _EACH)
             x = places - look.platform
             pull, slope, by_width = self._pull.at(x, look.across, look.angle)
             rows[:, load, 0], rows[:, load, 1] = 1.0, x
@@ -217,41 +228,47 @@ class AlongFilter:
             residual[:, load] = look.load - x - self._bias
             residual[:, force] = look.force - pull - look.push
             landing[:, load], landing[:, force] = 1.0, slope
-            part = landing[:, load : force + 1]
+            residual[:, draw] = look.drawn - look.draw_share * (x + look.drawn)
+            rows[:, draw, 5] = look.draw_share * (1.0 - look.draw_share) * (x + look.drawn)
+            part = landing[:, load : draw + 1]
             block = jitter**2 * part[:, :, None] * part[:, None, :]
-            block[:, 0, 0] += look.load_stddev**2
-            block[:, 1, 1] += look.force_stddev**2
-            noise[:, load : force + 1, load : force + 1] = block
+            block += np.diag([look.load_stddev, look.force_stddev, _DRAW_STDDEV]) ** 2
+            noise[:, load : draw + 1, load : draw + 1] = block
         return rows, residual, noise, landing
 
     def _information(self) -> Array:
-        """Return the inverse covariance (6, 6) of place and shared errors, linearized at the estimated place."""
+        """Return the inverse covariance (7, 7) of place and shared errors, linearized at the estimated place."""
         place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
-        rows, _, noise, landing = self._rows(np.array([self.target]))
-        for index in range(len(self._looks)):
-            part = slice(2 * index, 2 * index + 2)
-            full = np.column_stack([landing[0, part], rows[0, part]])
-            known = known + full.T @ np.linalg.solve(noise[0, part, part], full)
-        return known
+        return known + sum(map(self._informs, self._looks))
 
-    def _foresee(self, aside: float) -> tuple[Array, Array, Array]:
-        """Return rows (2, 6), noise (2, 2) and landing (2,) of a contact `aside` m off the target's centre."""
+    def _linear(self, look: LookAlong) -> tuple[Array, Array, Array]:
+        """Return rows (3, 7) by place and shared errors, noise (3, 3) and landing (3,) of a contact on the target."""
+        rows, _, noise, landing = self._rows(np.array([self.target]), [look])
+        return np.column_stack([landing[0] + [0.0, 0.0, look.draw_share], rows[0]]), noise[0], landing[0]
+
+    def _informs(self, look: LookAlong) -> Array:
+        rows, noise, _ = self._linear(look)
+        return rows.T @ np.linalg.solve(noise, rows)
+
+    def _expected(self, aside: float) -> LookAlong:
+        """Return what a contact commanded `aside` m off the target's centre would be."""
         last = self._looks[-1]
-        pull, slope, by_width = (float(each) for each in self._pull.at(np.array(aside), 0.0, last.angle))
-        landing = np.array([1.0, slope])
-        shared = [[1.0, aside, 0.0, 0.0, 0.0], [0.0, 0.0, pull + last.push, pull, by_width]]
-        noise = np.diag([last.load_stddev**2, last.force_stddev**2])
-        return np.column_stack([landing, shared]), noise, landing * self._parameters.docking_jitter
+        drawn = last.draw_share * aside
+        return replace(last, platform=self.target - aside + drawn, across=0.0, drawn=drawn)
 
     def _landing(self, known: Array) -> tuple[float, float]:
         """Return the variance (m²) of the offset of a contact at the target, before and after it is measured."""
-        rows, noise, _ = self._foresee(0.0)
-        covariance = np.zeros((7, 7))
-        covariance[:6, :6] = np.linalg.inv(known)
-        covariance[6, 6] = self._parameters.docking_jitter**2
-        full = np.column_stack([rows, rows[:, 0]])
-        offset = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        look, jitter = self._expected(0.0), self._parameters.docking_jitter**2
+        rows, noise, landing = self._linear(look)
+        covariance = np.diag(np.full(8, jitter))
+        covariance[:7, :7] = np.linalg.inv(known)
+        full = np.column_stack([rows, landing])
+        offset = np.eye(8)[0] + np.eye(8)[7]
         seen = covariance @ full.T
+        noise = noise - jitter * np.outer(landing, landing)
         left = covariance - seen @ np.linalg.solve(full @ seen + noise, seen.T)
-        return float(offset @ covariance @ offset), max(float(offset @ left @ offset), _LEAST)
+        # Before, the magnets will draw the platform toward the target, wherever that is.
+        draws = look.draw_share
+        before = (1.0 - draws) ** 2 * covariance[0, 0] + (draws * _DRAW_STDDEV) ** 2 + jitter
+        return float(before), max(float(offset @ left @ offset), _LEAST)

@@ -77,7 +77,8 @@ class Context:
         self.senses = TwoSenses(parameters)
         self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
-        self.shortfall = (0.0, 0.0)  # m along x and y, by which friction kept the platform from its command in free air
+        self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed
+        self.lead = 0.0  # m along z, by which friction keeps the platform behind its command
         self.touched = math.nan  # m, z where the pads began to touch
         self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known

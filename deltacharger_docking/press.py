@@ -145,6 +145,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
     it always searches, because a direct press leaves no time to measure.
     """
     parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
+    context.drawn = math.nan
     while context.observation.servo_age > parameters.press_age_max:
         yield NEXT
     context.contact.clear()
@@ -155,7 +156,6 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
         touched = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _touches(context))
         if touched and context.position[2] < before:
             return (yield from _press_on(context))
-        _note_shortfall(context)
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
@@ -164,6 +164,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
             until=lambda: context.contact.value > parameters.current_max,
             spare=lambda: 0.5 * (parameters.current_max - context.contact.value) / rise,
         )
+        context.drawn = context.position[0] - context.commanded[0]
         if too_hard:
             yield from context.rest()
         elif not _touches(context):
@@ -182,8 +183,6 @@ def _search(context: Context, depth: float, look: Look | None = None) -> Script[
     # The first line of the search starts faster than the long one.
     legs += [(end, parameters.search_speed) for end in (expected + _PROBABLY, depth) if z < end]
     for end, speed in legs:
-        if speed < parameters.travel_speed and not _touches(context):
-            _note_shortfall(context)
         if (yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _touches(context))):
             return (yield from _press_on(context, look))
     return None
@@ -201,24 +200,19 @@ def _press_on(context: Context, look: Look | None = None) -> Script[Misalignment
     while context.time < end and context.position[2] > highest:
         highest = context.position[2]
         yield NEXT
+    context.drawn = context.position[0] - context.commanded[0]
     if look is not None and (estimate := (yield from look())) is not None:
         return estimate
     z = context.commanded[2]
-    pressing = context.position[2] + parameters.step_share * parameters.current_target / slope_expected(context)
+    pressing = context.position[2] + context.lead
+    pressing += parameters.step_share * parameters.current_target / slope_expected(context)
     yield from context.move((*_beside(context), max(z, pressing)), parameters.press_speed)
     return None
 
 
-def _note_shortfall(context: Context) -> None:
-    (x, y, _), (to_x, to_y, _) = context.position, context.commanded
-    context.shortfall = to_x - x, to_y - y
-
-
 def _beside(context: Context) -> tuple[float, float]:
     """Return the command along x and y: in contact where the magnets drew the platform, which else strains the arm."""
-    if not context.observation.tactile_contact:
-        return context.commanded[:2]
-    return context.position[0] + context.shortfall[0], context.position[1] + context.shortfall[1]
+    return (context.position if context.observation.tactile_contact else context.commanded)[:2]
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:
@@ -249,7 +243,8 @@ def _guarded(context: Context, depth: float) -> Script[None]:
         _check_depth(context, depth)
         touching = abs(before) > parameters.free_current or context.observation.tactile_contact
         if touching:
-            share = parameters.step_share if before < parameters.step_near * low else 1.0
+            far = before < parameters.step_near * low
+            share = parameters.step_share ** (far + overshoots)  # a worn gear holds, then gives way
             step = share * (parameters.current_target - before) / slope
             stiff = (parameters.step_current_max - before) / expected  # soft springs may bottom within the step
             step = min(step, parameters.step_max, max(stiff, 0.0))

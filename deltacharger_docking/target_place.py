@@ -52,10 +52,20 @@ class TargetPlace:
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def add(self, estimate: MisalignmentEstimate, x: float, y: float, push: float, again: bool = False) -> None:
+    def add(
+        self,
+        estimate: MisalignmentEstimate,
+        x: float,
+        y: float,
+        push: float,
+        drawn: float = math.nan,
+        draw_share: float = 0.0,
+        again: bool = False,
+    ) -> None:
         """Add the estimate of a contact of the platform at (x, y), m, under the servos' push (N).
 
-        `again`: replaces the earlier estimate of this contact.
+        The magnets drew the platform by `drawn` (m along x, NaN = unknown) while it landed; `draw_share` of its way
+        from the command to the target was expected. `again`: replaces the earlier estimate of this contact.
         """
         p = self._parameters
         if math.isnan(self._turn):
@@ -68,9 +78,10 @@ class TargetPlace:
         spread = p.force_repeatability * math.hypot(estimate.left_force, estimate.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
-        self._along.update(
-            LookAlong(x, estimate.horizontal, own, force, spread, push, estimate.across, estimate.angle), again
-        )
+        if not math.isfinite(drawn):
+            drawn, draw_share = 0.0, 0.0
+        pads = estimate.horizontal, own, force, spread, push, estimate.across, estimate.angle
+        self._along.update(LookAlong(x, *pads, drawn, draw_share), again)
         self._load = estimate.horizontal
         along, across = self._along.target - x, self._across.target - platform
         self.off = along, (across + along * sine) / cosine

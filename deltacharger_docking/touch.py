@@ -29,6 +29,8 @@ from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.target_place import TargetPlace
 
+_DRAWS = 1e-3  # m, times force/width²: lateral stiffness of magnets while the platform lands; chosen on seed 43
+
 
 def measure(context: Context) -> Script[MisalignmentEstimate]:
     """Return the misalignment that the pads measure, sure or not.
@@ -131,7 +133,7 @@ class Target:
         self._unsure_here = 0
         x, y, _ = context.position
         push = sum(context.springs.true_force(context.contact.force)) / 2.0  # gears take a share of what currents tell
-        self._place.add(estimate, x, y, push, again=self._estimated_here)
+        self._place.add(estimate, x, y, push, context.drawn, self._draw_share, self._estimated_here)
         self._estimated_here = True
         context.status.estimate = self._place.combined(estimate)
         if self._place.contradicts_itself and not stay:
@@ -201,6 +203,15 @@ class Target:
             text = "this contact is too far from the target" if self._pays else "clearance is not sure yet"
             context.decide("again", f"{text}: the contact is repeated", risk=risk, x_m=x, y_m=y)
         return x, y
+
+    @property
+    def _draw_share(self) -> float:
+        """Share of its way from the command to the target that the magnets draw the platform while it lands."""
+        context, p = self._context, self._context.parameters
+        a, b, c = context.kinematics.jacobian(*context.position)[:3]
+        arm = context.springs.stiffness / (a * a + b * b + c * c)
+        magnets = _DRAWS * p.magnet_force / p.magnet_width**2
+        return magnets / (magnets + arm)
 
     @property
     def _pays(self) -> bool:

@@ -72,7 +72,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
 
 @pytest.mark.parametrize("z", [rest(-8.0), rest(-3.0), rest(3.0), 8.0])
 def test_a_wrong_known_place_does_no_harm(z: float) -> None:
-    run = charger(6, 6, seed=2)
+    run = charger(9, 6, seed=2)
     until_lifted(run)
     context = run.machine._context
     assert context.known_contact is not None
@@ -86,7 +86,7 @@ def test_a_wrong_known_place_does_no_harm(z: float) -> None:
 
 @pytest.mark.parametrize("place", [rest((4.0, 0.0)), rest((0.0, -4.0)), (-3.0, 3.0)])
 def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place: tuple[float, float]) -> None:
-    run = charger(6, 6, coarse=True)  # of 15 dockings with seeds 1 to 5, one ends with ESTIMATE_UNSURE
+    run = charger(9, 6, coarse=True)  # of 15 dockings with seeds 1 to 5, one ends with ESTIMATE_UNSURE
     until_lifted(run)
     move_target(run, *place)
     assert run.finish(120.0).success
@@ -97,7 +97,7 @@ def test_a_target_that_moved_between_two_presses_is_found_at_its_new_place(place
 
 
 def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
-    run = charger(6, 6, seed=2, coarse=True)
+    run = charger(9, 6, seed=2, coarse=True)
     until_lifted(run)
     move_target(run, z=60.0)
     assert run.finish(120.0).code is Code.NO_CONTACT
@@ -116,7 +116,7 @@ def test_a_wrong_given_place_causes_no_harder_impact(z: float) -> None:
 
 @pytest.mark.parametrize("again", [False, True])
 def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -> None:
-    run = charger(6, 6, seed=2)
+    run = charger(9, 6, seed=2)
     if again:
         until_lifted(run)
     else:
@@ -145,7 +145,7 @@ def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
     [*((line, Code.CANCELED) for line in range(5)), *(rest(line, Code.SERVO_FAULT) for line in range(5))],
 )
 def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, code: Code) -> None:
-    run = charger(6, 6, seed=2)
+    run = charger(9, 6, seed=2)
     run.begin(DockGoal(GOAL))
     run.until(lines(run)[line], 60.0)
     if code is Code.CANCELED:

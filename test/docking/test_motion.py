@@ -106,7 +106,7 @@ def test_an_arm_outside_its_limits_is_not_moved() -> None:
 
 def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
     # The rods allow the given place and where the magnets draw the arm, but not the target, which touch requests.
-    given, real = (0.048, 0.0, 0.080), 0.060
+    given, real = (0.048, 0.0, 0.080), 0.058
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
     run = charger(DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod)), real)
     outcome = run.dock(DockGoal(ElectrodePose(given, 0.0), start_charging=False))

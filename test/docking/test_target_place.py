@@ -67,6 +67,18 @@ def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camer
     assert abs(felt.horizontal) > 3.0 * abs(estimate.horizontal)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
+def test_how_far_magnets_drew_the_platform_shows_the_target_also_if_they_reach_less_or_farther(share: float) -> None:
+    target, blind, place = 5.0 * MILLIMETRE, target_place(PARAMETERS, seen()), target_place(PARAMETERS, seen())
+    drawn = share * target
+    felt = contact(target - drawn)
+    blind.add(felt, drawn, 0.0, PUSH)
+    place.add(felt, drawn, 0.0, PUSH, drawn, 0.55)
+    estimate = place.combined(felt)
+    assert estimate.horizontal_stddev < 0.8 * blind.combined(felt).horizontal_stddev
+    assert abs(estimate.horizontal - felt.horizontal) < 2.0 * estimate.horizontal_stddev
+
+
 def test_a_change_of_loads_within_one_contact_is_a_slide_and_not_a_lean() -> None:
     place, felt = target_place(PARAMETERS, seen(2.0, 0.1)), contact(0.0, 2.0)
     place.add(felt, 0.0, 0.0, PUSH)
