@@ -72,7 +72,7 @@ class DockingParameters(Bounded):
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
     travel_speed: float = tunable(0.12, 0.005, 0.5, "m/s", "peak speed in free air")
     approach_speed: float = tunable(0.25, 0.005, 0.5, "m/s", "peak speed toward the standoff")
-    run_up_speed: float = tunable(0.04, 0.001, 0.1, "m/s", "peak speed of the run-up before the tare")
+    run_up_speed: float = tunable(0.045, 0.001, 0.1, "m/s", "peak speed of the run-up before the tare")
     search_speed: float = tunable(0.02, 0.001, 0.1, "m/s", "peak speed where contact is possible")
     press_speed: float = tunable(0.025, 0.001, 0.1, "m/s", "peak speed of steps, and near a known contact")
     standoff: float = tunable(0.018, 0.005, 0.05, "m", "distance before the expected contact where the force is tared")

@@ -35,6 +35,7 @@ _TRIES = 4
 _PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have lapsed; between two dates of one reading
 _STRONGER = 1.3  # by which the pull must exceed the magnets
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
+_LONGEST_RUN_UP = 0.02  # m
 _MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
 
@@ -53,7 +54,9 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.check_way(standoff)  # before anything moves
     yield from _check_swing(context, standoff[2])
     yield from context.move(standoff, parameters.approach_speed, settle=False)
-    run_up = parameters.run_up * max(1.0, context.springs.softness)
+    lag = max(standoff[2] - context.position[2], 0.0)  # by friction, which the run-up must reverse twice
+    speed *= min(1.0, context.springs.softness)  # stiff servos overshoot, which turns friction's sign
+    run_up = max(parameters.run_up * max(1.0, context.springs.softness), min(2.0 * lag, _LONGEST_RUN_UP))
     for _ in range(_LONGER):
         yield from context.move((x, y, max(standoff[2] - run_up, min(parameters.home_z, standoff[2]))), speed)
         down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
@@ -67,6 +70,7 @@ def approach(context: Context, target: Vector) -> Script[None]:
         _learn_friction(context, down, currents)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
+    context.lead = standoff[2] - context.position[2]
     _check_pull(context, target)
 
 

@@ -257,7 +257,7 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
     assert 0.4 <= run.machine.status.contact_current <= 0.5
     hottest = max(map(abs, currents(run)))
     eased = dict(decisions(sent, "eased")[0].values)
-    assert eased["slip_m"] < 0.1 * MILLIMETRE
+    assert eased["slip_m"] < 0.2 * MILLIMETRE, "one count of an encoder at most"
     assert hottest < 0.57
     model = ThermalModel()
     model.update(hottest, HELD)
