@@ -106,7 +106,7 @@ def _release(context: Context) -> Script[None]:
         time_s=context.time - begun,
         followed_m=z - parted,
     )
-    context.commanded = back = (x, y, min(here[2], parted - _BACK, free))
+    context.commanded = back = (x, y, min(here[2], max(min(parted - _BACK, free), parameters.home_z)))
     try:
         goal = context.planner.line(here, back, parameters.travel_speed)[-1]
     except DockingError:
