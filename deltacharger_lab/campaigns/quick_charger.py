@@ -179,7 +179,9 @@ class QuickCharger(VirtualCharger):
     def _pass(self, ticks: int, standing: bool) -> None:
         """Let `ticks` of 10 ms pass, feeding the machine the readings that its next decision needs."""
         world, start, waits = self.world, self.now, self._waits
-        from_then_on = self._quiet_until() - (self.parameters.contact_window + _MORE) if waits.reads else math.inf
+        # While live, the contact current is checked after each of these steps.
+        decides = start + ticks * TICK if self._energised else self._quiet_until() if waits.reads else math.inf
+        from_then_on = decides - (self.parameters.contact_window + _MORE)
         if standing:
             world.step(ticks * TICK)
         most = self._world_ticks()

@@ -66,7 +66,7 @@ def reach(run: VirtualCharger, state: State, goal: DockGoal | None = None) -> No
 
 def spoil(run: VirtualCharger, **values: Any) -> None:
     """Replace these values of every observation from now on; without values, none."""
-    run.distort = lambda seen: replace(seen, **values)
+    run.distort = lambda seen: replace(seen, **{"earlier": (), **values}) if values else seen
 
 
 def feel(run: VirtualCharger, times: int = 10**9, **values: Any) -> None:
