@@ -146,7 +146,10 @@ REFUSED = {
     "doctor --scene simulated --servo-port /dev/null": "simulated",
     "doctor --port /dev/null": "--port",
 }
-LIBRARIES = {"view": ("rerun", "mcap"), "vision": ("cv2", "mcap"), "replay": ("mcap",), RECORD[:14]: ("mcap",)}
+LIBRARIES = {
+    **{"view": ("rerun", "mcap"), "vision": ("cv2", "mcap"), "replay": ("mcap",), RECORD[:14]: ("mcap",)},
+    "report tactile --quick": ("sklearn",),
+}
 
 
 @pytest.fixture(scope="module")
