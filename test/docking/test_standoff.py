@@ -175,6 +175,14 @@ def test_a_target_that_comes_along_is_never_left_as_undocked_while_it_touches(br
     assert run.machine.status.docked is touches
 
 
+def test_a_target_that_touched_on_the_way_home_rolls_although_the_pads_are_free_there() -> None:
+    run = charger(0.0, 0.0, 0.0)
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    way = run.world.mechanics
+    run.distort = lambda seen: replace(seen, tactile_contact=seen.tactile_contact or 0.02 < way.position[2] < 0.04)
+    assert run.undock().code is Code.TARGET_ROLLS
+
+
 FELT = replace(MisalignmentEstimate(0.0, 0.0, 0.0, 0.001, 0.001, 0.001), left_force=38.0, right_force=39.0)
 """Pads under 60 N of magnets and a push of 17 N."""
 
