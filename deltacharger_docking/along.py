@@ -204,8 +204,10 @@ class AlongFilter:
 
     def _empties(self, aside: float) -> bool:
         """Return whether a contact with the target's centre `aside` m off would leave a pad almost empty."""
-        pull, _, _ = self._pull.at(np.array(aside), 0.0, self._looks[-1].angle)
-        return abs(self.bias + aside) > empty_pad_offset(self._parameters, float(pull) + self._looks[-1].push)
+        last = self._looks[-1]
+        aside *= 1.0 - last.draw_share
+        pull, _, _ = self._pull.at(np.array(aside), 0.0, last.angle)
+        return abs(self.bias + aside) > empty_pad_offset(self._parameters, float(pull) + last.push)
 
     def _grid(self) -> Array:
         """Return the places (G,) of the grid, m."""
@@ -269,6 +271,5 @@ class AlongFilter:
         noise = noise - jitter * np.outer(landing, landing)
         left = covariance - seen @ np.linalg.solve(full @ seen + noise, seen.T)
         # Before, the magnets will draw the platform toward the target, wherever that is.
-        draws = look.draw_share
-        before = (1.0 - draws) ** 2 * covariance[0, 0] + (draws * _DRAW_STDDEV) ** 2 + jitter
+        before = (1.0 - look.draw_share) ** 2 * covariance[0, 0] + _DRAW_STDDEV**2 + jitter
         return float(before), max(float(offset @ left @ offset), _LEAST)

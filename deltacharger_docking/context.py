@@ -78,7 +78,7 @@ class Context:
         self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
         self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed
-        self.lead = 0.0  # m along z, by which friction keeps the platform behind its command
+        self.lead: Vector = (0.0, 0.0, 0.0)  # m, by which friction and cable keep the platform from its command
         self.touched = math.nan  # m, z where the pads began to touch
         self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known

@@ -164,7 +164,8 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
             until=lambda: context.contact.value > parameters.current_max,
             spare=lambda: 0.5 * (parameters.current_max - context.contact.value) / rise,
         )
-        context.drawn = context.position[0] - context.commanded[0]
+        if _touches(context):
+            _note_drawn(context)
         if too_hard:
             yield from context.rest()
         elif not _touches(context):
@@ -200,19 +201,25 @@ def _press_on(context: Context, look: Look | None = None) -> Script[Misalignment
     while context.time < end and context.position[2] > highest:
         highest = context.position[2]
         yield NEXT
-    context.drawn = context.position[0] - context.commanded[0]
+    _note_drawn(context)
     if look is not None and (estimate := (yield from look())) is not None:
         return estimate
     z = context.commanded[2]
-    pressing = context.position[2] + context.lead
+    pressing = context.position[2] + context.lead[2]
     pressing += parameters.step_share * parameters.current_target / slope_expected(context)
     yield from context.move((*_beside(context), max(z, pressing)), parameters.press_speed)
     return None
 
 
+def _note_drawn(context: Context) -> None:
+    context.drawn = context.position[0] - context.commanded[0] + context.lead[0]
+
+
 def _beside(context: Context) -> tuple[float, float]:
     """Return the command along x and y: in contact where the magnets drew the platform, which else strains the arm."""
-    return (context.position if context.observation.tactile_contact else context.commanded)[:2]
+    if not context.observation.tactile_contact:
+        return context.commanded[:2]
+    return context.position[0] + context.lead[0], context.position[1] + context.lead[1]
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:

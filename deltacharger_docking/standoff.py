@@ -35,7 +35,7 @@ _TRIES = 4
 _PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have lapsed; between two dates of one reading
 _STRONGER = 1.3  # by which the pull must exceed the magnets
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
-_LONGEST_RUN_UP = 0.02  # m
+_LAGS, _LONGEST_RUN_UP = 3.0, 0.02  # what a run-up must exceed to follow by _LOOSE; m
 _MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
 
@@ -54,9 +54,9 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.check_way(standoff)  # before anything moves
     yield from _check_swing(context, standoff[2])
     yield from context.move(standoff, parameters.approach_speed, settle=False)
-    lag = max(standoff[2] - context.position[2], 0.0)  # by friction, which the run-up must reverse twice
+    lag = max(standoff[2] - context.position[2], 0.0)  # mostly by friction, which a run-up reverses
     speed *= min(1.0, context.springs.softness)  # stiff servos overshoot, which turns friction's sign
-    run_up = max(parameters.run_up * max(1.0, context.springs.softness), min(2.0 * lag, _LONGEST_RUN_UP))
+    run_up = max(parameters.run_up * max(1.0, context.springs.softness), min(_LAGS * lag, _LONGEST_RUN_UP))
     for _ in range(_LONGER):
         yield from context.move((x, y, max(standoff[2] - run_up, min(parameters.home_z, standoff[2]))), speed)
         down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
@@ -70,7 +70,8 @@ def approach(context: Context, target: Vector) -> Script[None]:
         _learn_friction(context, down, currents)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
-    context.lead = standoff[2] - context.position[2]
+    a, b, c = (goal - now for goal, now in zip(standoff, context.position, strict=True))
+    context.lead = a, b, c
     _check_pull(context, target)
 
 
@@ -145,17 +146,14 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
     """Take half of the difference between weighing forward, now, and back: force (N) and currents (A)."""
     parameters, contact, springs = context.parameters, context.contact, context.springs
     springs.friction_force = max(0.5 * (contact.force - down), 0.0)
-    constant, held = (
-        parameters.torque_constant,
-        context.kinematics.holding_torque(*context.position, parameters.gravity),
-    )
+    constant = parameters.torque_constant
+    held = context.kinematics.holding_torque(*context.position, parameters.gravity)
     forward = [constant * current for current in contact.currents]
     halves = [0.5 * (now - constant * then) for now, then in zip(forward, currents, strict=True)]
     a, b, c = (max(half, 0.0) for half in halves)
     springs.friction = a, b, c
-    a, b, c = (
-        max(abs(now) - abs(weight), rubs) for now, weight, rubs in zip(forward, held, springs.friction, strict=True)
-    )
+    each = zip(forward, held, springs.friction, strict=True)
+    a, b, c = (max(abs(now) - abs(weight), rubs) for now, weight, rubs in each)
     springs.beyond_weight = a, b, c
     context.decide(
         "friction",
@@ -168,9 +166,8 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
         return
     worst = max(range(3), key=lambda index: springs.friction[index])
     others = [value for index, value in enumerate(springs.friction) if index != worst]
-    culprit = (
-        f"the gear of servo {worst + 1}" if springs.friction[worst] > _APART * max(others) else "the cable or all gears"
-    )
+    alone = springs.friction[worst] > _APART * max(others)
+    culprit = f"the gear of servo {worst + 1}" if alone else "the cable or all gears"
     raise ServoFailure(
         f"{culprit} rubs: free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A; free the cable, or replace "
         "the servo"

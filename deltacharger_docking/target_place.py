@@ -78,7 +78,7 @@ class TargetPlace:
         spread = p.force_repeatability * math.hypot(estimate.left_force, estimate.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
-        if not math.isfinite(drawn):
+        if not (draw_share > 0.0 and math.isfinite(drawn)):
             drawn, draw_share = 0.0, 0.0
         pads = estimate.horizontal, own, force, spread, push, estimate.across, estimate.angle
         self._along.update(LookAlong(x, *pads, drawn, draw_share), again)

@@ -97,7 +97,7 @@ def test_the_guarded_approach_rests_in_the_band_whatever_the_stiffness_and_depth
 
 @pytest.mark.parametrize(("signal", "code"), [("sum", Code.NO_TACTILE_CONTACT), ("contact", Code.NO_CONTACT)])
 def test_the_raw_sum_of_currents_reads_docked_in_free_air(signal: str, code: Code) -> None:
-    parameters = {"current_signal": signal, "current_min": 0.3}
+    parameters = {"current_signal": signal, "current_min": 0.3, "current_max": 0.6}
     run = quick_charger(parameters=parameters, target=TargetParameters(present=False))
     assert run.dock().code is code
     assert_safe_at_home(run)
