@@ -79,7 +79,7 @@ class Context:
         self.known_contact: KnownContact | None = None  # on the present target
         self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed
         self.lead: Vector = (0.0, 0.0, 0.0)  # m, by which friction and cable keep the platform from its command
-        self.touched = math.nan  # m, z where the pads began to touch
+        self.touched = self.felt = math.nan  # m, z where the pads began to touch, and where they last did
         self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known
         self.deadline = math.inf
@@ -121,8 +121,10 @@ class Context:
             self.contact.update(self.time, observation.angles, observation.currents)
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
-        if observation.tactile_contact and not self.observation.tactile_contact:
-            self.touched = self.position[2]
+        if observation.tactile_contact:
+            self.felt = self.position[2]
+            if not self.observation.tactile_contact:
+                self.touched = self.felt
         self.observation = observation
         self._calls.receive(observation.replies)
         power = observation.charge_current * observation.target_voltage

@@ -127,9 +127,9 @@ def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -
 
 
 def touches(context: Context) -> bool:
-    """Return whether fresh frames of the pads show contact."""
+    """Return whether fresh frames of tared pads show contact."""
     observation = context.observation
-    return observation.tactile_contact and observation.tactile_age <= context.parameters.press_age_max
+    return observation.tared and observation.tactile_contact and observation.tactile_age <= context.parameters.press_age_max
 
 
 def _pull(

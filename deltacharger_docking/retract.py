@@ -10,7 +10,7 @@ from deltacharger_docking.codes import ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise
 from deltacharger_docking.observation import Service
-from deltacharger_docking.release import lift_off, rolls, touches
+from deltacharger_docking.release import REACH, lift_off, rolls, touches
 
 _OFF_TIME = 0.1  # s: servo_node switches the torque off within some cycles
 
@@ -44,7 +44,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         context.touched = math.nan
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
         yield from context.wait(context.springs.settle_time)
-        if touches(context) or math.isfinite(context.touched):  # a light touch at the end hides below 1 N
+        if touches(context) or context.touched - context.felt > REACH:  # at the end it may touch too lightly to feel
             raise rolls(context, "it followed the arm home")
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)

@@ -16,7 +16,7 @@ import pytest
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters
 
 from ..marks import rest
 from .dockings import (
@@ -382,6 +382,12 @@ def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
     run = docked(start_charging=False, contact=ContactParameters(stiffness=4e3))
     assert run.undock().success
     assert away(run) < 0.004, "success only at home"
+
+
+def test_undocking_an_arm_below_home_stays_in_its_reach() -> None:
+    run = quick_charger(parameters={"home_z": 0.03}, target=TargetParameters(present=False))
+    assert run.undock().success
+    assert run.world.snapshot().position[2] == pytest.approx(0.03, abs=0.002)
 
 
 def test_undocking_moves_a_limp_arm_home_even_without_contact_at_the_pads() -> None:
