@@ -123,8 +123,7 @@ class Context:
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
         if observation.tactile_contact:
             self.felt = self.position[2]
-            if not self.observation.tactile_contact:
-                self.touched = self.felt
+            self.touched = self.touched if self.observation.tactile_contact else self.felt
         self.observation = observation
         self._calls.receive(observation.replies)
         power = observation.charge_current * observation.target_voltage

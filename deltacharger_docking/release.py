@@ -128,8 +128,8 @@ def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -
 
 def touches(context: Context) -> bool:
     """Return whether fresh frames of tared pads show contact."""
-    observation = context.observation
-    return observation.tared and observation.tactile_contact and observation.tactile_age <= context.parameters.press_age_max
+    seen, oldest = context.observation, context.parameters.press_age_max
+    return seen.tared and seen.tactile_contact and seen.tactile_age <= oldest
 
 
 def _pull(
