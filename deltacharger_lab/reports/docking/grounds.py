@@ -65,11 +65,12 @@ CHOICES = (
     ),
     Choice(
         (
-            *("approach_speed", "travel_speed", "search_speed", "press_speed", "run_up_speed"),
+            *("approach_speed", "travel_speed", "search_speed", "press_speed"),
             *("search_from", "near", "lift", "settle_touching", "drift_max"),
         ),
         f"a trial on seeds of the family 777001, then seeds {_SEEDS}",
     ),
+    Choice(("run_up", "run_up_speed"), "seeds 5 and 43; so was the magnets' draw along the bars, in code"),
     Choice(
         (
             "band_margin",
