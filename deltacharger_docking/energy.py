@@ -288,8 +288,8 @@ class Watch:
         context, parameters = self._context, self._context.parameters
         if context.observation.servo_age > parameters.press_age_max:
             return None
-        lowest = self._z - parameters.contact_lost_retreat
-        if context.contact.value < parameters.contact_lost_current or context.position[2] < lowest:
+        lowest, contact = self._z - parameters.contact_lost_retreat, context.contact
+        if contact.value + contact.currents_error < parameters.contact_lost_current or context.position[2] < lowest:
             return NoContact("contact was lost while the electrodes were live; the target moved")
         return None
 
