@@ -51,7 +51,7 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
     if not observation.tactile_contact:
         raise NoTactileContact(
             f"the servos push with {context.contact.value:.2f} A but no taxel measures 1 N: the pads missed the "
-            "target's ridges, or there is an obstacle"
+            "target's ridges, there is an obstacle, or gears or cable rub more than at the tare"
         )
     context.decide(
         "contact",

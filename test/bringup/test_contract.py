@@ -147,7 +147,10 @@ REFUSED = {
     "doctor --port /dev/null": "--port",
 }
 LIBRARIES = {
-    **{"view": ("rerun", "mcap"), "vision": ("cv2", "mcap"), "replay": ("mcap",), RECORD[:14]: ("mcap",)},
+    "view": ("rerun", "mcap"),
+    "vision": ("cv2", "mcap"),
+    "replay": ("mcap",),
+    RECORD[:14]: ("mcap",),
     "report tactile --quick": ("sklearn",),
 }
 
