@@ -42,7 +42,7 @@ RUNS = {
     "detect_in_a_picture.py": ("{}/a.png", "cv2", r"charger_base: \[ *1[12]\..*roll 4\.\d ± 0.*off by [01]\.\d\d mm"),
     "change_a_threshold.py": (
         *("0.0003 0.002", ""),
-        r"0\.0003 m: 1\d of 20 charged, .* 0\.\d mm, .* for 0\.0 s.*0\.002 m: 0 of 20 charged, .* for 0\.0 s",
+        r"0\.0003 m: 1\d of 20 charged, .* \d\.\d mm, .* for 0\.0 s.*0\.002 m: 0 of 20 charged, .* for 0\.0 s",
     ),
 }
 ELSEWHERE = {"charge_robot.py": "test/bringup/test_fleet_page.py", "send_a_goal.py": "below", "charger.yaml": "below"}

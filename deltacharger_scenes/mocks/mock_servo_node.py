@@ -106,13 +106,14 @@ class MockServoNode(Node):
         period = 1.0 / self._rate
         due = last = time.monotonic()
         while not self._stop.wait(max(due - time.monotonic(), 0.0)):
-            now = time.monotonic()
+            now, stamp = time.monotonic(), self.get_clock().now().to_msg()
             with self._lock:
                 self._apply_fault()
                 self._goals.advance(now)
                 self._arm.goals, self._arm.bounds = list(self._goals.angles), list(self._goals.bounds)
                 self._arm.advance(min(now - last, 0.1))
                 message = self._message()
+                message.header.stamp = stamp  # of the arm, however long this takes
             last = now
             due = max(due + period, now - period)
             if self._fault.active() != "silence" and self.context.ok():
@@ -127,7 +128,6 @@ class MockServoNode(Node):
 
     def _message(self) -> ServoState:
         message = ServoState()
-        message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._frame_id
         message.name = list(JOINTS)
         current = self._arm.currents
