@@ -65,7 +65,7 @@ class Line:
     def clearPort(self) -> None:  # noqa: N802
         return None
 
-    def drain(self) -> None:
+    def drain(self, quiet: float = 0.0) -> None:
         return None
 
     def setPacketTimeout(self, length: int) -> None:  # noqa: N802

@@ -197,11 +197,13 @@ class ServoLink:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `read`.
         """
         self._begin(hurry)
-        result = COMM_RX_TIMEOUT
+        began, result = self._handler.now(), COMM_RX_TIMEOUT
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
             data, result, code = question()
             if result == COMM_SUCCESS:
+                if attempt:  # the answer to an earlier attempt may be late; then those to later ones still come
+                    self._handler.drain(self._handler.now() - began)
                 if code & ~ALERT:
                     raise ServoFault(servo, action, describe_status_error(code), code)
                 return data

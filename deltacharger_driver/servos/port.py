@@ -122,17 +122,15 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         """Timeout of a short reply, s."""
         return 2.0 * self.latency + self.margin
 
-    def drain(self) -> None:
-        """Discard bytes until the line is quiet: a late reply must not answer the next request.
+    def drain(self, quiet: float = 0.0) -> None:
+        """Discard bytes until none came for `quiet` s: a late reply must not answer the next request.
 
         Raises:
             PortGone: the port vanished.
         """
-        end = self.now() + _DRAIN_LONGEST
-        quiet = 2.0 * self.latency
-        while self._wait(min(quiet, end - self.now())):
+        end = self.now() + quiet + _DRAIN_LONGEST
+        while self._wait(min(max(quiet, 2.0 * self.latency), end - self.now())):
             self._buffer.clear()
-        self._buffer.clear()
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to `length` bytes; wait for the first one, at most until the packet's timeout.

@@ -57,6 +57,7 @@ def test_a_late_reply_never_answers_another_question(link: ServoLink, emulator: 
         link.sync_read((1,), POSITION, 4)
         try:
             assert link.read(1, "temperature") == 30
+            assert link.read(1, "secondary_id") == 255  # as long: only waiting tells it from the other
         except NoAnswer:
             continue
     emulator.faults.delay = 0.0
