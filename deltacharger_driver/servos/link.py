@@ -202,7 +202,7 @@ class ServoLink:
             self.counters.retries += attempt > 0
             data, result, code = question()
             if result == COMM_SUCCESS:
-                if attempt:  # the answer to an earlier attempt may be late; then those to later ones still come
+                if attempt and data is not None:  # a late answer to an earlier attempt; more come. Writes are read back
                     self._handler.drain(self._handler.now() - began)
                 if code & ~ALERT:
                     raise ServoFault(servo, action, describe_status_error(code), code)

@@ -123,7 +123,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return 2.0 * self.latency + self.margin
 
     def drain(self, quiet: float = 0.0) -> None:
-        """Discard bytes until none came for `quiet` s: a late reply must not answer the next request.
+        """Discard bytes until none came for `quiet` s, at least two USB frames: a late reply must not answer another.
 
         Raises:
             PortGone: the port vanished.

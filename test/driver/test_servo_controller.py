@@ -94,6 +94,21 @@ def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -
     assert reports[2].torque_enabled[0]  # the last known
 
 
+def test_a_reply_lost_while_torque_goes_on_does_not_silence_the_bus(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = rig.controller.bus._link.write
+
+    def lossy(servo: int, name: str, value: int, hurry: bool = False) -> None:
+        if (servo, name, value) == (2, "torque_enable", 1):
+            rig.emulator.faults.next_reply("drop", 2)
+        write(servo, name, value, hurry)
+
+    monkeypatch.setattr(rig.controller.bus._link, "write", lossy)
+    rig.torque_on()
+    rig.cycle()
+    assert rig.controller.bus.counters.retries == 1
+    assert rig.controller.watchdog_trips == 0
+
+
 def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
     rig.torque_on()
     assert not rig.ask("reboot").success
