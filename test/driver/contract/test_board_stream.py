@@ -49,8 +49,11 @@ def test_hello_is_the_same_each_time(host: BoardHost) -> None:
 def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rate: float) -> None:
     host.link.set_rate(rate)
     assert host.link.hello().rate == rate
-    frames = host.stream(12)
-    assert (frames[-1].sequence - frames[0].sequence) / seconds(frames) == pytest.approx(rate, rel=0.02)
+    frames = host.stream(24)
+    # The median over half the frames: this computer reads single ones late, by some milliseconds.
+    ends = zip(frames, frames[12:], strict=False)
+    period = statistics.median(seconds([a, b]) / (b.sequence - a.sequence) for a, b in ends)
+    assert 1.0 / period == pytest.approx(rate, rel=0.02)
 
 
 def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost) -> None:
