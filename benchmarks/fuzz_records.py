@@ -115,7 +115,7 @@ def of_campaigns(folder: Path) -> Iterator[Reader]:
 
     pyarrow.set_cpu_count(1)
     content = dict(load_campaign_scene("random").content)
-    settings = CampaignSettings(4, 3, "guarded", False, content, "random", {"python": "3"})
+    settings = CampaignSettings(4, 3, False, content, "random", {"python": "3"})
     schema = _schema(pyarrow, settings)
     values = {pyarrow.int64(): 5, pyarrow.float64(): 0.5, pyarrow.bool_(): True, pyarrow.string(): "charged at once"}
     rows = [{item.name: values[item.type] for item in schema} | {"number": number} for number in range(4)]

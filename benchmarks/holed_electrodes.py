@@ -30,7 +30,7 @@ def dock(scene: str, seed: int, model: Path | None, number: int) -> dict[str, An
     """Run one docking, with a trained model instead of the packaged one."""
     if model is not None:
         virtual_charger.packaged_model = functools.partial(load, model)
-    return dock_once(load_campaign_scene(scene), seed, number, "guarded")
+    return dock_once(load_campaign_scene(scene), seed, number)
 
 
 def summary(rows: list[dict[str, Any]]) -> str:

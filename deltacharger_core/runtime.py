@@ -6,20 +6,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import socket
 import stat
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from deltacharger_core.bounded_file import parse_json
 from deltacharger_core.picklable import Picklable
 
 CONTROL = "control"
 """Name of a simulated charger's command socket, beside its ports."""
-_TERMINALS = "/dev/pts/"
-_PATIENCE = 0.5  # s
-_LONGEST_ANSWER = 16384  # bytes
 
 
 class Taken(Picklable):
@@ -50,44 +44,6 @@ def servos(domain: int, namespace: str) -> Path:
     """Return the path of the servo port of a charger whose servos are connected to its board."""
     path = charger(domain, namespace)
     return path.with_name(f"{path.name}.servos")
-
-
-def is_simulated(port: str) -> bool:
-    """Return whether a serial port belongs to a simulated charger that runs on this computer.
-
-    The port must be a pseudo-terminal, and the charger that listens on the socket beside it must confirm that it serves
-    this port. No setting can claim it: a robot's port is no pseudo-terminal, and no charger confirms a pseudo-terminal
-    that forwards to a cable. False if unknown.
-    """
-    try:
-        path, terminal = Path(port), os.path.realpath(port)
-        if not terminal.startswith(_TERMINALS) or not path.exists():
-            return False
-        answer = parse_json(_ask_for_ports(path.parent))
-    except (OSError, ValueError):
-        return False
-    ports = answer.get("ports") if isinstance(answer, dict) else None
-    return isinstance(ports, list) and terminal in ports
-
-
-def _ask_for_ports(folder: Path) -> str:
-    """Return the answer of a folder's charger, or the part received within _PATIENCE."""
-    end, answer = time.monotonic() + _PATIENCE, b""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # the path may be too long for a socket address
-    try:
-        with socket.socket(socket.AF_UNIX) as charger:
-            charger.settimeout(_PATIENCE)
-            charger.connect(f"/proc/self/fd/{descriptor}/{CONTROL}")
-            charger.sendall(b'{"command": "ports"}\n')
-            while not answer.endswith(b"\n") and len(answer) < _LONGEST_ANSWER:
-                charger.settimeout(max(end - time.monotonic(), 1e-3))
-                more = charger.recv(_LONGEST_ANSWER)
-                if not more:
-                    break
-                answer += more
-    finally:
-        os.close(descriptor)
-    return answer.decode()
 
 
 def make(folder: Path) -> None:

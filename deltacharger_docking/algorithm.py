@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Algorithm 1 of the paper, line by line.
 
-1 coordinates of the electrodes; 2 go there; 3 if that already pushes too hard, back off once; 4 press until the
-current is in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15 times, move and press
-again; start charging. Failures are exceptions, after which the machine retracts: the paper's line 7. `published` runs
-steps 5 and 6 without our additions.
+1 coordinates of the electrodes; 2 go there; 3 if that already pushes too hard, back off once: ours goes to the standoff
+only; 4 press until the current is in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15
+times, move and press again; start charging. Failures are exceptions, after which the machine retracts: the paper's
+line 7.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import published, wired
+from deltacharger_docking import wired
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -28,7 +28,7 @@ from deltacharger_docking.ease import ease
 from deltacharger_docking.energy import check_battery, de_energise
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
-from deltacharger_docking.press import Look, contact, first_push, press_again
+from deltacharger_docking.press import Look, contact, move_aside
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import Target, measure
@@ -48,17 +48,11 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
     parameters = context.parameters
     context.known_contact = None
     context.electrodes = electrodes = given or (yield from locate(context))  # 1
-    if parameters.approach == "published":
-        yield from _prepare(context, charges)
-        yield from published.dock(context, target, electrodes.position)
-        return
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
     target.foresee(electrodes)
     yield from _prepare(context, charges)
     yield from approach(context, electrodes.position)  # 2
-    if parameters.approach == "paper":
-        yield from first_push(context, electrodes.position)  # 3
     target.depth = electrodes.position[2] + parameters.search_depth
     if parameters.always_live:
         yield from wired.stay_away(context)
@@ -95,13 +89,15 @@ def align(
             break
         stay = False
         x, y = target.correction()  # 6, at most 15 times
-        estimate = yield from press_again(context, target.depth, x, y, _look(context, target))
+        yield from move_aside(context, x, y)
+        estimate = yield from contact(context, target.depth, _look(context, target))
     context.status.docked = True
 
 
 def stands_at_ease(context: Context, target: Target) -> Script[bool]:
     """Put the arm at ease; return whether the electrodes still have clearance, since the arm may have slipped."""
-    if (yield from ease(context)) and not target.still_allows_rest((yield from measure(context))):
+    yield from ease(context)
+    if not target.still_allows_rest((yield from measure(context))):
         return False
     target.rest()
     return True

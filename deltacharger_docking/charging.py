@@ -14,7 +14,6 @@ from deltacharger_docking.codes import (
     DockingError,
     EstimateUnsure,
     NoChargeCurrent,
-    NoTactileContact,
     PowerStale,
     TactileStale,
 )
@@ -107,7 +106,7 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
         DockingError: why charging ended; the caller opens the contactor and retracts.
     """
     watch, taper, energy_check = Watch(context), Taper(context.parameters), EnergyCheck()
-    checks = clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
+    checks = clearance_checks(context, order, target)
     while True:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
@@ -130,16 +129,6 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
             context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
             return reason
         yield next(checks)
-
-
-def _touch_checks(context: Context) -> Script[None]:
-    """Check periodically that the pads measure contact: as published, only all-zero or missing frames end charging."""
-    while True:
-        yield from context.wait(context.parameters.clearance_period)
-        if context.observation.tactile_age > context.parameters.tactile_age_max:
-            raise TactileStale("tactile frames stopped while charging; check the board's cable and tactile_node")
-        if not context.observation.tactile_contact:
-            raise NoTactileContact("the pads lost contact while charging")
 
 
 def clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:

@@ -21,26 +21,11 @@ from deltacharger_docking.parameters import DockingParameters
 
 
 @dataclass(frozen=True)
-class MisalignmentClasses:
-    """Centres of the paper's most probable classes; NaN if an axis has none.
-
-    Attributes:
-        angle: rad, absolute: 0, 1, … 5°, so an angle above 5° is never reported.
-        vertical: m along y: −10, −5, 0, 5 or 10 mm.
-        horizontal: m along x: the same values.
-    """
-
-    angle: float
-    vertical: float
-    horizontal: float
-
-
-@dataclass(frozen=True)
 class MisalignmentEstimate:
     """Estimated misalignment: pose of the target in end_effector with standard deviations (rad, m).
 
-    `classes` are the paper's, if requested; else None. `across` is the offset across the target's bars (m), forces are
-    sums over each pad (N), yaw and pitch are leans of the target's faces; NaN = unknown.
+    `across` is the offset across the target's bars (m), forces are sums over each pad (N), yaw and pitch are leans of
+    the target's faces; NaN = unknown.
     """
 
     angle: float
@@ -52,7 +37,6 @@ class MisalignmentEstimate:
     contact: bool = True
     sure: bool = True
     in_range: bool = True
-    classes: MisalignmentClasses | None = None
     left_force: float = math.nan
     right_force: float = math.nan
     across: float = math.nan
@@ -63,10 +47,10 @@ class MisalignmentEstimate:
     pitch_stddev: float = math.nan
 
     @classmethod
-    def of(cls, source: Any, classes: MisalignmentClasses | None = None) -> MisalignmentEstimate:
+    def of(cls, source: Any) -> MisalignmentEstimate:
         """Return the values of an estimate or message; fields that it lacks keep their defaults."""
-        names = (item.name for item in fields(cls) if item.name != "classes")
-        return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)}, classes=classes)
+        names = (item.name for item in fields(cls))
+        return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)})
 
     def __post_init__(self) -> None:
         """Calculate an unknown offset across the bars, as if both errors were independent.

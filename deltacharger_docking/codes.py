@@ -173,7 +173,7 @@ class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
 
 
 class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, restart_may_help=True):
-    """The tactile estimate stayed unsure, contradicts the arm's moves, or lacks the classes that `published` needs."""
+    """The tactile estimate stayed unsure, or contradicts the arm's moves."""
 
 
 class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, restart_may_help=True):

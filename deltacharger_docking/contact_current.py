@@ -17,8 +17,7 @@ class ContactCurrent:
     """Contact current I_c = f_z J_z / Kt, with f_z from J⁻ᵀ (τ − τ_hold(p)) less its reading in free air.
 
     It is each servo's current for pushing along +z: positive for a push, negative if the magnets pull. The arm's weight
-    and the friction of free motion are removed. The raw maximum or sum of the servos' currents contain both; they can
-    be selected for comparison.
+    and the friction of free motion are removed.
 
     Attributes:
         position: of the platform, m in charger_base.
@@ -28,7 +27,6 @@ class ContactCurrent:
     def __init__(self, kinematics: ScalarDelta, parameters: DockingParameters) -> None:
         self._kinematics = kinematics
         self._gravity = parameters.gravity
-        self._signal = parameters.current_signal
         self._span = parameters.contact_window
         self._constant = parameters.torque_constant
         geometry = kinematics.geometry
@@ -48,12 +46,8 @@ class ContactCurrent:
         """Take one reading of arm angles (rad) and currents (A) made at `time` (s)."""
         if angles != self._angles:
             self._move(angles)
-        if self._signal == "contact":
-            a, b, c = self._along_z
-            value = self._constant * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
-        else:
-            raw = max(abs(current) for current in currents) if self._signal == "max" else sum(map(abs, currents))
-            value = raw / self.per_force
+        a, b, c = self._along_z
+        value = self._constant * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
         window = self._window
         if math.isfinite(value):
             window.append((time, value, currents))
@@ -95,8 +89,8 @@ class ContactCurrent:
         self._median = math.nan
 
     def tare(self) -> None:
-        """Use the present force as zero (free air, at rest after a motion along +z); raw signals have no zero."""
-        if self._window and self._signal == "contact":
+        """Use the present force as zero (free air, at rest after a motion along +z)."""
+        if self._window:
             self._tare += self.force
 
     @property

@@ -36,7 +36,7 @@ _SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
 _SURELY = 0.25  # of the configured stiffness, which a servo whose own is unknown has at least
 _NEARLY = 0.95  # of a servo's current bound
-_REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+_REACHES_OUT = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
 
 
 @dataclass(frozen=True)
@@ -166,9 +166,8 @@ class Context:
         """Return the error of a phase that lasted too long, if it did."""
         if self.time <= self.deadline:
             return None
-        phase = self.status.state
-        limit = f"{(State.CONTACT if phase is State.BACK_OFF else phase).name.lower()}_timeout"
-        return PhaseTimeout(f"{phase.name} took longer than {limit}; see in the log what it waited for")
+        phase = self.status.state.name
+        return PhaseTimeout(f"{phase} took longer than {phase.lower()}_timeout; see in the log what it waited for")
 
     @contextmanager
     def waiting_for(self, what: str) -> Iterator[None]:
@@ -185,9 +184,7 @@ class Context:
         while self.time < end:
             yield Wait(end, reads)
 
-    def ask(
-        self, service: Service, error: type[DockingError], timeout: float, frames: int = 0, model: str = ""
-    ) -> Script[Reply]:
+    def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
         """Call a service and return its reply, successful or not.
 
         Raises:
@@ -195,7 +192,7 @@ class Context:
         """
         self._calls.forget()  # earlier replies are no longer awaited
         number = self._calls.number()
-        self._requests.append(Request(number, service, frames, timeout, model))
+        self._requests.append(Request(number, service, frames, timeout))
         end = self.time + timeout
         with self.waiting_for(service.value):
             while (reply := self._calls.take(number)) is None:

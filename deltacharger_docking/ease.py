@@ -15,14 +15,9 @@ _SIGMAS = 2.0  # of the readings' noise that easing does not follow
 _POINTS = 16  # of the line in joint angles; receivers interpolate linearly, so more would not help
 
 
-def ease(context: Context) -> Script[bool]:
-    """Bring each servo to the common current that presses in the middle of the band, as far as friction holds.
-
-    Return whether it was tried: not with the paper's approach or raw currents, which stay as published.
-    """
+def ease(context: Context) -> Script[None]:
+    """Bring each servo to the common current that presses in the middle of the band, as far as friction holds."""
     parameters = context.parameters
-    if parameters.approach != "guarded" or parameters.current_signal != "contact":
-        return False
     context.enter(State.CONTACT, parameters.contact_timeout)
     place, hottest = context.position, _hottest(context)
     holds, response = True, 1.0 / context.springs.compliance
@@ -50,7 +45,6 @@ def ease(context: Context) -> Script[bool]:
         contact_current_A=context.contact.value,
         slip_m=math.dist(place[:2], context.position[:2]),
     )
-    return True
 
 
 def _hottest(context: Context) -> float:

@@ -27,7 +27,6 @@ from deltacharger_docking.codes import (
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.goals import unproven_hardware
 from deltacharger_docking.observation import Reply, Service
 
 _LAST_WORD = 0.2  # s before the phase ends: time to report why no current flows
@@ -190,8 +189,6 @@ class Watch:
     def reason_not_to_close(self) -> DockingError | None:
         """Return why the contactor must not close now; after closing, `problem` checks."""
         context, observation = self._context, self._context.observation
-        if (unproven := unproven_hardware(observation, context.parameters)) is not None:
-            return unproven
         if observation.power_age > context.parameters.power_age_max:
             return PowerStale("charger_power stopped; check the board's cable and tactile_node")
         if (unfit := _battery_problem(context)) is not None:

@@ -49,19 +49,6 @@ def _check_live(goal: DockGoal) -> None:
         raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
 
 
-def unproven_hardware(seen: Observation, parameters: DockingParameters) -> Rejected | None:
-    """Return why current is refused with `published`: only a simulated charger may do without clearance.
-
-    None if nothing forbids it. Hardware counts as real unless the shell knows that it is simulated.
-    """
-    if parameters.keeps_clearance or seen.simulated:
-        return None
-    return Rejected(
-        "approach published closes the contactor without checking clearance, and servos and board are not known to be "
-        "simulated: set published_clearance_rule, use approach guarded, or send the goal with start_charging false"
-    )
-
-
 def check_id(request_id: str) -> None:
     """Refuse a request_id that is too long.
 

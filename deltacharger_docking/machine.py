@@ -26,7 +26,7 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.goals import GoalDesk, check_goal, check_id, unproven_hardware
+from deltacharger_docking.goals import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
@@ -35,7 +35,7 @@ from deltacharger_docking.visit import TargetVisit
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
-_NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+_NEEDS_TORQUE = (State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
 _LEAD_MAX = 0.003  # m that the command may lead the platform beyond what is explained
 _BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
@@ -117,8 +117,6 @@ class DockingMachine:
         """
         self.check_free()
         check_goal(goal, self._context.planner, self.parameters)
-        if goal.start_charging and (refusal := unproven_hardware(observation, self.parameters)) is not None:
-            raise refusal
         self._desk.begin(goal.request_id, observation)
         self._record_goal(goal)
         if self._is_supervising and self._docking is not None:

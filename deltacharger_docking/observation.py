@@ -38,16 +38,12 @@ class Service(Enum):
 
 @dataclass(frozen=True)
 class Request:
-    """One call of a service; the reply repeats its `number`.
-
-    An estimate averages `frames`; it also has the classes of the packaged `model`, '' = none.
-    """
+    """One call of a service; the reply repeats its `number`. An estimate averages `frames`."""
 
     number: int
     service: Service
     frames: int = 0
     timeout: float = 0.0
-    model: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,8 +126,8 @@ class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
     `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds readings
-    of the servos since the last observation, before this one. `simulated` is set only if servos and board are known to
-    be a simulated charger's. `clock_problem` describes a problem of the clock that ages are measured by; '' = none.
+    of the servos since the last observation, before this one. `clock_problem` describes a problem of the clock that
+    ages are measured by; '' = none.
     """
 
     time: float
@@ -155,7 +151,6 @@ class Observation:
     duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
     earlier: tuple[Reading, ...] = ()
-    simulated: bool = False
     clock_problem: str = ""
 
 

@@ -28,8 +28,6 @@ from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, 
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_kinematics.geometry import Vector
 
-APPROACHES = ("guarded", "paper", "published")
-SIGNALS = ("contact", "max", "sum")
 POWERS = ("board", "none")
 _ORDERED = (
     ("battery_voltage_min", "battery_voltage_max"),
@@ -49,14 +47,9 @@ class DockingParameters(Bounded):
         ParameterError: a value lies outside its bounds, or two values contradict each other.
     """
 
-    approach: str = choice(
-        "guarded", APPROACHES, "guarded; paper: the paper's constant steps; published: the paper's unmodified algorithm"
-    )
     power: str = choice(
         "board", POWERS, "board: contactor, limiter and probe; none: electrodes wired to the battery, always live"
     )
-    published_clearance_rule: bool = flag(False, "whether published also requires clearance before current flows")
-    current_signal: str = choice("contact", SIGNALS, "contact: contact current; max, sum: of the raw servo currents")
     servo_stiffness: float = number(
         SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "servo stiffness until it is estimated"
     )
@@ -86,9 +79,7 @@ class DockingParameters(Bounded):
     drift_max: float = tunable(
         0.015, 0.001, 0.2, "A", "change of the contact current within its window that counts as rest"
     )
-    paper_step: float = tunable(0.005, 0.0005, 0.01, "m", "step of the paper's approach")
-    coarse_step: float = tunable(0.0025, 0.0005, 0.01, "m", "largest step of the guarded approach in free air")
-    back_off: float = tunable(0.030, 0.005, 0.06, "m", "distance to go back if the first push is too hard")
+    coarse_step: float = tunable(0.0025, 0.0005, 0.01, "m", "largest step in free air")
     lift: float = tunable(0.008, 0.008, 0.04, "m", "distance that the platform lifts before it moves sideways")
     current_min: float = tunable(0.4, 0.05, 2.0, "A", "lower end of the contact current's band")
     current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end of the contact current's band")
@@ -233,7 +224,7 @@ class DockingParameters(Bounded):
     probe_timeout: float = tunable(2.0, 0.25, 60.0, "s", "limit for an answer of probe, longer than the board's own")
     locate_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for LOCATE")
     approach_timeout: float = tunable(20.0, 1.0, 120.0, "s", "limit for APPROACH")
-    contact_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for CONTACT and BACK_OFF")
+    contact_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for CONTACT")
     measure_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for MEASURE")
     align_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for one ALIGN")
     energise_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for ENERGISE until current is stable")
@@ -248,27 +239,14 @@ class DockingParameters(Bounded):
         if not self.current_min + 2 * self.band_margin < self.current_max:
             problem = "current_min + 2 · band_margin must lie below current_max"
             raise ParameterError("current_min", self.current_min, problem)
-        if self.always_live and self.approach != "guarded":
-            problem = "with power none every contact is live; set approach guarded, which measures before it presses"
-            raise ParameterError("approach", self.approach, problem)
         for lower, upper in _ORDERED:
             if getattr(self, lower) > getattr(self, upper):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
 
     @property
-    def class_model(self) -> str:
-        """Packaged model whose classes are requested with an estimate; '' = none."""
-        return "cnn" if self.approach == "published" else ""
-
-    @property
     def always_live(self) -> bool:
         """Whether electrodes are live whenever they touch, and charge current is not measured."""
         return self.power == "none"
-
-    @property
-    def keeps_clearance(self) -> bool:
-        """Whether current requires clearance; the unmodified published algorithm does not check it."""
-        return self.approach != "published" or self.published_clearance_rule
 
     @property
     def gravity(self) -> Vector:

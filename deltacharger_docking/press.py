@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps 2 to 4 of Algorithm 1: go there, back off after too hard a push, press until the current is in its band."""
+"""Steps 4 and 6 of Algorithm 1: press until the current is in its band, lift off and move aside."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.release import rolls, take_off
-from deltacharger_kinematics.geometry import Vector
 
 _YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
@@ -21,12 +20,12 @@ Look = Callable[[], Script[MisalignmentEstimate | None]]
 
 
 def contact(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
-    """Press until the contact current rests in its band, by the configured approach.
+    """Press until the contact current rests in its band.
 
     Args:
         context: shared state; the platform stands before the target.
         depth: largest z (m, charger_base) at which contact is searched.
-        look: measures before pressing further (guarded only); None = press without.
+        look: measures before pressing further; None = press without.
 
     Returns:
         The estimate that forbade pressing further, else None.
@@ -37,14 +36,22 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
         Overcurrent: the band was overshot too often.
     """
     context.enter(State.CONTACT, context.parameters.contact_timeout)
-    if context.parameters.approach == "guarded":
-        estimate = yield from _meet(context, depth, look)
-        if estimate is not None:
-            return estimate
-        yield from _guarded(context, depth)
-        context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
-    else:
-        yield from _paper(context, depth)
+    estimate = yield from _meet(context, depth, look)
+    if estimate is not None:
+        return estimate
+    yield from _into_band(context, depth)
+    context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
+    check_pads(context)
+    return None
+
+
+def check_pads(context: Context) -> None:
+    """Record that the electrodes rest on the target, if the pads feel it too.
+
+    Raises:
+        TactileStale: no frames tell it.
+        NoTactileContact: the servos push but the pads measure no force.
+    """
     observation = context.observation
     if observation.tactile_age > context.parameters.tactile_age_max:
         raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
@@ -60,13 +67,10 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
         contact_force_N=context.contact.force,
         z_m=context.position[2],
     )
-    return None
 
 
-def press_again(
-    context: Context, depth: float, x: float, y: float, look: Look | None = None
-) -> Script[MisalignmentEstimate | None]:
-    """Lift off, move the command by (x, y) m and press down to `depth` (m, charger_base); return as `contact`.
+def move_aside(context: Context, x: float, y: float) -> Script[None]:
+    """Lift off, and move the command by (x, y) m.
 
     The command moves by the error of the measured pose. This also corrects friction and soft servos, which keep the
     platform short of its command.
@@ -82,29 +86,6 @@ def press_again(
     yield from take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
     yield from context.move(place, parameters.travel_speed, settle=False)
-    return (yield from contact(context, depth, look))
-
-
-def first_push(context: Context, target: Vector) -> Script[None]:
-    """The paper's first push: go to the given place, and back off once if that pushes too hard."""
-    yield from step_to(context, target[2])
-    if context.contact.value > context.parameters.current_max:
-        yield from back_off(context)
-
-
-def back_off(context: Context) -> Script[None]:
-    """Take the electrodes back by the paper's 30 mm."""
-    parameters = context.parameters
-    context.enter(State.BACK_OFF, parameters.contact_timeout)
-    context.decide("backoff", "the first push was too hard", contact_current_A=context.contact.value)
-    x, y, z = context.position
-    context.check_way((x, y, z - parameters.back_off))
-    if context.observation.tactile_contact:
-        yield from take_off(context, z - parameters.back_off)
-        yield from context.rest()
-    else:
-        yield from context.move((x, y, z - parameters.back_off), parameters.travel_speed)
-    context.enter(State.CONTACT, parameters.contact_timeout)
 
 
 def step_to(context: Context, z: float) -> Script[None]:
@@ -130,12 +111,6 @@ def slope_expected(context: Context) -> float:
     jacobian = context.kinematics.jacobian(x, y, z)
     lever = (jacobian[6] + jacobian[7] + jacobian[8]) / 3.0
     return 1.0 / (3.0 * lever * context.springs.compliance)
-
-
-def _paper(context: Context, depth: float) -> Script[None]:
-    while context.contact.value < context.parameters.current_min:
-        _check_depth(context, depth)
-        yield from step_to(context, context.commanded[2] + context.parameters.paper_step)
 
 
 def _meet(context: Context, depth: float, look: Look | None) -> Script[MisalignmentEstimate | None]:
@@ -222,7 +197,7 @@ def _beside(context: Context) -> tuple[float, float]:
     return context.position[0] + context.lead[0], context.position[1] + context.lead[1]
 
 
-def _guarded(context: Context, depth: float) -> Script[None]:
+def _into_band(context: Context, depth: float) -> Script[None]:
     """Step coarsely until the current leaves its baseline, then by the missing current; enter the band from below."""
     parameters = context.parameters
     low, high = parameters.current_min + parameters.band_margin, parameters.current_max
@@ -247,7 +222,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
                 )
             yield from step_to(context, z - parameters.overshoot_back_off / slope)
             continue
-        _check_depth(context, depth)
+        check_depth(context, depth)
         touching = abs(before) > parameters.free_current or context.observation.tactile_contact
         if touching:
             far = before < parameters.step_near * low
@@ -264,7 +239,13 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             response = min(max(measured, parameters.response_min), parameters.response_max)
 
 
-def _check_depth(context: Context, depth: float) -> None:
+def check_depth(context: Context, depth: float) -> None:
+    """Check that the platform may go on, up to `depth` (m, charger_base).
+
+    Raises:
+        TargetRolls: the target gives way.
+        NoContact: there was no contact up to `depth`.
+    """
     if context.observation.tactile_contact and context.position[2] > context.touched + _YIELDS:
         way = 1000.0 * (context.position[2] - context.touched)
         raise rolls(context, f"it gives way by {way:.0f} mm to a push of {context.contact.force:.0f} N")

@@ -182,8 +182,6 @@ class TargetPlace:
         `later`: this contact was estimated before; a change of its loads since then means that the target has slid.
         """
         p, contact = self._parameters, self._along.contact
-        if math.isnan(self._load):  # the published approach estimates no place
-            return estimate
         if later:
             spread = math.hypot(contact.stddev, p.horizontal_scale * estimate.horizontal_stddev)
             contact = Offset(contact.mean + estimate.horizontal - self._load, spread)

@@ -43,11 +43,7 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     context.enter(State.MEASURE, parameters.measure_timeout)
     context.doubtful = bool(context.observation.duplicate_sources)
     reply = yield from context.ask(
-        Service.ESTIMATE,
-        TactileStale,
-        parameters.service_timeout,
-        parameters.estimate_frames,
-        parameters.class_model,
+        Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
     )
     estimate = reply.estimate
     if not reply.success or estimate is None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import published, wired
+from deltacharger_docking import wired
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.charging import Order, charge
 from deltacharger_docking.clearance import MisalignmentEstimate, judge
@@ -60,10 +60,7 @@ class TargetVisit:
 
     def _forbids_current(self, known: MisalignmentEstimate, limit: float) -> bool:
         """Return whether the last estimate forbids current with this critical angle, rad."""
-        parameters = self._context.parameters
-        if parameters.keeps_clearance:
-            return known.usable and not judge(known, parameters, limit).leaves_clearance
-        return known.classes is None or not known.classes.angle < limit
+        return known.usable and not judge(known, self._context.parameters, limit).leaves_clearance
 
     def run(self) -> Script[None]:
         """Dock, then serve every goal on this target until contact is lost or the torque is off."""
@@ -107,10 +104,7 @@ class TargetVisit:
         target = self._target
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
-        if self._context.parameters.approach == "published":
-            yield from published.align(self._context, target)
-        else:
-            yield from align(self._context, target, stay=True)
+        yield from align(self._context, target, stay=True)
 
     def _charge(self) -> Script[None]:
         """Close the contactor, report success or hold the goal, supervise charging, and open it."""

@@ -25,7 +25,7 @@ for word in sys.argv[1:] or ["0.0003", "0.001", "0.002"]:
         scene = parse_campaign_scene({"based_on": "edge", "docking": {"clearance_min": float(word)}}, "example")
     except (ValueError, ParameterError) as error:
         sys.exit(f"clearance_min {word}: {error}")
-    rows = [dock_once(scene, SEED, number, "guarded") for number in range(DOCKINGS)]
+    rows = [dock_once(scene, SEED, number) for number in range(DOCKINGS)]
     charged = [row for row in rows if row["charged"]]
     print(f"clearance_min {word} m: {len(charged)} of {DOCKINGS} charged", end="")
     if charged:

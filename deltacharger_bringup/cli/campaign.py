@@ -27,7 +27,6 @@ from deltacharger_bringup.cli.output import (
 from deltacharger_bringup.cli.parser import add_command
 from deltacharger_bringup.cli.scene import refusing_scenes
 from deltacharger_bringup.cli.types import SEED, integer
-from deltacharger_docking.parameters import APPROACHES
 from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.compare_picture import draw
 from deltacharger_lab.campaigns.runner import run_missing
@@ -50,7 +49,6 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
     scenes = f"packaged campaign or YAML file with the distributions (default: {_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
-    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="approach rules (guarded)")
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")
     parser.add_argument("--workers", type=integer(1, 1024), metavar="K", help="processes on this computer (1)")
     parser.add_argument("--scheduler", default="", metavar="tcp://…", help="Dask scheduler; its workers run dockings")
@@ -181,14 +179,14 @@ def _settings(options: argparse.Namespace) -> CampaignSettings:
         raise CommandError(
             f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number", WRONG_INPUT
         )
-    return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions())
+    return CampaignSettings(count, options.seed, options.exact, scene.content, scene.name, versions())
 
 
 def _described(summary: dict[str, Any], settings: CampaignSettings) -> str:
     low, high = summary["charged_interval"]
     refused = ", ".join(f"{name} {count}" for name, count in summary["refused"].items())
     lines = [
-        f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}, {settings.approach}",
+        f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}",
         f"  charged            {100 * summary['charged']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})",
         f"  aligned            {100 * summary['aligned']:.1f} %",
         f"  refused            {refused or 'none'}",

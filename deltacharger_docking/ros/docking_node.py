@@ -2,9 +2,9 @@
 """docking_node: the actions dock and undock over the docking state machine.
 
 Subscribes to servo_state, tactile_frame, charger_power. Calls set_torque, tare, probe, set_contactor,
-predict_misalignment and detect_electrodes; with approach published also get_parameters of servo_node and tactile_node.
-Publishes joint_trajectory, docking_state, docking_decision and /diagnostics. One thread, paced by servo_state, steps
-the machine, publishes its commands and renews the contactor's lease. If that thread hangs, the lease lapses.
+predict_misalignment and detect_electrodes. Publishes joint_trajectory, docking_state, docking_decision and
+/diagnostics. One thread, paced by servo_state, steps the machine, publishes its commands and renews the contactor's
+lease. If that thread hangs, the lease lapses.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from deltacharger_docking.parameters import DockingNodeParameters, DockingParame
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
-from deltacharger_docking.ros.port_owners import PortOwners
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
@@ -83,7 +82,6 @@ class DockingNode(Node):
         ages_max = (self._settings.servo_age_max, self._settings.tactile_age_max, self._settings.power_age_max)
         self._reports = Reports(self, self._log, ages_max, frames.charger_base)
         observe = self._inputs.observation  # leaves the replies for the running goal
-        self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # only needed without clearance
         self._goals = Goals(
             self,
             self._machine,
@@ -94,17 +92,11 @@ class DockingNode(Node):
             self._calls.misalignment,
             mount,
             frames,
-            self._find_owners,
         )
         Tuning(self, self._settings, self._tune)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
-
-    def _find_owners(self) -> None:
-        """Find out whether the ports in use belong to a simulated charger, if docking needs to know."""
-        if self._owners is not None:
-            self._inputs.simulated = self._owners.is_simulated()
 
     def _tune(self, settings: DockingParameters) -> str:
         """Set parameters for the next goal; those that this node itself uses are not tunable."""
@@ -115,7 +107,7 @@ class DockingNode(Node):
         """Start, and begin the queued goals."""
         self._closed = False
         power = ", power none: electrodes are live whenever they touch" if self._settings.always_live else ""
-        self._log.info(f"takes goals, approach {self._settings.approach}{power}, version {package_version()}")
+        self._log.info(f"takes goals{power}, version {package_version()}")
         self._thread.start()
         self._goals.release()
 
@@ -179,8 +171,7 @@ class DockingNode(Node):
                 self._pace()
                 started = time.monotonic()
                 with self._lock:
-                    if self._inputs.look(self._between_looks()) and self._inputs.simulated:
-                        self._inputs.simulated = self._owners is not None and self._owners.are_the_same()
+                    self._inputs.look(self._between_looks())
                     observation = self._observe()
                     self._goals.forward_cancel()
                     command = self._machine.step(observation)

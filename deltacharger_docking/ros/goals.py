@@ -70,7 +70,6 @@ class Goals:
         misalignment: returns the message of an estimate.
         mount: limits of the electrodes' lean.
         frames: transforms goals; may block.
-        look: finds the owners of the ports before a goal that charges; called without the lock, may block.
     """
 
     def __init__(
@@ -84,7 +83,6 @@ class Goals:
         misalignment: Callable[[MisalignmentEstimate | None], Misalignment],
         mount: DockingNodeParameters,
         frames: Frames,
-        look: Callable[[], None] = lambda: None,
     ) -> None:
         self._node, self._clock = node, ClockWatch(node.get_clock())
         self._machine = machine
@@ -95,7 +93,6 @@ class Goals:
         self._misalignment = misalignment
         self._mount = mount
         self._frames = frames
-        self._look = look
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
@@ -210,8 +207,6 @@ class Goals:
             if self._clock.has_no_time and not self._machine.status.docked:  # a docked charger can always undock
                 raise NoTime(NO_TIME_YET)
         order = read(request)
-        if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
-            self._look()
         with self._lock:
             self._check_open()
             seen = self._observe()

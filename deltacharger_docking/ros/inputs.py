@@ -169,11 +169,9 @@ class Inputs:
 
     Attributes:
         refused: refused messages.
-        simulated: whether servos and board are known to be a simulated charger's; copied to each observation.
     """
 
     def __init__(self, node: Node, log: Log) -> None:
-        self.simulated = False
         self._log = log
         self._lock = threading.Lock()
         self._heard = Heard(node.get_clock())
@@ -193,16 +191,15 @@ class Inputs:
         """Let servo_state wake no thread until the next `wait`."""
         self._servo.rest()
 
-    def look(self, period: float) -> bool:
-        """Check for second sources if the last check is more than `period` s ago; return whether it was."""
+    def look(self, period: float) -> None:
+        """Check for second sources if the last check is more than `period` s ago."""
         now = time.monotonic()
         if now - self._looked < period:
-            return False
+            return
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
             self._log.warning(f"second source, so the contactor will not be closed: {self._double}")
-        return True
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return the present observation; callable from any thread. Estimates of unconfirmed frames are refused."""
@@ -215,7 +212,6 @@ class Inputs:
                 replies,
                 contactor_refusal=contactor_refusal,
                 duplicate_sources=self._double,
-                simulated=self.simulated,
             )
 
 

@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.rotation import IDENTITY, Matrix, composed, inverted, lean, rotation
-from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
@@ -32,16 +32,6 @@ _SAME = 1e-3  # rad; accepted difference of a detection's roll and orientation
 _ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # in a 6 × 6 covariance, row-major: variances of the rotations, rad²
 
 
-_DEGREES = tuple(math.radians(degree) for degree in range(6))
-_OFFSETS = (-0.010, -0.005, 0.0, 0.005, 0.010)
-_CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # rad, m; as Misalignment.msg lists them
-
-
-def estimate(message: Misalignment, with_classes: bool = False) -> MisalignmentEstimate:
-    """Return the plain values of a Misalignment; its most probable classes only if requested."""
-    return MisalignmentEstimate.of(message, _classes(message) if with_classes else None)
-
-
 def refined(value: MisalignmentEstimate, source: Misalignment) -> Misalignment:
     """Return the message of an estimate, with the values that docking has refined."""
     message = copy.deepcopy(source)
@@ -49,16 +39,6 @@ def refined(value: MisalignmentEstimate, source: Misalignment) -> Misalignment:
         setattr(message, name, getattr(value, name))
         setattr(message, f"{name}_stddev", getattr(value, f"{name}_stddev"))
     return message
-
-
-def _classes(message: Misalignment) -> MisalignmentClasses:
-    """Return the centres of the most probable classes; NaN if probabilities are missing or not finite."""
-    found = {}
-    for axis, centres in _CENTRES.items():
-        shares = np.asarray(getattr(message, f"{axis}_probability"), dtype=float)
-        known = shares.shape == (len(centres),) and bool(np.isfinite(shares).all())
-        found[axis] = centres[int(np.argmax(shares))] if known else math.nan
-    return MisalignmentClasses(**found)
 
 
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> JointTrajectory:

@@ -21,7 +21,7 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate, refined, seen
+from deltacharger_docking.ros.messages import refined, seen
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
@@ -110,7 +110,7 @@ class Services:
             Service.TORQUE_ON: {"data": True},
             Service.TORQUE_OFF: {"data": False},
             Service.OPEN: {"close": False, "holder": _HOLDER},
-            Service.ESTIMATE: {"frames": request.frames, "model": request.model},
+            Service.ESTIMATE: {"frames": request.frames},
             Service.DETECT: {"timeout": duration(_LOOKING * request.timeout)},
         }
         asked = time.monotonic()
@@ -176,7 +176,7 @@ class Services:
         """Return the fields of a reply in addition to success and message."""
         service = request.service
         if service is Service.ESTIMATE:
-            measured = estimate(answer.misalignment, with_classes=bool(request.model))
+            measured = MisalignmentEstimate.of(answer.misalignment)
             self._estimates.append((measured, answer.misalignment))
             named = tuple(answer.sequences) if len(answer.sequences) == request.frames else ()
             return {"estimate": measured, "sequences": named, "asked": asked}

@@ -59,7 +59,7 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
     for number in numbers:
         if halted():
             break
-        rows.append(dock_once(scene, settings.seed, number, settings.approach, settings.exact))
+        rows.append(dock_once(scene, settings.seed, number, settings.exact))
     return rows
 
 

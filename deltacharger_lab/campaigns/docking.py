@@ -16,6 +16,7 @@ from deltacharger_lab.campaigns.estimates import EstimateLog
 from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.campaigns.pads import FIRST, make_pads
 from deltacharger_lab.campaigns.parts import AXES
+from deltacharger_lab.campaigns.published import published
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.servo_load import SECONDS, Effort, Rest
@@ -114,19 +115,18 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
     return found | RESULTS
 
 
-def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact: bool = False) -> dict[str, Any]:
+def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False) -> dict[str, Any]:
     """Run docking `number` of a campaign and return its row; the row of a crash has the error.
 
     Args:
         scene: distributions to draw from.
         seed: of the campaign.
         number: of the docking.
-        approach: of docking's parameters.
         exact: every tick and every tactile frame as in the nodes, slower.
     """
     row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()
     try:
-        drawn = draw(scene, seed, number, approach)
+        drawn = draw(scene, seed, number)
         row |= _what_was_drawn(drawn)
         row |= run(drawn, exact)
     except Exception as error:  # any error; the other dockings continue
@@ -137,13 +137,16 @@ def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact
 
 
 def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict[str, Any]:
-    """Run one docking to its outcome and return the columns of `RESULTS`."""
+    """Run one docking to its outcome and return the columns of `RESULTS`; as published, it ends before it charges."""
     charger = make_charger(drawn, exact)
     log, effort = EstimateLog(charger, drawn.estimator, drawn.seed), Effort(charger)
     nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
     try:
-        charger.begin(goal or DockGoal(drawn.goal))
+        if drawn.published:
+            charger.start(published(drawn.goal))
+        else:
+            charger.begin(goal or DockGoal(drawn.goal))
     except DockingError as error:
         refused = DockingOutcome(False, error.code, str(error), error.retriable)
         return result(charger, refused, 0.0) | {"estimates": 0, "servo_push": 0.0}

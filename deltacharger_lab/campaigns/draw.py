@@ -47,6 +47,7 @@ class Drawn:
         second: the family of pads of the second physics; None = its defaults.
         high_row: excess reading of a row of taxels after each tare, N.
         nudge: movement of the target while it charges.
+        published: dock by the paper's algorithm as printed.
     """
 
     number: int
@@ -63,9 +64,10 @@ class Drawn:
     second: SecondParameters | None = None
     high_row: float = 0.0
     nudge: Nudge = field(default_factory=Nudge)
+    published: bool = False
 
 
-def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
+def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
     """Draw docking `number` of the campaign with this `seed`.
 
     Each key has its own random stream. So another key does not change the others' values, and the dockings of two
@@ -75,7 +77,6 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         scene: distributions to draw from.
         seed: of the campaign.
         number: of the docking, from 0.
-        approach: of docking's parameters.
 
     Raises:
         ValueError: the drawn values contradict each other.
@@ -89,7 +90,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         values.update(scene.dockings[number % len(scene.dockings)])
     goal = _goal(values, source("goal"))
     values |= _derived(values, goal, source)
-    world, tactile, docking = build_parts(values, approach)
+    world, tactile, docking = build_parts(values)
     return Drawn(
         number=number,
         values=values,
@@ -105,6 +106,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         second=second_family(values),
         high_row=float(values.get("taxels.high_row", 0.0)),
         nudge=Nudge(**nested(values, "nudge")),
+        published=bool(values.get("published", False)),
     )
 
 

@@ -40,14 +40,11 @@ class EstimateLog:
         self.first: Kept | None = None
         self.last: Kept | None = None
         self.frozen = False
-        if errors.paper or charger.parameters.class_model:
+        if errors.paper:
             from deltacharger_lab.campaigns.paper import PaperClasses
 
-            paper = PaperClasses()
-            charger.classes = paper.classes
-            if errors.paper:
-                charger.model = paper
-        if errors.model == FROM_ONE_NEWTON and not errors.paper:
+            charger.model = PaperClasses()
+        elif errors.model == FROM_ONE_NEWTON:
             charger.model = pose_model_from_one_newton()
         charger.answer[Service.ESTIMATE] = self._answer
 

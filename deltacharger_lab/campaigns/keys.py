@@ -135,6 +135,7 @@ class _Campaign:
     taxels: Taxels = field(default_factory=Taxels)
     parked: Parked = field(default_factory=Parked)
     nudge: Nudge = field(default_factory=Nudge)
+    published: bool = flag(False, "true = dock by the paper's algorithm as printed; give estimator.paper too")
     pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
 
 
@@ -149,7 +150,6 @@ TAKEN = {
     "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
     "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
     **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or assumed.gravity_tilt" for axis in "xyz"},
-    "docking.approach": "give --approach",
 }
 """Keys of world and docking that a campaign sets itself, with the keys to give instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}

@@ -21,9 +21,7 @@ AXES = ("x", "y", "z", "roll")
 _COMPLIANCE = {key.name: key for key in declared(PlatformRestParameters)}["compliance"]
 
 
-def build_parts(
-    values: Mapping[str, Value], approach: str
-) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
+def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
     """Return the parameters of world, pads and docking for these values of the scene's keys.
 
     Raises:
@@ -39,7 +37,6 @@ def build_parts(
     world = from_mapping(content, WorldParameters, "world")
     factor, constant = (float(values.get(f"assumed.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
     given: dict[str, Any] = {
-        "approach": approach,
         "servo_stiffness": factor * world.servo.stiffness,
         "torque_constant": constant * world.servo.torque_constant,
         "power": "none" if world.circuit.wired else "board",

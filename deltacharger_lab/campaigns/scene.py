@@ -20,20 +20,8 @@ from deltacharger_scenes.scene import find_file, packaged_files, read_file
 
 DEFAULT = "default"
 SECTIONS = (
-    *(
-        "target",
-        "shift",
-        "electrode",
-        "camera",
-        "hand_eye",
-        "gravity",
-        "estimator",
-        "assumed",
-        "taxels",
-        "pads",
-        "parked",
-    ),
-    *("nudge", "world", "tactile", "second", "docking"),
+    *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "assumed", "taxels", "pads"),
+    *("published", "parked", "nudge", "world", "tactile", "second", "docking"),
 )
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
@@ -216,7 +204,7 @@ def _check_contradictions(scene: CampaignScene) -> None:
         for end in (0, 1):
             corner = {name: spread.ends[end] for name, spread in scene.spreads.items()}
             assumed_geometry({**corner, **values})
-            build_parts({**corner, **values}, "guarded")
+            build_parts({**corner, **values})
 
 
 def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...], unset: bool = False) -> None:

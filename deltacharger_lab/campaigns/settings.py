@@ -25,8 +25,8 @@ _ALSO = (
         f"lab/campaigns/{name}.py"
         for name in ("contradictions", "disturbances", "docking", "draw", "estimates", "keys")
     ),
-    *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "quick_charger", "quick_motion", "scene")),
-    *(f"lab/campaigns/{name}.py" for name in ("servo_load", "spread", "assumed", "virtual_charger")),
+    *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "published", "quick_charger", "quick_motion")),
+    *(f"lab/campaigns/{name}.py" for name in ("scene", "servo_load", "spread", "assumed", "virtual_charger")),
 )
 
 
@@ -45,7 +45,6 @@ class CampaignSettings:
     Attributes:
         n: dockings.
         seed: of the campaign.
-        approach: of docking's parameters.
         exact: whether every tick and frame is computed, as in the nodes.
         scene: content of the scene.
         scene_name: name of the scene.
@@ -54,7 +53,6 @@ class CampaignSettings:
 
     n: int
     seed: int
-    approach: str
     exact: bool
     scene: Mapping[str, Any]
     scene_name: str
@@ -72,7 +70,7 @@ class CampaignSettings:
             ValueError, TypeError, KeyError: it is not such a record.
         """
         read = CampaignSettings(**parse_json(text))
-        kinds = {"seed": int, "approach": str, "exact": bool, "scene": dict, "scene_name": str, "versions": dict}
+        kinds = {"seed": int, "exact": bool, "scene": dict, "scene_name": str, "versions": dict}
         for name, kind in ({"n": int} | kinds).items():
             if type(value := getattr(read, name)) is not kind:
                 raise ValueError(f"{name} is {brief(value)}")
@@ -83,7 +81,7 @@ class CampaignSettings:
     def differences(self, other: CampaignSettings) -> list[tuple[str, str, str]]:
         """Return the differences to `other`, each as (what, value here, value there); a larger n may differ."""
         pairs: dict[str, tuple[Any, Any]] = {
-            name: (getattr(self, name), getattr(other, name)) for name in ("seed", "approach", "exact")
+            name: (getattr(self, name), getattr(other, name)) for name in ("seed", "exact")
         }
         if other.n < self.n:
             pairs["n"] = self.n, other.n

@@ -27,7 +27,7 @@ from deltacharger_core.machine import (
     ROWS,
 )
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
@@ -60,7 +60,7 @@ class PoseModel(Protocol):
     """Makes an estimate from two averaged, tared pads."""
 
     def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return an estimate with the attributes of docking's `MisalignmentEstimate`, except its classes."""
+        """Return an estimate with the attributes of docking's `MisalignmentEstimate`."""
 
 
 @functools.cache
@@ -115,7 +115,6 @@ class VirtualCharger:
         self.states: list[State] = []
         self.outcome: DockingOutcome | None = None
         self.model: PoseModel = packaged_model()
-        self.classes: Callable[[np.ndarray, np.ndarray], MisalignmentClasses] | None = None  # if requested
         self.baseline = np.zeros((PADS, ROWS, COLUMNS))
         self.excess: Array | None = None
         self._tared = False
@@ -238,7 +237,6 @@ class VirtualCharger:
             power_fault=fault,
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),
-            simulated=True,
         )
 
     def _reading(self) -> tuple[Vector, Vector]:
@@ -301,8 +299,7 @@ class VirtualCharger:
             return Reply(number, True, resistance=ohm, target_voltage=volt)
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
-            classes = self.classes(left, right) if self.classes and pending.request.model else None
-            return Reply(number, True, estimate=MisalignmentEstimate.of(self.model.predict(left, right), classes))
+            return Reply(number, True, estimate=MisalignmentEstimate.of(self.model.predict(left, right)))
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)
         return Reply(number, True)

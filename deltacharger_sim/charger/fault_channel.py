@@ -2,8 +2,8 @@
 """Cause faults in a simulated charger that runs in another process, through a Unix socket beside its ports.
 
 Each connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
-"amount"} with the keys of a scene's fault, {"command": "clear"}, {"command": "active"}, {"command": "ports"}. Answers:
-{"success": true, "active": [...]}, {"success": true, "ports": [...]} or {"success": false, "error"}. Only the user who
+"amount"} with the keys of a scene's fault, {"command": "clear"} and {"command": "active"}. Answers:
+{"success": true, "active": [...]} or {"success": false, "error"}. Only the user who
 runs the charger may connect. Time and bytes are bounded on both sides, and clients do not wait for each other.
 """
 
@@ -17,7 +17,7 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,11 +74,9 @@ def _listens(path: Path) -> bool:
     return True
 
 
-def answer(faults: Faults, request: Any, ports: Sequence[str] = ()) -> Answer:
-    """Execute one request and return the answer; `ports` are the charger's terminals."""
+def answer(faults: Faults, request: Any) -> Answer:
+    """Execute one request and return the answer."""
     command = request.get("command") if isinstance(request, dict) else None
-    if command == "ports":
-        return {"success": True, "ports": list(ports)}
     if command == "begin":
         try:
             fault = from_mapping({key: value for key, value in request.items() if key != "command"}, Fault)
@@ -88,7 +86,7 @@ def answer(faults: Faults, request: Any, ports: Sequence[str] = ()) -> Answer:
     elif command == "clear":
         faults.clear()
     elif command != "active":
-        return {"success": False, "error": f"unknown command {command!r}: give begin, clear, active or ports"}
+        return {"success": False, "error": f"unknown command {command!r}: give begin, clear or active"}
     return {"success": True, "active": faults.active()}
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import os
 import tempfile
 import threading
 import time
@@ -118,8 +117,7 @@ class SimulatedCharger:
                 return False
 
     def _listen(self, faults: Faults, path: Path, opened: contextlib.ExitStack) -> None:
-        ports = [os.path.realpath(terminal.path) for terminal in self._terminals]
-        control = ControlServer(path, lambda request: answer(faults, request, ports))
+        control = ControlServer(path, lambda request: answer(faults, request))
         opened.callback(control.close)
         name = runtime.charger(domain(), self._namespace)
         try:

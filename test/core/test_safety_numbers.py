@@ -33,16 +33,13 @@ from deltacharger_docking import (
     release,
     standoff,
     touch,
-    visit,
     wired,
 )
-from deltacharger_docking.clearance import MisalignmentClasses, MisalignmentEstimate, Verdict, clearance_stddev, judge
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.ease import ease
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_docking.target_place import TargetPlace
 from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower
@@ -374,13 +371,6 @@ def looks(**changes: Any) -> bool:
     return answered(script, shared, estimate=estimate(**changes)) is None
 
 
-def eases(approach: str) -> bool:
-    """Return whether the servos of a resting arm share its load."""
-    shared = scene()
-    shared.parameters, shared.goal_angles = DockingParameters(approach=approach), pressing().angles
-    return next(ease(shared), None) is not None
-
-
 def gives_up_as(angle: float) -> Code:
     """Return why docking ends after unsure estimates of this angle (°)."""
     target = touch.Target(scene(), 12.0 * DEGREE)
@@ -390,21 +380,6 @@ def gives_up_as(angle: float) -> Code:
     except codes.DockingError as error:
         return error.code
     return Code.NONE
-
-
-def charges_as_published(angle: float) -> bool:
-    """Return whether current goes on by this class of the angle (°) after a goal with a limit of 3°."""
-    shared = scene()
-    shared.parameters = DockingParameters(approach="published")
-    shared.status.estimate = estimate(classes=MisalignmentClasses(angle * DEGREE, 0.0, 0.0))
-    shared.status.charging = True
-    held = visit.TargetVisit(shared, goals.GoalDesk(shared), DockGoal(None))
-    return held.take(DockGoal(None, critical_angle=3.0 * DEGREE)) is None
-
-
-def test_as_published_no_contact_changes_the_next_estimate() -> None:
-    found, shared = estimate(), scene()
-    assert TargetPlace(PARAMETERS, shared.share).combined(found) is found
 
 
 TILTED = estimate(angle=11.8 * DEGREE)
@@ -432,9 +407,7 @@ ANSWERS = (
     *fields(blinds, 0.001, (NAN, INF), *POSES),
     *fields(blinds, True, (False,), "contact", "sure", "in_range"),
     Limit("unsure first touch, °", lambda v: looks(sure=False, angle=v * DEGREE), 11.9, 12.1, (-12.1,)),
-    Limit("approach", eases, "guarded", "paper", ("published",)),
     Limit("unsure contacts, °", lambda v: gives_up_as(v) is Code.ESTIMATE_UNSURE, 11.9, 12.1, (-12.1,)),
-    Limit("published angle, °", charges_as_published, 2.9, 3.1),
 )
 
 

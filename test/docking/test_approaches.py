@@ -1,208 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking otherwise: Algorithm 1 as published, and electrodes wired to the battery.
-
-As published, classes move the arm and zero ends the loop; clearance counts only if required. Wired electrodes (power:
-none) are live at every touch, measured early, and never reported as charging.
-"""
+"""Electrodes wired to the battery (power: none): live at every touch, measured early, never reported as charging."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 import pytest
 
-from deltacharger_core.parameters import ParameterError
-from deltacharger_docking.clearance import MisalignmentClasses
 from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.observation import Command, Decision, DockGoal, Observation, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters, MagnetParameters, ServoParameters
+from deltacharger_sim.parameters import CircuitParameters
 
 from .dockings import (
-    MILLIMETRE,
-    assert_safe_at_home,
-    commands,
-    decisions,
     ends,
     feel,
-    felt_as,
     quick_charger,
-    reach,
     spoil,
 )
-
-Step = tuple[float, float]
-ZERO: Step = (0.0, 0.0)
-RULE = {"published_clearance_rule": True}
-
-
-class Scripted:
-    """A charger of `approach: published` whose estimates have scripted classes in place of the CNN's.
-
-    Attributes:
-        felt: replaces these values of each estimate.
-        places: x, y of the platform (m) at each estimate.
-        sent: the machine's commands.
-    """
-
-    def __init__(
-        self, *offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), degrees: float = 1.0, **more: Any
-    ) -> None:
-        parameters, coarse = {"approach": "published", **more.pop("parameters", {})}, more.pop("coarse", False)
-        self.run = quick_charger(*place, parameters=parameters, coarse=coarse, **more.pop("world", {}))
-        self._offsets, self._degrees, self.felt = list(offsets) or [ZERO], degrees, more
-        self.places: list[tuple[float, float]] = []
-        self.sent = commands(self.run)
-        self.run.answer[Service.ESTIMATE] = self._answer
-
-    def _answer(self, reply: Reply) -> Reply:
-        assert reply.estimate is not None
-        x, y, _ = self.run.world.snapshot().position
-        self.places.append((x, y))
-        horizontal, vertical = self._offsets.pop(0) if len(self._offsets) > 1 else self._offsets[0]
-        classes = MisalignmentClasses(math.radians(self._degrees), vertical * MILLIMETRE, horizontal * MILLIMETRE)
-        return replace(reply, estimate=felt_as(reply.estimate, **{"classes": classes, **self.felt}))
-
-
-def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
-    # The platform follows its command where gears do not hold it and wide magnets do not draw it aside.
-    world = {"servo": ServoParameters(friction=0.0, friction_share=0.0), "magnets": MagnetParameters(width=0.1)}
-    scripted = Scripted((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0), coarse=True, world=world)
-    outcome = scripted.run.dock()
-    assert outcome.success, outcome.message
-    assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, True)
-    moved = [tuple(value for _, value in each.values) for each in decisions(scripted.sent, "move")]
-    assert moved == [(5 * MILLIMETRE, -10 * MILLIMETRE), (-5 * MILLIMETRE, 0.0)]
-    (x, y), (a, b), (c, d) = scripted.places
-    assert (a - x, b - y) == pytest.approx((0.005, -0.010), abs=0.6 * MILLIMETRE)
-    assert (c - a, d - b) == pytest.approx((-0.005, 0.0), abs=0.6 * MILLIMETRE)
-    asked = [each for command in scripted.sent for each in command.requests if each.service is Service.ESTIMATE]
-    assert {each.model for each in asked} == {"cnn"}
-
-
-def test_zero_classes_cause_no_move_with_any_estimate() -> None:
-    scripted = Scripted(place=(4.0, 3.0, 2.0), sure=False, horizontal=0.004, vertical=0.003)
-    outcome = scripted.run.dock()
-    assert outcome.success, outcome.message
-    assert (outcome.alignments, scripted.run.world.record.contacts, len(scripted.places)) == (0, 1, 1)
-
-
-def test_after_its_moves_charging_starts_despite_contradicting_estimates() -> None:
-    scripted = Scripted((5.0, 0.0), (-5.0, 0.0), (5.0, 0.0), parameters={"alignments_max": 2}, coarse=True)
-    outcome = scripted.run.dock()
-    assert outcome.success, outcome.message
-    assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, False)
-    assert not {"contradiction", "verdict"} & {each.kind for each in decisions(scripted.sent)}
-
-
-NAMES = ("angle", "vertical", "horizontal")
-UNKNOWN = [replace(MisalignmentClasses(0.0, 0.0, 0.0), **{name: math.nan}) for name in NAMES]
-
-
-@pytest.mark.parametrize(
-    ("how", "limit", "code"),
-    [
-        ({"degrees": 5.0}, 4.0, Code.CRITICAL_ANGLE),
-        ({"degrees": 5.0, "place": (0.0, 0.0, 14.0)}, 0.0, Code.SHORT_CIRCUIT),  # classes end at 5°: the probe finds it
-        ({"contact": False}, 0.0, Code.NO_TACTILE_CONTACT),
-        ({"classes": None}, 0.0, Code.ESTIMATE_UNSURE),
-        *(({"classes": each}, 0.0, Code.ESTIMATE_UNSURE) for each in UNKNOWN),
-    ],
-)
-def test_a_target_whose_classes_are_not_good_is_refused_without_a_move(
-    how: dict[str, Any], limit: float, code: Code
-) -> None:
-    scripted = Scripted((5.0, 5.0) if limit else ZERO, **how)
-    outcome = scripted.run.dock(DockGoal(GOAL, critical_angle=math.radians(limit)))
-    assert (outcome.code, outcome.alignments) == (code, 0)
-    assert scripted.run.world.record.energised == 0.0
-    assert_safe_at_home(scripted.run)
-
-
-@pytest.mark.parametrize(
-    ("fault", "code"),
-    [({"tactile_contact": False}, Code.NO_TACTILE_CONTACT), ({"tactile_age": 1.0}, Code.TACTILE_STALE)],
-)
-def test_pads_without_contact_or_frames_end_charging(fault: dict[str, Any], code: Code) -> None:
-    scripted = Scripted()
-    assert scripted.run.dock().success
-    spoil(scripted.run, **fault)
-    ends(scripted.run, code, 3.0)
-    assert_safe_at_home(scripted.run)
-
-
-def test_as_published_current_flows_even_without_clearance() -> None:
-    scripted = Scripted(angle=math.radians(10.0), vertical=0.002)
-    assert scripted.run.dock().success
-    scripted.run.run(2.0 * scripted.run.parameters.clearance_period)
-    assert scripted.run.machine.status.charging, "nor does a watch over clearance end it"
-    assert len(scripted.places) == 1
-
-
-@pytest.mark.parametrize(
-    ("felt", "code", "contacts"),
-    [
-        ({"angle": 0.0, "vertical": 0.0}, Code.NONE, 1),
-        ({"angle": math.radians(7.5), "vertical": 0.0, "angle_stddev": 0.013}, Code.NONE, 2),
-        ({"angle": math.radians(7.0), "vertical": 0.004}, Code.MISALIGNED, 1),
-        ({"angle": math.radians(13.0)}, Code.CRITICAL_ANGLE, 1),
-        ({"sure": False}, Code.ESTIMATE_UNSURE, 1),
-    ],
-)
-def test_with_our_rule_the_estimate_decides_about_clearance_not_the_classes(
-    felt: dict[str, Any], code: Code, contacts: int
-) -> None:
-    run = Scripted(parameters=RULE, **felt).run
-    outcome = run.dock()
-    assert outcome.code is code, outcome.message
-    assert run.world.record.contacts == contacts
-    assert outcome.alignments == 0
-    assert outcome.success or run.world.record.energised == 0.0
-
-
-def test_with_our_rule_lost_clearance_ends_charging() -> None:
-    scripted = Scripted(parameters=RULE)
-    assert scripted.run.dock().success
-    scripted.felt = {"vertical": 0.008}
-    ends(scripted.run, Code.CRITICAL_ANGLE)
-    assert_safe_at_home(scripted.run)
-
-
-def unproven(seen: Observation) -> Observation:
-    return replace(seen, simulated=False)
-
-
-def test_goals_that_charge_are_refused_if_hardware_is_not_proven_simulated() -> None:
-    for parameters, refused in (({}, True), (RULE, False)):
-        run = Scripted(parameters=parameters).run
-        observe = run.observe
-        run.observe = lambda observe=observe: unproven(observe())  # type: ignore[method-assign, misc]
-        if not refused:
-            assert run.dock().success
-            continue
-        with pytest.raises(Rejected, match="published_clearance_rule"):
-            run.begin(DockGoal(GOAL))
-        assert run.dock(DockGoal(GOAL, start_charging=False)).success
-        with pytest.raises(Rejected):
-            run.begin(DockGoal(GOAL))
-        run.run(0.5)
-        assert run.world.record.energised == 0.0
-        assert run.machine.status.docked
-
-
-def test_hardware_that_is_no_longer_proven_keeps_the_contactor_open() -> None:
-    run = Scripted().run
-    reach(run, State.MEASURE)
-    run.distort = unproven
-    assert run.finish(60.0).code is Code.REJECTED
-    assert run.world.record.energised == 0.0
-    assert_safe_at_home(run)
-
 
 PRESSED = 0.3  # A of contact current that no touch reaches
 
@@ -345,12 +163,6 @@ def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -
     run.run(0.5)
     assert math.dist(run.world.snapshot().position, before) < 1e-4
     assert run.machine.status.docked == docked
-
-
-@pytest.mark.parametrize("approach", ["paper", "published"])
-def test_only_the_guarded_approach_may_dock_without_a_contactor(approach: str) -> None:
-    with pytest.raises(ParameterError, match="guarded"):
-        DockingParameters(power="none", approach=approach)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from ..nodes import options
 
 LIVE = [each for each in declared(DockingParameters) if each.tunable]
 GUARDS = {  # of live electrodes, or copied by another part
-    "approach", "published_clearance_rule", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
+    "power", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
     "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",
     "unsafe_max", "blind_max", "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
     "hard_current", "torque_constant", "gravity_z", "servo_stiffness", "electrode_half_gap",
@@ -74,8 +74,6 @@ TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNo
 
 def other(each: Declaration) -> Any:
     """Return an allowed value near the default, so that no two parameters contradict each other."""
-    if each.name == "power":  # its other value allows one approach alone; see test_approaches.py
-        return each.default
     if isinstance(each.default, tuple):
         return [*each.default[:-1], 0.51]
     if each.kind is bool:

@@ -306,19 +306,6 @@ def test_a_node_that_is_stopped_for_a_second(run: Faulty, name: str, phase: Stat
     run.go_home()
 
 
-@pytest.mark.parametrize("name", ["servo_node", "tactile_node", "docking_node"])
-def test_backing_off_ends_with_the_code_of_the_silent_node(name: str) -> None:
-    """The paper's first push backs off if the target is nearer than given."""
-    run = Faulty(nearer=0.006, approach="paper")
-    undergo(run, name, State.BACK_OFF, 2.0)
-    if name != "docking_node":
-        code = INPUTS[name].codes[State.CONTACT]
-        assert run.end(State.BACK_OFF, code) is code
-    run.restart()
-    run.go_home()
-    run.assert_never_hurt()
-
-
 @pytest.mark.parametrize("state", [*MOVING, State.MEASURE, State.ENERGISE])
 def test_cancel_in_every_phase(run: Faulty, state: State) -> None:
     run.reach(state)

@@ -34,9 +34,8 @@ BACK = {State.RETRACT}
 LEGAL: dict[State, set[State]] = {
     State.IDLE: {State.LOCATE, State.APPROACH, State.MEASURE, *BACK},
     State.LOCATE: {State.APPROACH, *BACK},
-    State.APPROACH: {State.CONTACT, State.BACK_OFF, *BACK},
+    State.APPROACH: {State.CONTACT, *BACK},
     State.CONTACT: {State.MEASURE, *BACK},
-    State.BACK_OFF: {State.CONTACT, *BACK},
     State.MEASURE: {State.ALIGN, State.CONTACT, State.ENERGISE, State.IDLE, *BACK},
     State.ALIGN: {State.CONTACT, *BACK},
     State.ENERGISE: {State.CHARGING, *BACK},

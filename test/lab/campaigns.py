@@ -20,10 +20,8 @@ QUICK: dict[str, Any] = {
 }
 
 
-def settings(
-    n: int, seed: int = 3, approach: str = "guarded", content: Mapping[str, Any] | None = None
-) -> CampaignSettings:
-    return CampaignSettings(n, seed, approach, False, QUICK if content is None else content, "quick", versions())
+def settings(n: int, seed: int = 3, exact: bool = False, content: Mapping[str, Any] | None = None) -> CampaignSettings:
+    return CampaignSettings(n, seed, exact, QUICK if content is None else content, "quick", versions())
 
 
 def scene(content: Mapping[str, Any] | None = None) -> CampaignScene:

@@ -66,7 +66,7 @@ def test_a_docking_depends_only_on_seed_and_number() -> None:
 
 
 def test_a_row_has_every_column_and_its_type() -> None:
-    row = dock_once(scene(), 3, 0, "guarded")
+    row = dock_once(scene(), 3, 0)
     known = columns(scene())
     assert set(row) == set(known)
     assert all(isinstance(row[name], kind) for name, (kind, _) in known.items()), row
@@ -138,8 +138,8 @@ def test_the_command_reports_progress_and_figures(
     code, figures, err = run(capsys, *words)
     assert (code, figures["n"], figures["complete"], "100 %" in err) == (0, 2, True, True)
     assert {"charged", "refused", "shorts", "energised_unsafe", "aligned", "time", "moves", "peak_push"} <= set(figures)
-    code, answer, _ = run(capsys, *words, "--approach", "paper")
-    assert (code, "approach" in answer["error"]) == (2, True)
+    code, answer, _ = run(capsys, *words, "--exact")
+    assert (code, "exact" in answer["error"]) == (2, True)
 
 
 def children(parent: int, program: str = "") -> set[int]:
@@ -183,7 +183,7 @@ def test_different_settings_are_refused_and_named(tmp_path: Path) -> None:
     wider = {**QUICK, "target": {"x": [-0.004, 0.002], "y": [-0.002, 0.002], "roll": [-0.05, 0.05]}}
     for other, named in (
         (settings(3, seed=4), "seed is 4, was 3"),
-        (settings(3, approach="paper"), "approach is paper"),
+        (settings(3, exact=True), "exact is true"),
         (settings(2), "n is 2, was 3"),
         (settings(3, content=wider), "scene's target.x"),
         (replace(settings(3), versions={**settings(3).versions, "deltacharger": "0.0.1"}), "version of deltacharger"),
@@ -246,7 +246,7 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = run_batch(settings(3).to_json(), [0, 1, 2])
     assert [row["code_name"] for row in rows] == ["NONE", "CRASHED", "NONE"]
     assert "ZeroDivisionError: no such thing" in rows[1]["error"]
-    assert rows[1]["target.x"] == draw(scene(), 3, 1, "guarded").values["target.x"]
+    assert rows[1]["target.x"] == draw(scene(), 3, 1).values["target.x"]
     summary = summarise({name: [row[name] for row in rows] for name in RESULTS | {"number": None}})
     assert (summary["n"], summary["crashed"], summary["refused"]) == (3, 1, {})
 
@@ -331,12 +331,12 @@ def test_mcnemar_exactly(only_a: int, only_b: int, p: float) -> None:
 
 
 def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for name, kind in (("a", {}), ("b", {"approach": "paper"}), ("c", {"seed": 9})):
+    for name, kind in (("a", {}), ("b", {"exact": True}), ("c", {"seed": 9})):
         with Store(tmp_path / name, settings(2, **kind)) as store:
             store.add(run_batch(store.settings.to_json(), range(2)))
     a, b, c = (str(tmp_path / name) for name in "abc")
     code, found, _ = run(capsys, "compare", a, b)
-    assert (code, found["pairs"], found["differs"]) == (0, 2, ["approach: guarded → paper"])
+    assert (code, found["pairs"], found["differs"]) == (0, 2, ["exact: false → true"])
     assert found["rates"]["charged"]["difference"] == 0.0
     low, high = found["numbers"]["peak_push"]["interval"]
     assert low <= found["numbers"]["peak_push"]["difference"] <= high

@@ -21,8 +21,8 @@ from deltacharger_lab.campaigns.docking import dock_once, make_charger
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
 scene = parse_campaign_scene({"target": {"x": [-0.01, 0.01]}}, "x")
-assert not dock_once(scene, 41, 0, "guarded")["error"]
-make_charger(draw(scene, 41, 0, "guarded"), exact=True)
+assert not dock_once(scene, 41, 0)["error"]
+make_charger(draw(scene, 41, 0), exact=True)
 print(json.dumps({n: m.__file__ for n, m in sys.modules.items() if n.startswith("deltacharger_")}))
 """
 ONLY_READS = (

@@ -34,22 +34,22 @@ exactly_too = pytest.mark.parametrize("exact", [False, rest(True)])
 
 def drawn(**more: Any) -> Drawn:
     """Return the first docking of the quick scene with more keys."""
-    return draw(scene({**QUICK, **more}), 3, 0, "guarded")
+    return draw(scene({**QUICK, **more}), 3, 0)
 
 
 def docked(exact: bool = False, number: int = 0, **more: Any) -> dict[str, Any]:
     """Return a row of the quick scene with more keys."""
-    row = dock_once(scene({**QUICK, **more}), 3, number, "guarded", exact)
+    row = dock_once(scene({**QUICK, **more}), 3, number, exact)
     assert row["error"] == ""
     return row
 
 
 def test_assumed_stiffness_and_torque_constant_do_not_change_the_true_ones() -> None:
-    world, _, used = build_parts({"world.servo.stiffness": 5.0, "assumed.servo_stiffness": 2.5}, "guarded")
+    world, _, used = build_parts({"world.servo.stiffness": 5.0, "assumed.servo_stiffness": 2.5})
     assert (world.servo.stiffness, used.servo_stiffness) == (5.0, 12.5)
-    world, _, used = build_parts({"world.servo.torque_constant": 1.2}, "guarded")
+    world, _, used = build_parts({"world.servo.torque_constant": 1.2})
     assert (world.servo.torque_constant, used.torque_constant) == (1.2, 1.2)
-    world, _, used = build_parts({"assumed.torque_constant": 0.8}, "guarded")
+    world, _, used = build_parts({"assumed.torque_constant": 0.8})
     assert (world.servo.torque_constant, used.torque_constant) == (TORQUE_CONSTANT, 0.8 * TORQUE_CONSTANT)
 
 
@@ -67,7 +67,7 @@ def test_assumed_gravity_differs_by_the_given_angle(true: tuple[float, float]) -
     found = []
     for tilt, azimuth in ((0.0, 0.0), (0.2, 0.0), (0.2, 0.5 * math.pi)):
         told = {"assumed.gravity_tilt": tilt, "assumed.gravity_azimuth": azimuth}
-        world, _, used = build_parts({**stands, **told}, "guarded")
+        world, _, used = build_parts({**stands, **told})
         found.append(np.array(used.gravity) / GRAVITY_STRENGTH)
     down = np.array((world.gravity_x, world.gravity_y, world.gravity_z)) / GRAVITY_STRENGTH
     assert found[0] == pytest.approx(down)
@@ -102,7 +102,7 @@ def test_docking_moves_by_the_assumed_geometry_in_the_true_world(exact: bool) ->
 
 def test_pairs_stay_pairs_and_true_assumptions_change_no_row() -> None:
     for number in range(4):
-        one, two = (draw(load_campaign_scene(name), 7, number, "guarded") for name in ("default", "assumed_geometry"))
+        one, two = (draw(load_campaign_scene(name), 7, number) for name in ("default", "assumed_geometry"))
         assert (one.world, one.goal, one.docking, one.seed) == (two.world, two.goal, two.docking, two.seed)
         assert one.geometry is None is not two.geometry
     true = {"servo_stiffness": 1.0, "torque_constant": 1.0, "geometry": {"arm": 0.0, "limb_1": {"rod": 0.0}}}
@@ -135,7 +135,7 @@ def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
 
 
 def test_a_heading_turns_the_faces_back() -> None:
-    world, _, _ = build_parts({"parked.heading": 0.03, "world.target.tilt_y": 0.01}, "guarded")
+    world, _, _ = build_parts({"parked.heading": 0.03, "world.target.tilt_y": 0.01})
     assert world.target.tilt_y == pytest.approx(-0.02)
     askew = docked(parked={"heading": 0.02})
     turned = docked(world={**QUICK["world"], "target": {"tilt_y": -0.02}})
@@ -146,8 +146,8 @@ def test_a_heading_turns_the_faces_back() -> None:
 
 def test_docking_knows_that_there_are_no_magnets_but_not_how_strong_others_are() -> None:
     for force, assumed in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
-        assert build_parts({"world.magnets.force": force}, "guarded")[2].magnet_force == assumed
-    assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0}, "guarded")[2].magnet_force == 40.0
+        assert build_parts({"world.magnets.force": force})[2].magnet_force == assumed
+    assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0})[2].magnet_force == 40.0
 
 
 def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[str, Any]:

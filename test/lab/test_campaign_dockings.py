@@ -80,24 +80,23 @@ def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "approach"),
+    "content",
     [
-        rest(QUICK, "guarded"),
-        rest(QUICK, "paper"),
-        rest({"target": {"roll": 0.30}, "shift": {"roll": -0.02}}, "guarded"),
-        rest({"target": {"roll": 0.0}, "shift": {"roll": 0.26}}, "guarded"),
-        ({"world": {"target": {"present": False}}}, "guarded"),
-        rest({"world": {"circuit": {"target_leakage": 0.1}}}, "guarded"),
-        rest({"world": {"circuit": {"target_voltage": -24.0}}}, "guarded"),
-        rest({"target": {"x": 0.06, "y": 0.06}, "shift": {"x": 0.02}}, "guarded"),
-        rest({"world": {"magnets": {"force": 0.0}}}, "guarded"),
-        rest({"world": {"target": {"tilt_x": 0.01, "tilt_y": 0.02}, "platform": {"compliance": 0.02}}}, "guarded"),
-        rest({"world": {"target": {"tilt_x": 0.005, "tilt_y": -0.003}}}, "guarded"),
+        rest(QUICK),
+        rest({"target": {"roll": 0.30}, "shift": {"roll": -0.02}}),
+        rest({"target": {"roll": 0.0}, "shift": {"roll": 0.26}}),
+        ({"world": {"target": {"present": False}}}),
+        rest({"world": {"circuit": {"target_leakage": 0.1}}}),
+        rest({"world": {"circuit": {"target_voltage": -24.0}}}),
+        rest({"target": {"x": 0.06, "y": 0.06}, "shift": {"x": 0.02}}),
+        rest({"world": {"magnets": {"force": 0.0}}}),
+        rest({"world": {"target": {"tilt_x": 0.01, "tilt_y": 0.02}, "platform": {"compliance": 0.02}}}),
+        rest({"world": {"target": {"tilt_x": 0.005, "tilt_y": -0.003}}}),
     ],
 )
-def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any], approach: str) -> None:
-    quick = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach)
-    exact = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach, exact=True)
+def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any]) -> None:
+    quick = dock_once(parse_campaign_scene(content, "x"), 5, 0)
+    exact = dock_once(parse_campaign_scene(content, "x"), 5, 0, exact=True)
     assert quick["error"] == exact["error"] == ""
     same = ("code_name", "charged", "shorts", "parted_live", "seed", "rig_seed", "goal_x", "place_x")
     assert {name: quick[name] for name in same} == {name: exact[name] for name in same}
@@ -111,7 +110,7 @@ def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any], approach:
 @pytest.mark.parametrize("number", [473, 989])
 def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_springs(number: int) -> None:
     """The pads' moment depends on the force and must not increase it in turn, or the force grows without end."""
-    row = dock_once(packaged("edge"), 20, number, "guarded")
+    row = dock_once(packaged("edge"), 20, number)
     assert row["error"] == ""
     assert 100.0 < row["peak_force"] < 2000.0
 
@@ -137,7 +136,7 @@ def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_spring
 )
 def test_a_listed_docking_ends_as_it_must(number: int, codes: str) -> None:
     assert len(packaged("fixed").dockings) == 160
-    row = dock_once(packaged("fixed"), 8, number, "guarded")
+    row = dock_once(packaged("fixed"), 8, number)
     assert row["error"] == ""
     assert row["code_name"] in codes.split(), row["message"]
     assert (row["shorts"], row["energised_unsafe"], row["parted_live"]) == (0, 0.0, 0)
@@ -159,6 +158,6 @@ OTHERS = ("nudged", "second", "second_sensitive", "random_second")
     [("assumed_geometry", False), *(rest(name, exact) for name in (*NAMES, *OTHERS) for exact in (False, True))],
 )
 def test_a_packaged_scene_docks_safely(name: str, exact: bool) -> None:
-    row = dock_once(packaged(name), 7, 0, "guarded", exact)
+    row = dock_once(packaged(name), 7, 0, exact)
     assert (row["error"], row["shorts"], row["energised_unsafe"]) == ("", 0, 0.0)
     assert row.get("pads", "first") == ("second" if "second" in name else "first")

@@ -67,7 +67,7 @@ def test_the_goal_is_the_cameras_pose_and_the_world_has_the_true_one() -> None:
         "shift": {"x": 0.003, "z": -0.001, "roll": -0.02},
         "estimator": {"angle_stddev": 0.01},
     }
-    drawn = draw(parse_campaign_scene(content, "x"), 1, 0, "guarded")
+    drawn = draw(parse_campaign_scene(content, "x"), 1, 0)
     assert drawn.goal.position == pytest.approx((0.01, -0.005, 0.082))
     assert (drawn.goal.roll, drawn.goal.roll_stddev) == (0.04, 0.0)
     target = drawn.world.target
@@ -76,7 +76,7 @@ def test_the_goal_is_the_cameras_pose_and_the_world_has_the_true_one() -> None:
 
 
 def scattered(scene: CampaignScene, count: int) -> list[Any]:
-    return [draw(scene, 1, number, "guarded") for number in range(count)]
+    return [draw(scene, 1, number) for number in range(count)]
 
 
 @pytest.mark.parametrize(
@@ -102,23 +102,23 @@ def test_errors_of_camera_and_mount_have_their_declared_width(
 @pytest.mark.parametrize(("azimuth", "expected"), [(0.0, (0.0, 0.0)), (math.pi / 2.0, (1.0, 0.0))])
 def test_a_tilted_robot_has_tilted_gravity(azimuth: float, expected: tuple[float, float]) -> None:
     values = {"gravity.tilt": 0.1, "gravity.azimuth": azimuth}
-    world, _, docking = build_parts(values, "guarded")
+    world, _, docking = build_parts(values)
     assert math.hypot(world.gravity_x, world.gravity_y, world.gravity_z) == pytest.approx(9.81)
     assert world.gravity_x == pytest.approx(9.81 * math.sin(0.1) * expected[0])
     assert docking.gravity == (0.0, -9.81, 0.0)
-    _, _, docking = build_parts({**values, "gravity.known": True}, "guarded")
+    _, _, docking = build_parts({**values, "gravity.known": True})
     assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
 
 
 def test_electrodes_have_the_hole_that_the_scene_gives_them() -> None:
-    assert build_parts({"electrode.hole": 0.002}, "guarded")[1].contact.hole == 0.002
-    assert build_parts({}, "guarded")[1] == TactileParameters()
+    assert build_parts({"electrode.hole": 0.002})[1].contact.hole == 0.002
+    assert build_parts({})[1] == TactileParameters()
 
 
 def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
     entries = [{"shift": {"x": 0.001 * index}} for index in range(3)]
     scene = parse_campaign_scene({"target": {"roll": [-0.1, 0.1]}, "dockings": entries}, "x")
-    drawn = [draw(scene, 1, number, "guarded") for number in range(3)]
+    drawn = [draw(scene, 1, number) for number in range(3)]
     assert [each.values["shift.x"] for each in drawn] == [0.0, 0.001, 0.002]
     assert len({each.values["target.roll"] for each in drawn}) == 3
     assert scene.drawn() == ["shift.x", "target.roll"]
@@ -132,7 +132,7 @@ def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
     scene = load_campaign_scene(name)
     found = hashlib.sha256()
     for number in range(40):
-        one = draw(scene, 21, number, "guarded")
+        one = draw(scene, 21, number)
         world = one.world
         bodies = (world.servo, world.contact, world.magnets, world.target, world.cable, world.stand, one.goal)
         parts = list(map(astuple, bodies))
@@ -153,8 +153,8 @@ def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
 def test_a_new_key_does_not_change_the_values_of_others(more: dict[str, Any]) -> None:
     base = {"target": {"x": [-0.02, 0.02]}, "camera": {"position_stddev": 0.001}, "hand_eye": {"rotation_stddev": 0.01}}
     for number in range(5):
-        one = draw(parse_campaign_scene(base, "x"), 4, number, "guarded")
-        two = draw(parse_campaign_scene({**base, **more}, "x"), 4, number, "guarded")
+        one = draw(parse_campaign_scene(base, "x"), 4, number)
+        two = draw(parse_campaign_scene({**base, **more}, "x"), 4, number)
         assert {name: two.values[name] for name in one.values} == one.values
         assert (one.goal, one.seed, one.rig_seed) == (two.goal, two.seed, two.rig_seed)
 

@@ -64,7 +64,7 @@ def test_bins_have_every_docking_of_either_sign_once() -> None:
     [
         ("random", {}, set()),
         ("random", {"energised_unsafe": 0.01}, {"energised without clearance, random scenes"}),
-        ("random", {"shorts": 1}, {"shorts, guarded"}),
+        ("random", {"shorts": 1}, {"shorts, our algorithm"}),
         ("random", {"rest_current": 0.51}, {"contact current at rest in 0.4–0.5 A"}),
         ("random", {"servo_push": 25.1}, {"largest push of the servos in contact"}),
         ("random", {"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),

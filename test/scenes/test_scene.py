@@ -266,7 +266,7 @@ def test_packaged_scenes_set_only_parameters_that_their_nodes_accept() -> None:
         ("servo_node", "rate", True, "not a number"),
         ("servo_node", "ids", [1, 2], "has 2 numbers; give 3"),
         ("servo_node", "joint_min", 1.3, "is not below"),
-        ("docking_node", "approach", "fast", "not one of guarded, paper"),
+        ("docking_node", "power", "wired", "not one of board, none"),
         ("misalignment_node", "frames", 12.5, "not a whole number"),
     ],
 )

@@ -30,7 +30,7 @@ CHOICES = (
         ("clearance_min", "clearance_sigmas", "clearance_sigmas_sure", "clearance_contacts"),
         "no seed: the formula of the clearance, and a rate of unsafe acts by the normal distribution and its tails",
     ),
-    Choice(("current_min", "current_max", "back_off", "paper_step", "alignments_max"), "no seed: the paper"),
+    Choice(("current_min", "current_max", "alignments_max"), "no seed: the paper"),
     Choice(("docking_jitter",), "rigs 500–509 of the pads' generator, fitted to the paper's accuracies"),
     Choice(
         (

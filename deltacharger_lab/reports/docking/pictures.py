@@ -12,10 +12,8 @@ from deltacharger_lab.reports.docking import lean_picture, summary
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
 
 FORMS = {
-    "random": ("guarded, our estimate", BLUE),
-    "paper": ("paper's steps, our estimate", GREEN),
+    "random": ("ours", BLUE),
     "published": ("paper as printed", PURPLE),
-    "published_clearance": ("paper as printed, our clearance rule", ORANGE),
 }
 """The forms of Algorithm 1 that dock the same scenes."""
 _CODES = {
@@ -33,16 +31,14 @@ _LARGEST = 6000  # dots of a cloud
 
 def _angle(results: dict[str, Any], path: Path) -> None:
     rows = results["rows"]
-    about = (
-        "simulated dockings of `random` by the target's roll; left with 95 % intervals, right guarded with our estimate"
-    )
+    about = "simulated dockings of `random` by the target's roll; left with 95 % intervals, right ours"
     with picture(path, 11.0, 4.8, "Charged and refused dockings", about) as figure:
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.15, 1.0)})
         names = [name for name in FORMS if name in rows]
         for index, name in enumerate(names):
             label, colour = FORMS[name]
             bins = results["parts"][name]["bins"]
-            middle = np.array([0.5 * (each["low"] + each["high"]) for each in bins]) + 0.12 * (index - 1.5)
+            middle = np.array([0.5 * (each["low"] + each["high"]) for each in bins]) + 0.12 * (index - 0.5)
             share = np.array([100.0 * each["share"] for each in bins])
             ends = np.array([[100.0 * end for end in each["interval"]] for each in bins])
             reach = np.abs(np.stack([share - ends[:, 0], ends[:, 1] - share]))
@@ -140,7 +136,7 @@ def _alignment(results: dict[str, Any], path: Path) -> None:
             charged = rows[name]["charged"]
             count = int(charged.sum())
             share = np.bincount(rows[name]["moves"][charged].astype(int), minlength=16)[:16] / max(count, 1)
-            moves.bar(np.arange(16) + 0.2 * (index - 1.5), 100.0 * share, 0.2, color=colour, label=f"{label}, {count}")
+            moves.bar(np.arange(16) + 0.4 * (index - 0.5), 100.0 * share, 0.4, color=colour, label=f"{label}, {count}")
             _share_below(seconds, rows[name]["time"][charged].astype(float), colour)
             far = np.maximum(np.abs(rows[name]["final_horizontal"]), np.abs(rows[name]["final_vertical"]))[charged]
             _share_below(rest, 1000.0 * far.astype(float), colour)

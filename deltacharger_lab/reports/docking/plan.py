@@ -21,7 +21,6 @@ class CampaignPart:
         scene: packaged scene.
         count: dockings; of a listed scene at most as many as it lists.
         about: description for the page.
-        approach: of docking's parameters.
         exact: whether every tick and frame is computed.
     """
 
@@ -29,7 +28,6 @@ class CampaignPart:
     scene: str
     count: int
     about: str
-    approach: str = "guarded"
     exact: bool = False
 
 
@@ -72,9 +70,7 @@ PARTS = (
     ),
     CampaignPart("understated", "edge_understated", 2_000, "`edge`, reported σ 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
-    CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
-    CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
-    CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
+    CampaignPart("published", "published", 2_000, "`random`, the paper's algorithm as printed, with its classes"),
     CampaignPart(
         "assumed_stiffness",
         "assumed_stiffness",

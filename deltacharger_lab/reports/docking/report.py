@@ -22,9 +22,7 @@ from deltacharger_lab.reports.report import Progress, Report
 
 CAMPAIGNS = "campaigns"
 _PAIRS = (
-    ("random", "paper"),
     ("random", "published"),
-    ("random", "published_clearance"),
     ("exact", "random"),
     ("strike", "default"),
     *((f"{name}_exact", name) for name in ("assumed_stiffness", "rigid", "lean2", "lean5")),
@@ -78,7 +76,7 @@ def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
         count = max(count, read_settings(folder).n)
     if scene.dockings:
         count = min(count, len(scene.dockings))
-    return CampaignSettings(count, seed, part.approach, part.exact, scene.content, scene.name, versions())
+    return CampaignSettings(count, seed, part.exact, scene.content, scene.name, versions())
 
 
 def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
@@ -95,7 +93,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
     progress("figures")
     every, near = summary.joined(rows, "random", "upright"), summary.joined(rows, "zero", "edge")
     upright = None if every is None else summary.part(every, every["degrees"] <= summary.UPRIGHT)
-    forms = {"edge": "`edge`, guarded", **{name: title for name, (title, _) in FORMS.items()}}
+    forms = {"edge": "`edge`, ours", **{name: title for name, (title, _) in FORMS.items()}}
     results = report.results
     results |= {
         "quick": plan.quick,

@@ -329,7 +329,7 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         at_least("at rest within 2.5 mm in both axes, default", share(default, "near"), 94.0, "%"),
         none("energised without clearance, random scenes", *unsafe("random")),
         none("energised without clearance, scenes at 8–11°", *unsafe("edge")),
-        none("shorts, guarded", shorts, f"of {sum(each['n'] for each in guarded)}"),
+        none("shorts, our algorithm", shorts, f"of {sum(each['n'] for each in guarded)}"),
         at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 100.0, "%"),
         at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
         at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Algorithm 1 as printed, for comparison; docking itself never runs it.
+
+    go to the coordinates; current > 0.5 A: back 30 mm; while current < 0.4 A: on by 5 mm; measure the angle;
+    below the critical one: while an offset is not zero, 15 times at most: detect it, move by it; start charging;
+    else go back, charging has failed. All-zero tactile frames end it.
+
+It has no filter, no check for contradictions or clearance, no easing, and no repeated contacts. The estimates must be
+classes (`PaperClasses`). Their angles are whole degrees of |angle| up to 5°, so a critical angle above 5° refuses
+nothing. Their offsets are 0, ±5 and ±10 mm.
+
+Where the paper gives no detail, this uses docking's own: the tare at the standoff, the lift before a move sideways, the
+depth of the search, 24 frames for an estimate, probe and lease, and the limits of reach and phases.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from deltacharger_core.script import Script
+from deltacharger_docking.algorithm import prepare
+from deltacharger_docking.codes import CriticalAngle, State
+from deltacharger_docking.context import Context
+from deltacharger_docking.energy import de_energise, energise
+from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking.press import check_depth, check_pads, move_aside, step_to
+from deltacharger_docking.release import take_off
+from deltacharger_docking.standoff import approach
+from deltacharger_docking.touch import measure, rolled_too_far
+
+_BACK, _STEP = 0.030, 0.005  # m: the paper's step back from too hard a push, and its step on
+
+
+def published(electrodes: ElectrodePose, critical_angle: float = math.inf) -> Callable[[Context], Script[str]]:
+    """Return the paper's docking, for `DockingMachine.start`; it succeeds once charge current has been stable.
+
+    Args:
+        electrodes: pose of the target's electrodes, charger_base.
+        critical_angle: of the classes, rad; the default is the parameter.
+
+    Returns:
+        A script that raises CriticalAngle for an angle that is not below the critical one, and what docking's steps
+        raise. It opens the contactor at its end.
+    """
+
+    def script(context: Context) -> Script[str]:
+        x, y, z = electrodes.position
+        depth, limit = z + context.parameters.search_depth, min(critical_angle, context.parameters.critical_angle)
+        yield from prepare(context)
+        yield from approach(context, (x, y, z))
+        yield from step_to(context, z)
+        if context.contact.value > context.parameters.current_max:
+            yield from _back_off(context)
+        yield from _press(context, depth)
+        yield from _align(context, depth, limit)
+        yield from energise(context)
+        yield from de_energise(context)
+        return "charged"
+
+    return script
+
+
+def _back_off(context: Context) -> Script[None]:
+    x, y, z = context.position
+    context.check_way((x, y, z - _BACK))
+    if context.observation.tactile_contact:
+        yield from take_off(context, z - _BACK)
+        yield from context.rest()
+    else:
+        yield from context.move((x, y, z - _BACK), context.parameters.travel_speed)
+
+
+def _press(context: Context, depth: float) -> Script[None]:
+    context.enter(State.CONTACT, context.parameters.contact_timeout)
+    while context.contact.value < context.parameters.current_min:
+        check_depth(context, depth)
+        yield from step_to(context, context.commanded[2] + _STEP)
+    check_pads(context)
+
+
+def _align(context: Context, depth: float, limit: float) -> Script[None]:
+    """Move by classes until both offsets are of class zero, or all moves are used."""
+    status = context.status
+    found = yield from measure(context)
+    if not abs(found.angle) < limit:
+        raise CriticalAngle(rolled_too_far(found.angle))
+    while (found.horizontal or found.vertical) and status.alignments < context.parameters.alignments_max:
+        x, y = found.horizontal, found.vertical
+        status.alignments += 1
+        context.decide("move", "the electrodes move by the centres of the classes", x_m=x, y_m=y)
+        yield from move_aside(context, x, y)
+        yield from _press(context, depth)
+        found = yield from measure(context)
+    status.aligned = not (found.horizontal or found.vertical)
+    status.docked = True
