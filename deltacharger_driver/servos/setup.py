@@ -38,8 +38,18 @@ from deltacharger_driver.servos.snapshot import (
 
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 _SCANNED_SPEEDS = (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000, 9600)
-_PREPARED = {"return_delay": 0, "operating_mode": MODE_CURRENT_POSITION}
-"""EEPROM registers; written only if different, because EEPROM wears."""
+MOTION = {
+    "return_delay": 0,
+    "operating_mode": MODE_CURRENT_POSITION,
+    "acceleration_limit": REGISTERS["acceleration_limit"].high,
+    "velocity_limit": REGISTERS["velocity_limit"].high,
+    **{name: REGISTERS[name].default for name in ("velocity_i_gain", "velocity_p_gain")},
+    **dict.fromkeys(("feedforward_2_gain", "feedforward_1_gain"), 0),
+    "goal_pwm": REGISTERS["goal_pwm"].high,
+    **dict.fromkeys(("goal_velocity", "profile_acceleration", "profile_velocity"), 0),
+}
+"""Registers that act on motion, beside the gains and what is demanded: other software may have left any value. They are
+read, and written only if different, because EEPROM wears."""
 _DEMANDED = {
     "drive_mode": (0, 0, "set the sign with the parameter 'direction'"),
     "homing_offset": (0, 0, "set the zero with the parameter 'zero_ticks'"),
@@ -135,8 +145,8 @@ def _locate(link: ServoLink, servo: int) -> str:
 def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
     """Switch a servo's torque off and configure it for the cycle, verifying each register by reading it back.
 
-    Written: status return level, torque enable, return delay, operating mode, gains of the position loop, indirect
-    addresses, profile, bus watchdog. Checked but never written: drive mode, homing offset, secondary id, shutdown, and
+    Written: status return level, torque enable, `MOTION`, gains of the position loop, indirect addresses, bus watchdog.
+    Checked but never written: drive mode, homing offset, secondary id, shutdown, and
     the limits of temperature, voltage, PWM and current. Neither: id, baud rate.
 
     Args:
@@ -219,13 +229,9 @@ def _enable_replies(link: ServoLink, servo: int, faults: list[str]) -> None:
 
 def _prepare(link: ServoLink, servo: int, settings: BusSettings, faults: list[str]) -> None:
     """Write the registers that the cycle needs, the watchdog last, after reading the cycle's block once."""
-    for name, value in _PREPARED.items():
+    for name, value in (MOTION | dict(zip(GAINS, settings.gains, strict=True))).items():
         if link.read(servo, name) != value:
             _set(link, servo, name, value, faults)
-    for name, gain in zip(GAINS, settings.gains, strict=True):
-        _set(link, servo, name, gain, faults)
-    _set(link, servo, "profile_acceleration", 0, faults)
-    _set(link, servo, "profile_velocity", 0, faults)
     _attempt(lambda: _map_blocks(link, servo, faults), faults)
     if faults:
         return

@@ -14,7 +14,8 @@ from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, Po
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, ControlTable
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.setup import MOTION
+from deltacharger_driver.servos.snapshot import GAINS, BusSettings
 
 from .servo_rig import BOUND, OVERLOAD
 
@@ -207,21 +208,26 @@ def refuse(emulator: ServoBusEmulator, addresses: set[int], answer: int, monkeyp
 def test_one_rejection_does_not_hide_the_next(
     closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = ("return_delay", "position_p_gain", "profile_acceleration")
+    names = ("return_delay", "feedforward_1_gain", "position_d_gain")
+    emulator.servo(2).table.set("feedforward_1_gain", 3000)
     refuse(emulator, {REGISTERS[name].address for name in names}, 6, monkeypatch)
     with pytest.raises(HandshakeError) as caught:
         closed.open()
     assert [name in fault for name, fault in zip(names, caught.value.faults, strict=True)] == [True] * 3
 
 
-@pytest.mark.parametrize("name", ["position_p_gain", "position_i_gain", "position_d_gain"])
-def test_a_gain_that_a_servo_does_not_keep_is_named(
+@pytest.mark.parametrize("name", [*MOTION, *GAINS])
+def test_what_other_software_left_in_a_register_that_acts_on_motion_is_overwritten_or_named(
     line: Any, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    emulator.servo(2).table.set(name, 17)
-    refuse(emulator, {REGISTERS[name].address}, OK, monkeypatch)
+    emulator.servo(2).table.set(name, 4)
     bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
-    with pytest.raises(HandshakeError, match=f"servo 2: {name.replace('_', ' ')} reads 17"):
+    bus.open()
+    assert emulator.servo(2).table.get(name) == (MOTION | dict(zip(GAINS, (500, 20, 3), strict=True)))[name]
+    bus.close()
+    emulator.servo(2).table.set(name, 4)
+    refuse(emulator, {REGISTERS[name].address}, OK, monkeypatch)
+    with pytest.raises(HandshakeError, match=f"servo 2: {name.replace('_', ' ')} reads 4"):
         bus.open()
 
 

@@ -18,7 +18,7 @@ from deltacharger_driver.servos import snapshot as block
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import REGISTERS
-from deltacharger_driver.servos.setup import configure, restart_watchdog
+from deltacharger_driver.servos.setup import MOTION, configure, restart_watchdog
 from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot, has_restarted
 
 from ...marks import rest
@@ -28,11 +28,9 @@ from .sites import ServoSite
 OLDEST_FIRMWARE = 39
 CYCLES = 60
 RATE = 100.0  # Hz, of servo_node
-ZERO = ("torque_enable", "return_delay", "drive_mode", "homing_offset", "position_i_gain")
-ZERO += ("profile_acceleration", "profile_velocity", "hardware_error")
-SET_UP = dict.fromkeys(ZERO, 0) | {"status_return_level": 2, "secondary_id": 255}
-SET_UP |= {"operating_mode": mx64.MODE_CURRENT_POSITION}
-SET_UP |= {"position_p_gain": POSITION_P_GAIN, "position_d_gain": POSITION_D_GAIN}
+SET_UP = {"torque_enable": 0, "drive_mode": 0, "homing_offset": 0, "hardware_error": 0, "secondary_id": 255}
+SET_UP |= {"status_return_level": 2, **MOTION}
+SET_UP |= {"position_p_gain": POSITION_P_GAIN, "position_i_gain": 0, "position_d_gain": POSITION_D_GAIN}
 JITTER = {"present_current": 30, "present_velocity": 5, "present_position": 4, "input_voltage": 3, "temperature": 1}
 """Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
 
