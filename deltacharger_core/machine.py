@@ -39,6 +39,18 @@ POSITION_P_GAIN = round(SERVO_STIFFNESS / STIFFNESS_PER_GAIN)
 """Position P gain that gives `SERVO_STIFFNESS`; the vendor's default is 850."""
 POSITION_D_GAIN = round(SERVO_DAMPING / DAMPING_PER_GAIN)
 """Position D gain that gives `SERVO_DAMPING`, 0.9 of what is critical; half and twice as much still settle."""
+JOINT_MIN, JOINT_MAX = math.radians(-65.0), math.radians(70.0)
+"""rad, range of an arm's angle."""
+STRAY_BEHIND, STRAY_OUTSIDE = 1, 2
+STRAYS = {
+    STRAY_BEHIND: "is farther from its goal than its current explains: look for what blocks it, and at its horn, gear "
+    "and cable",
+    STRAY_OUTSIDE: "is outside its range: look at its horn, its rod and zero_ticks",
+}
+"""Why servo_node stops the arm, as in ServoState."""
+JOINT_SPEED = 4.9
+"""rad/s that an arm turns at most: what the heaviest pose and 0.7 A of push leave of the 6.60 without load (63 rpm, by
+the vendor's e-manual)."""
 GAIN_MAX = 16383
 """Largest value of a gain register (vendor's e-manual)."""
 CURRENT_BOUND = 0.83

@@ -152,6 +152,10 @@ class ServoFailure(DockingError, code=Code.SERVO_FAULT):
     """A servo is missing, silent, without torque or hot, or reports a hardware error."""
 
 
+class Astray(ServoFailure):
+    """The arm is not where it was sent, so it is not driven on: it goes limp where it is."""
+
+
 class Stuck(DockingError, code=Code.STUCK, retriable=True):
     """The magnets did not release within the allowed pull, or the arm did not come home."""
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from deltacharger_core.script import NEXT, Calls, Script, Wait
-from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State
+from deltacharger_docking.codes import Astray, DockingError, PhaseTimeout, ServoFailure, State
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import (
@@ -36,6 +36,7 @@ _SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
 _SURELY = 0.25  # of the configured stiffness, which a servo whose own is unknown has at least
 _NEARLY = 0.95  # of a servo's current bound
+_OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
 _REACHES_OUT = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
 
 
@@ -147,6 +148,21 @@ class Context:
         self._override = None
         self._requests, self._states, self._decisions = [], [], []
         return command
+
+    @property
+    def astray(self) -> Astray | None:
+        """Why the arm must not be driven on, if so."""
+        seen, geometry = self.observation, self.kinematics.geometry
+        if seen.stopped:
+            return Astray(f"servo_node stopped the arm: {seen.stopped}")
+        box = zip(geometry.workspace_min, self.position, geometry.workspace_max, strict=True)
+        if not seen.torque_enabled or not any(p < low - _OUTSIDE or p > high + _OUTSIDE for low, p, high in box):
+            return None
+        x, y, z = (1000.0 * value for value in self.position)
+        return Astray(
+            f"the arm is at ({x:.0f}, {y:.0f}, {z:.0f}) mm, outside its workspace: look at its horns, rods and "
+            "zero_ticks, and at what drags it"
+        )
 
     @property
     def is_blind(self) -> bool:

@@ -26,6 +26,7 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context
+from deltacharger_docking.energy import de_energise
 from deltacharger_docking.goals import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
@@ -61,7 +62,7 @@ class DockingMachine:
         self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
         self._desk = GoalDesk(self._context)
         self._runner = Runner()
-        self._interruptible = False
+        self._interruptible = self._astray = False
         self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # that ends the goal after another goal arrived
 
@@ -218,6 +219,9 @@ class DockingMachine:
     def _problem(self) -> DockingError | None:
         """Return the reason to interrupt the script now, if any."""
         context, observation, parameters = self._context, self._context.observation, self.parameters
+        if not self._astray and (astray := context.astray) is not None:
+            self._astray = True
+            return astray
         if not self._interruptible:
             return context.expired()  # even retracting has a limit
         if self._desk.cancel_requested:
@@ -269,7 +273,7 @@ class DockingMachine:
         context, desk = self._context, self._desk
         first: DockingError | None = None
         while True:
-            self._interruptible = True
+            self._interruptible, self._astray = True, False
             try:
                 yield from script()
                 return
@@ -308,8 +312,14 @@ class DockingMachine:
         context, status = self._context, self._context.status
         context.interrupt()
         try:
-            yield from retract(context)
-            return not context.observation.hardware_error
+            if self._astray:
+                context.hold()
+                context.enter(State.RETRACT, math.inf)
+                yield from de_energise(context)
+                yield from go_limp(context)
+            else:
+                yield from retract(context)
+            return not (self._astray or context.observation.hardware_error)
         except ContactorWelded as error:
             # Torque stays on: moving live electrodes off the target would draw an arc.
             if status.code is not Code.CONTACTOR_WELDED:

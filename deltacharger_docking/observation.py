@@ -126,8 +126,8 @@ class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
     `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds readings
-    of the servos since the last observation, before this one. `clock_problem` describes a problem of the clock that
-    ages are measured by; '' = none.
+    of the servos since the last observation, before this one. `stopped` is why servo_node stopped a joint that strayed,
+    `clock_problem` describes a problem of the clock that ages are measured by; '' = none.
     """
 
     time: float
@@ -152,6 +152,7 @@ class Observation:
     replies: tuple[Reply, ...] = ()
     earlier: tuple[Reading, ...] = ()
     clock_problem: str = ""
+    stopped: str = ""
 
 
 @dataclass(frozen=True)

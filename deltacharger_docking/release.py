@@ -81,16 +81,15 @@ def _release(context: Context) -> Script[None]:
         yield NEXT
     context.feed.stop()
     x, y, z = context.position
-    lead = parameters.release_current * context.springs.compliance
-    a, b, c = (max(angle - lead, kinematics.geometry.joint_min) for angle in context.observation.angles)
+    first, last = (_behind(context, current) for current in (parameters.push_current, parameters.release_current))
     free = (z if math.isnan(context.touched) else min(z, context.touched)) - _BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
-    parted = yield from _pull(context, (a, b, c), parameters.push_current, _SET_BACK, z, rest)
+    parted = yield from _pull(context, first, parameters.push_current, _SET_BACK, z, rest)
     if context.position[2] > parted - REACH:
         most, seconds = parameters.release_current, parameters.release_time
-        parted = yield from _pull(context, (a, b, c), most, seconds, parted, rest)
+        parted = yield from _pull(context, last, most, seconds, parted, rest)
     here = context.measured()
     if here[2] > parted - REACH:
         raise (
@@ -114,6 +113,13 @@ def _release(context: Context) -> Script[None]:
         raise
     most = parameters.release_current * parameters.torque_constant
     yield from _come_to_rest(context, goal.angles, (most, most, most), back)
+
+
+def _behind(context: Context, current: float) -> Vector:
+    """Return the goals (rad) that pull back with `current` (A) from the present angles."""
+    lead, lowest = current * context.springs.compliance, context.kinematics.geometry.joint_min
+    a, b, c = (max(angle - lead, lowest) for angle in context.observation.angles)
+    return a, b, c
 
 
 def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -> Script[None]:

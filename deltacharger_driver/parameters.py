@@ -13,6 +13,8 @@ from deltacharger_core.machine import (
     EXTENDED_TICKS,
     FRAME_RATE,
     GAIN_MAX,
+    JOINT_MAX,
+    JOINT_MIN,
     POSITION_D_GAIN,
     POSITION_P_GAIN,
     SERVO_IDS,
@@ -63,8 +65,8 @@ class ServoNodeParameters(Bounded):
     position_d_gain: int = number(
         POSITION_D_GAIN, 0, GAIN_MAX, "", "servos' position D gain, register 80: nothing else brakes in mode 5"
     )
-    joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
-    joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
+    joint_min: float = number(JOINT_MIN, -math.pi, math.pi, "rad", "smallest arm angle")
+    joint_max: float = number(JOINT_MAX, -math.pi, math.pi, "rad", "largest arm angle")
     reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "margin until a reply counts as missing")
 
     def __post_init__(self) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from deltacharger_core.bounded_file import brief
+from deltacharger_core.machine import JOINT_MAX, JOINT_MIN
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers
 
 Vector = tuple[float, float, float]
@@ -90,8 +91,8 @@ class DeltaGeometry(Bounded):
     rod: float = number(0.180, SHORTEST, LONGEST, "m", "passive link, elbow to platform joint")
     platform_radius: float = number(0.050, SHORTEST, LONGEST, "m", "radius of the rods' joints on the platform")
     z_offset: float = number(0.095, -LONGEST, LONGEST, "m", "distance from the motor plane to z = 0 of charger_base")
-    joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
-    joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
+    joint_min: float = number(JOINT_MIN, -math.pi, math.pi, "rad", "smallest arm angle")
+    joint_max: float = number(JOINT_MAX, -math.pi, math.pi, "rad", "largest arm angle")
     workspace_min: tuple[float, float, float] = numbers(
         (-0.060, -0.060, 0.0), -LONGEST, LONGEST, "m", "lower corner of the workspace in charger_base, x, y, z"
     )

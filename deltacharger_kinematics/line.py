@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.machine import JOINT_SPEED
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_kinematics.arguments import as_vectors
 from deltacharger_kinematics.delta import Delta
@@ -63,7 +64,7 @@ class ArmLimits(Bounded):
         ParameterError: names the field; not a number within its bounds.
     """
 
-    speed: float = number(4.9, 1e-3, 1e3, "rad/s", "speed of an arm")
+    speed: float = number(JOINT_SPEED, 1e-3, 1e3, "rad/s", "speed of an arm")
     acceleration: float = number(25.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
 
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS, STRAYS
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_ros.clock import ClockWatch
@@ -130,6 +130,7 @@ class Heard:
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
                 thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
+                stopped="; ".join(f"servo {index} {_stray(why)}" for index, why in enumerate(servo.stray, 1) if why),
             )
         if tactile is not None:
             values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
@@ -223,7 +224,8 @@ def _in_order(message: ServoState) -> ServoState:
     """
     arrays = [getattr(message, name) for name in _PER_SERVO]
     count = len(JOINTS)
-    if any(len(each) != count for each in (message.name, *arrays)) or len(message.thermal_reserve) not in (0, count):
+    later = len(message.thermal_reserve), len(message.stray)  # fields that earlier versions lack
+    if any(len(each) != count for each in (message.name, *arrays)) or not {*later} <= {0, count}:
         raise MessageRefused("its arrays do not describe three servos")
     if sorted(message.name) != sorted(JOINTS):
         raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
@@ -233,7 +235,14 @@ def _in_order(message: ServoState) -> ServoState:
         return message
     order = [list(message.name).index(name) for name in JOINTS]
     sorted_ = {name: [each[index] for index in order] for name, each in zip(_PER_SERVO, arrays, strict=True)}
-    return ServoState(header=message.header, name=list(JOINTS), thermal_reserve=message.thermal_reserve, **sorted_)
+    stray = [message.stray[index] for index in order] if len(message.stray) else []
+    return ServoState(
+        header=message.header, name=list(JOINTS), thermal_reserve=message.thermal_reserve, stray=stray, **sorted_
+    )
+
+
+def _stray(why: int) -> str:
+    return STRAYS.get(why, f"strays, for reason {why}")
 
 
 def _two_pads(message: TactileFrame) -> TactileFrame:

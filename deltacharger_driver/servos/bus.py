@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Sequence
 
+from deltacharger_core.machine import TICKS_PER_TURN
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import (
@@ -106,6 +107,7 @@ class ServoBus:
         """
         configure(self._link, self.settings.ids[index], self.settings)
         self._rebooted[index] = False
+        self._placed[index] = False
         self._torque[index] = False
         self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
 
@@ -163,8 +165,7 @@ class ServoBus:
         settings = self.settings
         rows = []
         for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
-            ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
-            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), ticks)))
+            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), self._ticks(index, angle))))
         self._goals, self._goal_bytes = goals, sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
         return self._goal_bytes
 
@@ -179,7 +180,8 @@ class ServoBus:
 
         Raises:
             NoAnswer: a servo is missing or has just restarted; none is switched on.
-            ServoFault: a servo has a latched hardware error or rejects it; all are switched off again.
+            ServoFault: a servo has a latched hardware error, stands outside its joint's range, or rejects it; all are
+                switched off again.
             PortGone: the port vanished.
         """
         snapshot = self.read()
@@ -190,6 +192,8 @@ class ServoBus:
                 bits = snapshot.hardware_error[index]
                 text = f"{describe_hardware_error(bits)} latched; remove the cause, then reboot it"
                 raise ServoFault(servo, "switch torque on", text, bits)
+            if not self._placed[index]:
+                raise ServoFault(servo, "switch torque on", self._misplaced(snapshot.angle[index]))
         try:
             for index, servo in enumerate(self.settings.ids):
                 restart_watchdog(self._link, servo, self.settings.watchdog)
@@ -244,6 +248,8 @@ class ServoBus:
         self._errors = [0] * self._count
         self._torque = [False] * self._count
         self._tripped = [False] * self._count
+        self._turns = [0] * self._count  # whole turns beyond the arm's angle that the encoder counts since it started
+        self._placed: list[bool] = [False] * self._count  # whether they are known
 
     def _missing(self, index: int) -> bool:
         silent = self.clock.now() - self._seen[index]
@@ -258,14 +264,41 @@ class ServoBus:
 
     def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
         """Write and verify the goal of one servo, so that it does not jump when switched on."""
-        settings = self.settings
-        ticks = angle_to_ticks(angles[index], settings.zero_ticks[index], settings.direction[index])
-        servo = settings.ids[index]
+        ticks, servo = self._ticks(index, angles[index]), self.settings.ids[index]
         self._link.write(servo, "goal_current", self._bound(currents[index]))
         self._link.write(servo, "goal_position", ticks)
         found = self._link.read(servo, "goal_position")
         if found != ticks:
             raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
+
+    def _ticks(self, index: int, angle: float) -> int:
+        settings = self.settings
+        ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
+        return ticks + self._turns[index] * TICKS_PER_TURN
+
+    def _place(self, index: int, ticks: int) -> float:
+        """Return the arm's angle, rad. A servo that starts forgets whole turns: those are taken out that bring the arm
+        into its range, if there is just one such number.
+        """
+        settings, (low, high) = self.settings, self.settings.reach
+
+        def angle(turns: int) -> float:
+            count = ticks - turns * TICKS_PER_TURN
+            return ticks_to_angle(count, settings.zero_ticks[index], settings.direction[index])
+
+        if not self._placed[index]:
+            nearest = math.floor((ticks - settings.zero_ticks[index]) / TICKS_PER_TURN)
+            within = [turns for turns in (nearest, nearest + 1) if low <= angle(turns) <= high]
+            self._placed[index] = len(within) == 1
+            self._turns[index] = min((nearest, nearest + 1), key=lambda turns: abs(angle(turns) - 0.5 * (low + high)))
+        return angle(self._turns[index])
+
+    def _misplaced(self, angle: float) -> str:
+        low, high = (math.degrees(value) for value in (self.settings.joint_min, self.settings.joint_max))
+        return (
+            f"its arm stands at {math.degrees(angle):.0f}° by zero_ticks and direction, and no whole turn, or several, "
+            f"bring it into {low:.0f}…{high:.0f}°: correct them, or the horn on its shaft"
+        )
 
     def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> BusSnapshot:
         rows = [self._learn(index, now, replies.get(servo)) for index, servo in enumerate(self.settings.ids)]
@@ -310,7 +343,7 @@ class ServoBus:
         self._tripped[index] = reading.watchdog == WATCHDOG_TRIPPED
         sign = self.settings.direction[index]
         return (
-            ticks_to_angle(reading.ticks, self.settings.zero_ticks[index], sign),
+            self._place(index, reading.ticks),
             sign * reading.velocity * VELOCITY_UNIT,
             sign * reading.current * CURRENT_UNIT,
             reading.voltage * VOLTAGE_UNIT,

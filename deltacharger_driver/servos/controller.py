@@ -17,6 +17,7 @@ from collections.abc import Callable
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
 from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.reconnection import Reconnection
 from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
@@ -25,7 +26,6 @@ from deltacharger_driver.servos.restarts import ServoRestarts
 from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot
 from deltacharger_driver.servos.trajectory import HOLD, Trajectory
 
-STOP_TIME = 0.5  # s from "goal := present position" to torque off
 OPENING_TIME = 0.3  # s; after a request, longest time with torque on until the contactor is reported open
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s are a fault
 
@@ -61,6 +61,7 @@ class ServoController:
         self._clock = self.bus.clock
         self._ids = settings.ids
         self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
+        self._watch = JointWatch(settings, torque_constant)
         self._notify = notify
         self._contactor = contactor or NoContactor()
         self._phase = ServoPhase.DISCONNECTED
@@ -131,12 +132,14 @@ class ServoController:
             start: time zero of the trajectory, s, monotonic; at the latest the cycle in which it takes effect.
 
         Raises:
-            TrajectoryRefused: torque is off, or the servos are being stopped.
+            TrajectoryRefused: torque is off, the servos are being stopped, or its goals are faster than the joints.
         """
         with self._lock:
             if self._phase is not ServoPhase.ON:
                 more = {ServoPhase.OFF: "; call set_torque first", ServoPhase.STOPPING: f": {self.stop_reason}"}
                 raise TrajectoryRefused(self._phase.value + more.get(self._phase, ""))
+            now = self._clock.now()
+            self._watch.check(trajectory, max(now - start, 0.0), self._goals.default)
             self._submitted = trajectory, start
 
     def freeze(self) -> None:
@@ -175,7 +178,7 @@ class ServoController:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
-        return self._memory.report(self._clock.now(), self._phase, self._faults())
+        return self._memory.report(self._clock.now(), self._phase, self._faults(), self._watch.strays)
 
     def _exchange(self) -> None:
         """Send goals, read the state and react to it."""
@@ -199,6 +202,9 @@ class ServoController:
     def _stop_on_faults(self, snapshot: BusSnapshot) -> None:
         """Stop on any fault; the servos get the stop goal within this cycle."""
         faults = self._faults()
+        readings = snapshot.angle, snapshot.velocity, snapshot.current
+        if astray := self._watch.fault(snapshot.time, self._goals.angles, *readings):
+            faults.append(astray)
         lost = snapshot.with_torque(self._ids, False)
         if lost:
             faults.append(f"servo {lost[0]} switched its torque off on its own")
@@ -292,6 +298,7 @@ class ServoController:
         snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
         self._goals.begin_at(snapshot.angle)
+        self._watch.begin_at(snapshot.angle)
         self.unrequested_stop = ""
         with self._lock:
             self._submitted = None

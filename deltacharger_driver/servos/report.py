@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from deltacharger_driver.servos.bus import UNKNOWN, UNKNOWN_AFTER
@@ -33,6 +34,7 @@ class ServoReport(NamedTuple):
         hardware_error: latched error bits; the last known.
         torque_enabled: the last known.
         thermal_reserve: s until the winding's limit at the present current; inf = never, NaN = unknown.
+        stray: why each joint stopped the arm, as in ServoState; 0 = it did not.
         faults: that forbid moving, one sentence each.
     """
 
@@ -47,6 +49,7 @@ class ServoReport(NamedTuple):
     hardware_error: tuple[int, ...]
     torque_enabled: tuple[bool, ...]
     thermal_reserve: tuple[float, ...]
+    stray: tuple[int, ...]
     faults: tuple[str, ...]
 
 
@@ -89,7 +92,7 @@ class ServoMemory:
         self._rows = [UNKNOWN] * len(self._rows)
         self._valid = (False,) * len(self._rows)
 
-    def report(self, now: float, phase: ServoPhase, faults: list[str]) -> ServoReport:
+    def report(self, now: float, phase: ServoPhase, faults: list[str], strays: Sequence[int]) -> ServoReport:
         """Return the state at `now` (s, monotonic)."""
         angle, velocity, current, voltage, temperature = zip(*self._rows, strict=True)
         return ServoReport(
@@ -104,6 +107,7 @@ class ServoMemory:
             hardware_error=self._errors,
             torque_enabled=self._torque,
             thermal_reserve=tuple(model.reserve() for model in self._thermal),
+            stray=tuple(strays),
             faults=tuple(faults),
         )
 

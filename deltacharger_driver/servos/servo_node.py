@@ -128,6 +128,8 @@ class ServoNode(Node):
                 reply_margin=given.reply_margin + BOARD_MARGIN * self._is_behind_board,
                 current_max=given.current_max,
                 gains=(given.position_p_gain, given.position_i_gain, given.position_d_gain),
+                joint_min=given.joint_min,
+                joint_max=given.joint_max,
             )
         except DriverError as error:
             raise node_support.StartupError(f"servo_node: {error}") from error

@@ -38,6 +38,7 @@ _STATE_FIELDS = (
     "torque_enabled",
     "valid",
     "thermal_reserve",
+    "stray",
 )
 _LISTENERS_EVERY = 10  # cycles between two checks for subscribers of joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only shows who did
@@ -144,7 +145,8 @@ class StatePublishers:
         zero, short_zero, none = array("d", [0.0] * count), array("f", [0.0] * count), [False] * count
         state = ServoState(name=list(JOINTS), position=zero, velocity=zero, current=zero)
         state.voltage = state.temperature = state.thermal_reserve = short_zero
-        state.hardware_error, state.torque_enabled, state.valid = array("B", bytes(count)), none, none
+        state.hardware_error = state.stray = array("B", bytes(count))
+        state.torque_enabled = state.valid = none
         joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS], position=zero, velocity=zero, effort=zero)
         state.header.frame_id = joint.header.frame_id = frame_id
         stamps = Stamps(node.get_clock())
@@ -167,6 +169,7 @@ class StatePublishers:
             bytes(report.torque_enabled),
             bytes(report.valid),
             array("f", report.thermal_reserve),
+            bytes(report.stray),
         )
         if self._cycle % _LISTENERS_EVERY == 0:
             self._joints_wanted = self._joint_topic.get_subscription_count() > 0

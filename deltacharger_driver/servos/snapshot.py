@@ -8,7 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.machine import BAUD_RATE, POSITION_D_GAIN, POSITION_P_GAIN, SERVO_IDS, STALL_CURRENT
+from deltacharger_core.machine import (
+    BAUD_RATE,
+    JOINT_MAX,
+    JOINT_MIN,
+    POSITION_D_GAIN,
+    POSITION_P_GAIN,
+    SERVO_IDS,
+    STALL_CURRENT,
+)
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import (
@@ -55,6 +63,7 @@ CURRENT_SPAN = 2047
 LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
 """Units of 0.1 V: below, a servo does not run; the battery before its regulator never exceeds the upper value."""
 LONGEST_WATCHDOG = 127
+_BEYOND = 0.09  # rad beyond the joint limits
 _READ_LAYOUT = struct.Struct("<BBhiiHBBBB")
 
 
@@ -73,6 +82,7 @@ class BusSettings:
         current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
             goal, so the set-up refuses it.
         gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
+        joint_min, joint_max: range of the arms' angles, rad.
     """
 
     port: str
@@ -84,6 +94,13 @@ class BusSettings:
     reply_margin: float = REPLY_MARGIN
     current_max: float = STALL_CURRENT
     gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, POSITION_D_GAIN)
+    joint_min: float = JOINT_MIN
+    joint_max: float = JOINT_MAX
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Range of angles (rad) in which an arm can be, pushed by hand or flying off magnets."""
+        return self.joint_min - _BEYOND, self.joint_max + _BEYOND
 
     def __post_init__(self) -> None:
         count = len(self.ids)

@@ -191,6 +191,7 @@ class QuickCharger(VirtualCharger):
             if not standing and (index - stepped == most or index == ticks):
                 world.step((index - stepped) * TICK)
                 self._servos()
+                self._watch_joints()
                 stepped = index
             if index < ticks and self.now >= from_then_on:
                 self._earlier.append((self.now, *self._reading()))

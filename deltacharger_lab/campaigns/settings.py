@@ -20,7 +20,7 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
-    *("driver/errors.py", "driver/servos/mx64.py"),
+    *("driver/errors.py", *(f"driver/servos/{name}.py" for name in ("joint_watch", "mx64", "snapshot", "trajectory"))),
     *(
         f"lab/campaigns/{name}.py"
         for name in ("contradictions", "disturbances", "docking", "draw", "estimates", "keys")

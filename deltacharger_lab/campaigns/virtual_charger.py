@@ -21,10 +21,12 @@ from deltacharger_core.machine import (
     COLUMNS,
     CONTACT_FORCE,
     CURRENT_BOUND,
+    DAMPING_PER_GAIN,
     DOCK_DISTANCE,
     FRAME_RATE,
     PADS,
     ROWS,
+    STIFFNESS_PER_GAIN,
 )
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import MisalignmentEstimate
@@ -43,6 +45,8 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
+from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import WorldParameters
@@ -131,6 +135,10 @@ class VirtualCharger:
         self._energised = False
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
+        stiffness, damping = self.parameters.servo_stiffness, self.parameters.servo_damping
+        gains = round(stiffness / STIFFNESS_PER_GAIN), 0, round(damping / DAMPING_PER_GAIN)
+        self._watch = JointWatch(BusSettings("", gains=gains), self.parameters.torque_constant)
+        self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
 
     def _make_machine(self) -> DockingMachine:
         return DockingMachine(self.parameters, self.geometry)
@@ -200,7 +208,7 @@ class VirtualCharger:
             self.outcome, self.machine.outcome = self.machine.outcome, None
 
     def _follow(self, command: Command) -> None:
-        if command.trajectory is not None:
+        if command.trajectory is not None and not self._stopped:
             self._trajectory = command.trajectory
             self._started = self.now
             self._from = list(self._goal)
@@ -237,6 +245,7 @@ class VirtualCharger:
             power_fault=fault,
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),
+            stopped=self._stopped,
         )
 
     def _reading(self) -> tuple[Vector, Vector]:
@@ -262,6 +271,20 @@ class VirtualCharger:
             self._goal, previous, since = list(point.angles), list(point.angles), point.time
         for index in range(3):
             self.plant.command_servo(index, self._torque, self._goal[index], self._bound[index])
+        self._watch_joints()
+
+    def _watch_joints(self) -> None:
+        """Stop the arm as servo_node does if a joint strays: hold, open the contactor, torque off after `STOP_TIME`."""
+        if not self._torque:
+            return
+        angles, rates, currents, _, _ = zip(*(self.plant.read_servo(index) for index in range(3)), strict=True)
+        fault = self._watch.fault(self.now, self._goal, angles, rates, currents)
+        if fault and not self._stopped:
+            self._stopped, self._stop_at = fault, self.now + STOP_TIME
+            self._trajectory, self._goal = (), list(angles)
+            self.plant.open_contactor(True)
+        if self.now >= self._stop_at:
+            self._torque, self._stop_at = False, math.inf
 
     def _sample(self) -> None:
         if self.now - self._frame_at < FRAME:
@@ -290,6 +313,8 @@ class VirtualCharger:
         if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
             self._torque = service is Service.TORQUE_ON
             self._trajectory, self._goal = (), self._angles()
+            self._stopped, self._stop_at = "", math.inf
+            self._watch.begin_at(self._goal)
         elif service is Service.TARE:
             self.baseline, self._tared = np.mean(pending.frames, axis=0), True
             if self.excess is not None:

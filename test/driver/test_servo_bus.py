@@ -17,7 +17,7 @@ from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
 from deltacharger_driver.servos.setup import MOTION
 from deltacharger_driver.servos.snapshot import GAINS, BusSettings
 
-from .servo_rig import BOUND, OVERLOAD
+from .servo_rig import BOUND, OVERLOAD, START
 
 
 def test_signs_follow_the_mounting(line: Any, arm: BenchArm) -> None:
@@ -261,3 +261,30 @@ def test_servos_set_to_send_no_replies_are_set_to_reply(closed: ServoBus, emulat
 def test_impossible_settings_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(DriverError):
         BusSettings("/dev/null", **settings)
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_whole_turns_that_a_servo_forgot_at_power_up_are_taken_out(
+    line: Any, arm: BenchArm, turns: int, sign: int
+) -> None:
+    zeros = (2048 + turns * 4096, 2048, 2048)
+    bus = ServoBus(BusSettings(line.path, zero_ticks=zeros, direction=(sign, 1, 1)), line.handler)
+    bus.open()
+    angle = sign * START[0]
+    assert bus.read().angle[0] == pytest.approx(angle, abs=TICK)
+    bus.enable_torque(BOUND)
+    bus.exchange((angle + 0.05, *START[1:]), BOUND)
+    assert arm.commands[0] is not None
+    assert arm.commands[0][1] == pytest.approx(START[0] + sign * 0.05, abs=TICK)
+    bus.close()
+
+
+def test_an_arm_outside_its_range_gets_no_torque_until_it_is_within(closed: ServoBus, arm: BenchArm) -> None:
+    arm._angle[1] = 1.5
+    closed.open()
+    with pytest.raises(ServoFault, match=r"servo 2.*stands at 86°"):
+        closed.enable_torque(BOUND)
+    assert arm.torque_enabled() == [False] * 3
+    arm._angle[1] = 0.5
+    assert closed.enable_torque(BOUND).angle[1] == pytest.approx(0.5, abs=TICK)

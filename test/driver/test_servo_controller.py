@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME
+from deltacharger_driver.servos.controller import OPENING_TIME
+from deltacharger_driver.servos.joint_watch import STOP_TIME
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
@@ -280,13 +282,13 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
 
 def test_a_pause_after_the_end_does_not_move_the_arm(rig: Rig) -> None:
     rig.torque_on()
-    rig.send((0.0, FAR, (0.3, 0.3, 0.3)))
+    rig.send((0.0, shifted(0.15), (0.3, 0.3, 0.3)))
     rig.cycle()
     rig.pause()
     for _ in range(5):
         rig.cycle()
-    assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.05)
-    assert rig.references()[0] < 0.0
+    assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.02)
+    assert rig.references()[0] < START[0] + 0.1
 
 
 def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:
@@ -330,3 +332,46 @@ def test_a_point_in_the_past_is_reached_at_once(rig: Rig, times: tuple[float, fl
     rig.cycle()
     rig.cycle()
     assert rig.references() == pytest.approx(list(shifted(0.05)), abs=TICK)
+
+
+def keep_place(rig: Rig) -> None:
+    """Servo 2 no longer hears its goals."""
+    command, arm = rig.arm.command_servo, rig.arm
+    held = arm.angles[1]
+
+    def deaf(index: int, on: bool, goal: float, *more: float) -> None:
+        command(index, on, held if index == 1 else goal, *more)
+
+    rig.arm.command_servo = deaf  # type: ignore[method-assign]
+
+
+def block(rig: Rig) -> None:
+    """What servo 2 pushes against is as strong as its bound."""
+    rig.arm._step = lambda index, step=rig.arm._step: None if index == 1 else step(index)  # type: ignore[method-assign]
+    rig.arm._current[1] = DEFAULT
+
+
+@pytest.mark.parametrize("fail", [keep_place, block])
+def test_a_servo_that_stays_behind_stops_the_arm_whatever_its_current(rig: Rig, fail: Callable[[Rig], None]) -> None:
+    rig.torque_on()
+    fail(rig)
+    began = rig.clock()
+    rig.send((0.6, FAR))
+    rig.until(lambda report: report.phase is ServoPhase.STOPPING)
+    assert re.search(r"servo 2 is \+\d+° from its goal", rig.controller.stop_reason)
+    assert rig.clock() - began < 0.4
+    others = [abs(angle - start) for angle, start in zip(rig.arm.angles, START, strict=True) if start != START[1]]
+    assert max(others) < 0.6, "nor does it drive the others on"
+    rig.until(lambda report: report.phase is ServoPhase.OFF)
+
+
+def test_a_trajectory_faster_than_the_joints_is_refused(rig: Rig) -> None:
+    rig.torque_on()
+    with pytest.raises(TrajectoryRefused, match=r"joint 0 would turn by 1\.90 rad"):
+        rig.send((0.0, (1.2, *START[1:])))
+    rig.send((0.0, shifted(0.5)))
+    rig.cycle()
+    with pytest.raises(TrajectoryRefused):  # nor may it jump again and again
+        rig.send((0.0, shifted(1.0)))
+    rig.send((0.3, shifted(1.0)))
+    rig.until(lambda report: report.angle == pytest.approx(shifted(1.0), abs=3 * TICK))

@@ -27,7 +27,7 @@ from deltacharger_ros.bounded_topic import Received
 from .servo_rig import START, Rig
 
 LEADER, STRANGER = ("a" * 32, b"1"), ("", b"2")
-GOAL = [angle + 0.3 for angle in START]
+GOAL = [angle + 0.1 for angle in START]
 
 
 class Topic:
@@ -110,7 +110,7 @@ def test_in_every_state_of_the_contactor_only_allowed_senders_move_the_arm(servo
         assert servos.follows(LEADER, START) == by_leader
         for sender in (STRANGER, (LEADER[0], b"3")):  # who copies the secret is another publisher
             before = servos.rig.references()
-            assert not servos.follows(sender, [angle - 0.2 for angle in START])
+            assert not servos.follows(sender, [angle - 0.1 for angle in START])
             assert servos.rig.references() == before
             assert sender[1] in servos.inbox.strangers
             assert state.value in servos.inbox.last_refusal
@@ -155,7 +155,7 @@ HOSTILE: dict[str, Callable[[JointTrajectory], Any]] = {  # each changes a good 
 
 @pytest.mark.parametrize("spoil", HOSTILE.values(), ids=HOSTILE)
 def test_a_bad_message_is_refused_and_moves_nothing(servos: Arm, spoil: Callable[[JointTrajectory], Any]) -> None:
-    message = trajectory("", (0.0, [0.9] * 3))
+    message = trajectory("", (2.0, [0.9] * 3))
     spoilt = spoil(message)
     before = servos.rig.references()
     assert servos.receive((message if spoilt is None else spoilt, b"2")) == before
