@@ -35,7 +35,7 @@ _OPEN, _PRECHARGE, _CLOSED, _RAMP_DOWN = StagePhase.OPEN, StagePhase.PRECHARGE, 
 
 
 class Circuit:
-    """The electrical side. Detected faults stay until the next command to close or open.
+    """The electrical side. Detected faults stay until the next command to close or open, a weld for ever.
 
     Attributes:
         current: into the target, A.
@@ -69,13 +69,14 @@ class Circuit:
 
     def close(self) -> None:
         """Begin pre-charge, then close and ramp up."""
-        if self._phase is _OPEN and not self.wired:
+        if self._phase is _OPEN and not self.wired and self.fault != WELDED:
             self.fault = 0
             self._enter(_PRECHARGE)
 
     def open(self, ramp: bool) -> None:
         """Open, after ramping down the current or at once."""
-        self.fault = 0
+        if self.fault != WELDED:
+            self.fault = 0
         if self._phase is _CLOSED and ramp:
             self._enter(_RAMP_DOWN)
         elif not ramp or self._phase is _PRECHARGE:
@@ -142,13 +143,14 @@ class Circuit:
         return battery, target, self.current, self.closed, self.fault
 
     def voltages(self) -> tuple[float, float]:
-        """Return battery and target voltage (V); NaN for a target that is not connected."""
+        """Return battery and target voltage (V), the latter at the electrodes; NaN where nothing is connected."""
         parameters = self._parameters
+        battery = parameters.battery_voltage - parameters.battery_resistance * self.current
         if math.isinf(self._resistance):
-            return parameters.battery_voltage, math.nan
+            return battery, battery if self.closed else math.nan
         if self._shorted:
-            return parameters.battery_voltage, 0.0
-        return parameters.battery_voltage, self._voltage + self.current * parameters.target_resistance
+            return battery, 0.0
+        return battery, self._voltage + self.current * parameters.target_resistance
 
     def probe(self) -> tuple[float, float]:
         """Return resistance (Ω; inf = open) and target voltage (V) at low voltage; NaN without a probe."""
@@ -241,10 +243,10 @@ class Circuit:
         self._break()
 
     def _break(self) -> None:
-        """Command the contactor to open; a welded one stays closed and is detected, unless a worse fault was."""
+        """Command the contactor to open; a welded one stays closed, which is detected before any other fault."""
         self._enter(_OPEN)
         if self._stuck:
-            self.fault = self.fault or WELDED
+            self.fault = WELDED
             return
         self.broken_current = max(self.broken_current, abs(self.current))
         self.current = 0.0

@@ -147,6 +147,12 @@ class Mechanics(Motion):
         forces = StepForces(drives, GEAR_BRISTLE * squares, friction, drag, carried, mass, x, y)
         return self._impact.step(dt, gap, self.velocity[2], gear, forces, self._found[3] > 0.0)
 
+    def set_brakes(self, force: float) -> None:
+        """Set the force (N) at which the brakes of a target on wheels slip; others stand."""
+        if self._stand is not None:
+            self._stand.set_brakes(force)
+            self._inputs, self.still = (), False
+
     @property
     def onset(self) -> float:
         """Gap at which the faces first touch, m."""
@@ -160,6 +166,10 @@ class Mechanics(Motion):
         ):
             push += row[2] * (motor + gear + up * cosine - out * sine)
         return push
+
+    def push_of(self, torque: float) -> float:
+        """Return the force (N) on the platform along z of `torque` N·m in each servo."""
+        return torque * sum(row[2] for row in self._rows)
 
     def carry(self, dx: float, dy: float) -> None:
         """Stretch the electrodes' bristle by the target's move (m); the platform's own moves relax it."""
@@ -188,10 +198,12 @@ class Mechanics(Motion):
             return
         damper, constant, k = servo.damping / dt, servo.torque_constant, servo.stiffness
         self._servos = tuple(
-            (k * gain, damper * braking, bound * constant, servo.friction, goal)
+            (k * gain, damper * braking, bound * constant, rubs, goal)
             if on
             else (0.0, 0.0, 0.0, servo.unpowered_friction, 0.0)
-            for on, goal, bound, gain, braking in zip(enabled, reference, limit, self.gains, self.brakes, strict=True)
+            for on, goal, bound, gain, braking, rubs in zip(
+                enabled, reference, limit, self.gains, self.brakes, self.rubs, strict=True
+            )
         )
 
     def _joints(self, dt: float) -> list[_Joint]:

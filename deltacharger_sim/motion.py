@@ -38,6 +38,7 @@ class Motion(ABC):
         magnet_force: pull of the magnets, N.
         gains: each servo's stiffness relative to the parameter, by its P gain; 1 = as servo_node sets it.
         brakes: each servo's damping likewise, by its D gain.
+        rubs: Coulomb friction of each powered gear, N·m.
         imbalance: residual force of the last step's solution, N; small unless the step is long and friction slips.
         still: whether the last step moved nothing, so that the next one with equal inputs will not either.
     """
@@ -49,6 +50,7 @@ class Motion(ABC):
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.gains: Vector = (1.0, 1.0, 1.0)
         self.brakes: Vector = (1.0, 1.0, 1.0)
+        self.rubs: Vector = (parameters.servo.friction,) * 3
         self._shift = _NONE  # m, of the target from its parameters as the robots yield
         self._inputs: tuple[object, ...] = ()  # of the last step, in the model's form
         self.tilt = (0.0, 0.0)
@@ -61,6 +63,16 @@ class Motion(ABC):
         """Set each servo's stiffness and damping, as shares of the parameters."""
         self.gains, self.brakes = gains, brakes
         self._inputs = ()
+
+    def set_friction(self, rubs: Vector) -> None:
+        """Set the Coulomb friction of each powered gear, N·m."""
+        self.rubs = rubs
+        self._inputs = ()
+
+    def move_along(self, dz: float) -> None:
+        """Move the target by `dz` m along z at once."""
+        self._target_z += dz
+        self._inputs, self.still = (), False
 
     @property
     def gap(self) -> float:

@@ -148,9 +148,7 @@ class CircuitParameters(Bounded):
     battery_voltage: float = number(
         26.0, BATTERY_MIN, BATTERY_MAX, "V", "voltage of the charger's battery (paper: 22.7–29.8 V)"
     )
-    battery_resistance: float = number(
-        0.13, 0.001, 10.0, "Ω", "resistance of that battery and its wires; used if wired"
-    )
+    battery_resistance: float = number(0.13, 0.001, 10.0, "Ω", "resistance of that battery and its wires")
     current_limit: float = number(10.0, 0.5, 18.0, "A", "constant-current limit of the stage (electrodes: 18 A)")
     voltage_limit: float = number(29.0, 10.0, 60.0, "V", "constant-voltage limit of the stage")
     ramp_up: float = number(40.0, 1.0, 1000.0, "A/s", "rise of the current after closing")

@@ -60,11 +60,16 @@ class Stand:
 
     def __init__(self, parameters: StandParameters) -> None:
         self._stiffness, self._mass, self._play = parameters.stiffness, parameters.mass, parameters.play
-        self._brakes, self._rolling = parameters.brakes, _ROLLING * parameters.mass * GRAVITY_STRENGTH
+        self._rolling = _ROLLING * parameters.mass * GRAVITY_STRENGTH
         self._damping = 2.0 * _TYRES * math.sqrt(parameters.stiffness * parameters.mass)
-        self._farthest = self._play + self._brakes / self._stiffness  # m of the body from its braked wheels
+        self.set_brakes(parameters.brakes)
         self._place = self._speed = self._stretch = self._roll = self.move = 0.0
         self._dt = 1.0
+
+    def set_brakes(self, force: float) -> None:
+        """Let the brakes slip from this force on, N."""
+        self._brakes = force
+        self._farthest = self._play + force / self._stiffness  # m of the body from its braked wheels
 
     def begin(self, dt: float) -> float:
         """Begin a step of `dt` s and return its first guess of `move`."""

@@ -31,7 +31,7 @@ from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.compare_picture import draw
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, versions
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results
 from deltacharger_lab.campaigns.summary import COLUMNS, summarise
 
@@ -81,7 +81,8 @@ def campaign(options: argparse.Namespace) -> int:
             )
             progress.end()
             complete = not store.missing()
-        results = read_results(folder, COLUMNS)
+        judged = ("broken",) if scene_of(settings.to_json())[1].hostile else ()
+        results = read_results(folder, (*COLUMNS, *judged))
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
     if not complete:
         log_line(
@@ -201,6 +202,9 @@ def _described(summary: dict[str, Any], settings: CampaignSettings) -> str:
     ):
         values = ", ".join(f"{key} {scale * value:.2f}" for key, value in summary[name].items())
         lines.append(f"  {name:<18} {values} {unit}".rstrip())
+    if "broken" in summary:
+        laws = ", ".join(f"{name} {count}" for name, count in summary["broken"].items())
+        lines.append(f"  laws broken        {laws or 'none'}")
     if summary["crashed"]:
         lines.append(f"  crashed            {summary['crashed']}; see the column error")
     return "\n".join(lines)

@@ -41,6 +41,8 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
     text = "write this speed (bit/s) to servos with another speed, torque off; needs --servo-port"
     parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
+    text = "clear a latched weld (fault 7), only after the contactor was replaced; refused while something is live"
+    parser.add_argument("--clear-weld", action="store_true", help=text)
     parser.add_argument("--ids", type=integer(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
 
 
@@ -57,6 +59,7 @@ class _Hardware:
     ids: tuple[int, ...] = SERVO_IDS
     wired: bool = False  # the electrodes are wired to the battery
     current_max: float = _CURRENT_MAX
+    clear_weld: bool = False
     problems: list[Finding] = field(default_factory=list)
 
     @property
@@ -72,6 +75,7 @@ def doctor(options: argparse.Namespace) -> int:
     if options.ids is not None:
         raise CommandError("--ids needs --set-baud", WRONG_INPUT)
     hardware = _hardware(options)
+    hardware.clear_weld = options.clear_weld
     environment.prepare()
     if hardware.simulated is not None:
         environment.isolate()
@@ -176,9 +180,9 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
         found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=words))
     if board:
         text = f"checking the board on {board} ..."
-        found += _examine(
-            "board", board, text, lambda: examine_board(board, hardware.board_speed, wired=hardware.wired)
-        )
+        speed, wired, clear_weld = hardware.board_speed, hardware.wired, hardware.clear_weld
+        check = lambda: examine_board(board, speed, wired=wired, clear_weld=clear_weld)  # noqa: E731
+        found += _examine("board", board, text, check)
     return found
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of the board: greeting, complete frames from live taxels, power stage.
 
-It starts and stops the stream and makes one probe (≤ 5 V, ≤ 50 mA). It sends no tare, contactor command or heartbeat.
+It starts and stops the stream and makes one probe (≤ 5 V, ≤ 50 mA). It sends no tare or heartbeat, and only on request
+a command to the contactor: to clear a weld.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ _PINGS = 20
 _CABLE_ADVICE = "check plugs and cables; close other busy programs"
 
 
-def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bool = False) -> Iterator[Finding]:
+def examine_board(
+    path: str, baud_rate: int, watched: float = WATCHED, wired: bool = False, clear_weld: bool = False
+) -> Iterator[Finding]:
     """Greet the board on a port, watch its stream, read its power stage, probe once.
 
     Args:
@@ -35,6 +38,7 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bo
         baud_rate: bit/s.
         watched: s of stream.
         wired: the electrodes are wired to the battery (power: none): no power stage and no probe.
+        clear_weld: clear a latched weld, if nothing is live.
     """
     from deltacharger_driver.board.errors import BoardMismatch
     from deltacharger_driver.board.link import BoardLink
@@ -58,6 +62,8 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED, wired: bo
     try:
         yield from _firmware(link, hello)
         yield from _stream(link, hello, frames, watched)
+        if clear_weld:
+            yield _clear_weld(link, powers)
         if wired:
             yield _wired(powers)
         else:
@@ -138,8 +144,23 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
     )
 
 
+def _clear_weld(link: BoardLink, powers: list[Any]) -> Finding:
+    from deltacharger_driver.board.errors import CommandRefused
+    from deltacharger_driver.board.payloads import weld_problem
+    from deltacharger_driver.board.protocol import POWER_RATE
+    from deltacharger_driver.errors import NoAnswer
+
+    try:
+        link.clear_weld()
+    except (CommandRefused, NoAnswer) as error:
+        live = weld_problem(powers[-1].power) if powers else ""
+        return failed("weld", error, f"{live}: undock and switch the battery off" if live else "")
+    time.sleep(2.0 / POWER_RATE)  # the next report is without it
+    return ok("weld", "none is latched")
+
+
 def _power(powers: list[Any]) -> Iterator[Finding]:
-    from deltacharger_driver.board.protocol import fault_name
+    from deltacharger_driver.board.protocol import clearing, fault_name
 
     if not powers:
         yield wrong(
@@ -148,8 +169,7 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
         return
     power = powers[-1].power
     if power.fault:
-        advice = "remove the cause; the next opening clears it (service set_contactor with close false)"
-        yield wrong("power", f"fault latched: {fault_name(power.fault)}", advice)
+        yield wrong("power", f"fault latched: {fault_name(power.fault)}", clearing(power.fault))
     if power.contactor_closed:
         advice = "switch the battery off: without a heartbeat it must be open; the contactor may be welded"
         yield wrong("power", "the contactor reports closed without a command", advice)
@@ -184,7 +204,7 @@ def _probe(link: BoardLink) -> Iterator[Finding]:
     try:
         result = link.probe()
     except (CommandRefused, NoAnswer) as error:
-        yield failed("probe", error, "open the contactor first; else check the power stage's plug")
+        yield failed("probe", error, "clear the fault and open the contactor; else check the power stage's plug")
         return
     if math.isinf(result.resistance):
         yield ok("probe", "open circuit: nothing touches the electrodes")

@@ -16,8 +16,10 @@ from collections.abc import Callable
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
+from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import fault_name
+from deltacharger_driver.board.payloads import weld_problem
+from deltacharger_driver.board.protocol import AckError, BoardFault, clearing, fault_name
 from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
 from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.errors import DriverError, NoAnswer
@@ -61,6 +63,7 @@ class ContactorGuard:
         self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
         self._was_closed = False
+        self._welded = False  # even if the board reboots or is replaced
         self._shut = False
         self._refused = 0  # closes, since the start
         self._last_refusal = ""
@@ -100,6 +103,7 @@ class ContactorGuard:
         with self._power_seen:
             before, self._power = self._power, sample
             power = sample.power
+            self._welded |= power.fault == BoardFault.CONTACTOR_WELDED
             new_fault = power.fault != 0 and (before is None or before.power.fault != power.fault)
             fell = self._was_closed and not power.contactor_closed
             self._was_closed = power.contactor_closed
@@ -185,18 +189,20 @@ class ContactorGuard:
         self._lease.opened()
         self._probe.forget()
 
+    def latched_fault(self) -> str:
+        """Return the latched fault and how to clear it; '' if there is none. A weld stays over boards that forget."""
+        power = self._power
+        fault = int(BoardFault.CONTACTOR_WELDED) if self._welded else power.power.fault if power is not None else 0
+        return f"latched fault: {fault_name(fault)}; {clearing(fault)}" if fault else ""
+
     def _check_board(self, now: float) -> None:
         power = self._power
         if self._shut:
             raise LeaseRefused("the node is shutting down")
+        if latched := self.latched_fault():
+            raise LeaseRefused(latched)
         if power is None or not now - power.time <= STALE_POWER:
             raise LeaseRefused("the power stage sends no data; check the board")
-        if power.power.fault:
-            fault = fault_name(power.power.fault)
-            raise LeaseRefused(
-                f"the board opened and latched a fault: {fault}; "
-                "open the contactor (set_contactor, close false) to clear it, then probe"
-            )
 
     def _check_contact(self, now: float) -> None:
         age = now - self._frames[-1].time if self._frames else math.inf
@@ -225,7 +231,7 @@ class ContactorGuard:
         self._link.stop_heartbeat()
 
     def open(self) -> None:
-        """Open the contactor, whatever its holder, and clear the latched fault.
+        """Open the contactor, whatever its holder, and clear the latched fault, but no weld.
 
         Raises:
             NoAnswer, PortGone: not acknowledged; the heartbeat has stopped, so the board opens within 100 ms.
@@ -234,6 +240,25 @@ class ContactorGuard:
         with self._commands:
             self._end_lease()  # a concurrent close may have begun a lease
             self._link.contactor(False)
+
+    def clear_weld(self) -> None:
+        """Clear a latched weld for a person who has replaced the contactor.
+
+        Raises:
+            LeaseRefused: something is still live; the message names it.
+            CommandRefused, NoAnswer, PortGone: as for `BoardLink.clear_weld`.
+        """
+        with self._commands:
+            try:
+                self._link.clear_weld()
+            except CommandRefused as error:
+                power = self._power
+                live = weld_problem(power.power) if power is not None else ""
+                if error.error != AckError.INTERLOCK or not live:
+                    raise
+                raise LeaseRefused(f"the weld stays latched: {live}; undock and switch the battery off") from error
+            with self._lock:
+                self._welded = False
 
     def tick(self) -> None:
         """Open the contactor if the lease has lapsed; call it after `remaining` s."""
@@ -252,7 +277,7 @@ class ContactorGuard:
         """Measure the circuit between the electrodes; takes up to 250 ms. Concurrent callers share the result.
 
         Raises:
-            LeaseRefused: the contactor is closed, or an opening voided the result.
+            LeaseRefused: the contactor is closed, a weld is latched, or an opening voided the result.
             CommandRefused: an interlock of the board.
             DriverError: the board cannot be reached.
         """
@@ -262,6 +287,8 @@ class ContactorGuard:
         with self._commands:
             self._open_if_lapsed()
         with self._lock:
+            if self._welded:
+                raise LeaseRefused(self.latched_fault())
             if self._lease.is_live(self._clock()):
                 raise LeaseRefused(f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
             openings = self._lease.openings

@@ -10,7 +10,16 @@ import time
 from deltacharger_driver.board.connection import BoardConnection
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import decode_probe, encode_rate, encode_servo_speed
-from deltacharger_driver.board.protocol import LONGEST_PING, LONGEST_SERVO, PROBE_TIMEOUT, AckError, PacketType
+from deltacharger_driver.board.protocol import (
+    CLEAR_WELD,
+    CLOSE,
+    LONGEST_PING,
+    LONGEST_SERVO,
+    OPEN,
+    PROBE_TIMEOUT,
+    AckError,
+    PacketType,
+)
 from deltacharger_driver.board.samples import ProbeResult
 
 _PING_NUMBERS = itertools.count()
@@ -65,20 +74,37 @@ class BoardLink(BoardConnection):
         """
         advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is already closed"}
         try:
-            self._ask(PacketType.CONTACTOR, bytes([close]), attempt_timeout=0.05, attempts=4, advice=advice)
+            self._ask(
+                PacketType.CONTACTOR, bytes([CLOSE if close else OPEN]), attempt_timeout=0.05, attempts=4, advice=advice
+            )
         except CommandRefused as error:
             # If a repeated close finds the contactor closed, only the first answer was lost.
             if not (close and error.error == AckError.NOT_NOW and error.attempts > 1):
                 raise
 
+    def clear_weld(self) -> None:
+        """Clear a latched weld. Only a person who has replaced the contactor may order it.
+
+        Raises:
+            CommandRefused: something is still live, the contactor is closed, or another fault is latched.
+        """
+        advice: dict[int, str] = {
+            AckError.BAD_PAYLOAD: "its firmware latches no welds; flash the current one",
+            AckError.INTERLOCK: "contactor or electrodes are live, or their current is not measured",
+            AckError.NOT_NOW: "the contactor is closed, or another fault is latched; open it first",
+        }
+        self._ask(PacketType.CONTACTOR, bytes([CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice)
+
     def probe(self) -> ProbeResult:
         """Measure the circuit between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
 
         Raises:
-            CommandRefused: the contactor is closed, a probe is running, or an opening interrupted it.
+            CommandRefused: the contactor is closed, a probe is running, an opening interrupted it, a fault is latched,
+                or current flows.
         """
         advice: dict[int, str] = {
-            AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one"
+            AckError.INTERLOCK: "a fault is latched, or current flows; open the contactor, then probe",
+            AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one",
         }
         request = self._ask(PacketType.PROBE, attempt_timeout=PROBE_TIMEOUT + 0.1, attempts=2, advice=advice)
         assert request.ack is not None

@@ -12,12 +12,14 @@ import numpy.typing as npt
 
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.protocol import (
+    DEAD_VOLTAGE,
     FULL_SCALE,
     LONGEST_PING,
     LONGEST_SERVO,
     SERVO_MINOR,
     SHORT_RESISTANCE,
     TAXELS,
+    ZERO_CURRENT,
     BoardFault,
     PacketError,
     PacketType,
@@ -278,6 +280,18 @@ def _unpack(layout: struct.Struct, data: bytes, type: PacketType) -> tuple[Any, 
     if len(data) != layout.size:
         raise PacketError(type, f"{len(data)} bytes instead of {layout.size}")
     return layout.unpack(data)
+
+
+def weld_problem(power: Power) -> str:
+    """Return what is still live, so that a latched weld must not be cleared; '' if nothing is."""
+    live = []
+    if power.contactor_closed:
+        live.append("the contactor reports closed")
+    if not abs(power.charge_current) < ZERO_CURRENT:
+        live.append(f"the current is {power.charge_current:.2f} A")
+    if abs(power.target_voltage) >= DEAD_VOLTAGE:
+        live.append(f"the electrodes carry {power.target_voltage:.1f} V")
+    return ", ".join(live)
 
 
 def probe_problem(resistance: float, target_voltage: float) -> str:

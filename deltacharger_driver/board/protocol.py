@@ -29,6 +29,9 @@ HEARTBEAT_TIMEOUT = 0.100  # s without one opens the contactor
 PROBE_LIFETIME = 2.0  # s; a close needs a probe younger than this
 PROBE_TIMEOUT = 0.250  # s; longest time until a probe is answered
 SHORT_RESISTANCE = 1.0  # ohm, below it the electrodes are shorted
+ZERO_CURRENT = 0.5  # A, below it no current flows through an open contactor
+DEAD_VOLTAGE = 5.0  # V, below it the electrodes are dead
+OPEN, CLOSE, CLEAR_WELD = 0, 1, 2  # the byte of CONTACTOR
 LONGEST_PING = 64  # bytes
 LONGEST_SERVO = 128  # bytes of the servos' bus in one packet
 
@@ -80,7 +83,7 @@ class AckError(enum.IntEnum):
 
 
 class BoardFault(enum.IntEnum):
-    """Why the board opened the contactor on its own; latched until the next opening command."""
+    """Why the board opened the contactor on its own; latched until the next opening command, a weld until cleared."""
 
     NONE = 0
     NO_CHARGE_CURRENT = 1
@@ -133,6 +136,16 @@ def fault_name(fault: int) -> str:
         return BoardFault(fault).name.lower().replace("_", " ")
     except ValueError:
         return f"fault {fault}"
+
+
+def clearing(fault: int) -> str:
+    """Return how a person clears a latched fault."""
+    if fault == BoardFault.CONTACTOR_WELDED:
+        return (
+            "switch the battery off, replace the contactor, then call set_contactor with clear_weld true, or "
+            "'deltacharger doctor --clear-weld'"
+        )
+    return "remove the cause, then open the contactor to clear it (set_contactor with close false)"
 
 
 class Packet(NamedTuple):

@@ -33,11 +33,11 @@ from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.errors import DriverError
+from deltacharger_driver.orders import late
 from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
@@ -45,6 +45,7 @@ from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
+from deltacharger_ros.order_age import order_age
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.unknown import unknown
@@ -139,12 +140,16 @@ class TactileNode(Node):
             runs_with = link.heartbeat_runs_with
             self._lines.info(f"board connected at {link.port}; heartbeat priority: {runs_with}{servos}")
 
-    def _served(self, response: Any, action: Callable[[], str]) -> Any:
-        """Fill `success` and `message` from an action that returns the message or raises an error."""
-        problem = self._keeper.problem
+    def _served(self, response: Any, action: Callable[[], str], opens: bool = False) -> Any:
+        """Fill `success` and `message` from an action that returns the message or raises an error.
+
+        It is refused if it comes too late, unless it `opens`.
+        """
+        problem, refusal = self._keeper.problem, "" if opens else late(order_age())
         try:
-            if problem:
-                response.success, response.message = False, f"the board is not connected: {problem}"
+            if problem or refusal:
+                response.success = False
+                response.message = refusal or f"the board is not connected: {problem}"
             else:
                 response.message = action()
                 response.success = True
@@ -175,11 +180,13 @@ class TactileNode(Node):
         def switch() -> str:
             if not request.close:
                 guard.open()
-                return "opened"
+                if request.clear_weld:
+                    guard.clear_weld()
+                return "opened; no weld is latched" if request.clear_weld else "opened"
             lasts = guard.close(request.holder, seconds(request.lease), request.token)
             return f"closed for {lasts:.3f} s; renew it in time"
 
-        return self._served(response, switch)
+        return self._served(response, switch, opens=not request.close)
 
     def _diagnose(self) -> None:
         self._diagnostics.publish(self._link_status(), self._tactile_status(), self._power_status())
@@ -217,8 +224,7 @@ class TactileNode(Node):
         if sample is None:
             return self._status("power stage", "silent; check the board's cable", "", values)
         power = sample.power
-        problem = f"latched fault: {fault_name(power.fault)}; open the contactor to clear it" if power.fault else ""
-        return self._status("power stage", problem, "", {**values, **power._asdict()})
+        return self._status("power stage", self._keeper.guard.latched_fault(), "", {**values, **power._asdict()})
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -31,6 +31,8 @@ class BenchPlant:
         left, right: (10, 10) N of contact on each pad.
         battery: V. target: V, negative = reversed. resistance: ohm of the loop, inf = not touching.
         detected: a fault to report as detected, 0 = none.
+        welded: contacts that have closed do not open. dropped: the coil has lost its supply.
+        measured: readings that replace the true ones, by name: battery, target, current.
 
     Args:
         offset: N added to every taxel, as before a tare.
@@ -52,6 +54,8 @@ class BenchPlant:
         self.target = 24.0
         self.resistance = 2.0
         self.detected = int(BoardFault.NONE)
+        self.welded = self.dropped = False
+        self.measured: dict[str, float] = {}
         self._offset = offset
         self._noise = noise
         self._random = np.random.default_rng(seed)
@@ -59,7 +63,7 @@ class BenchPlant:
         self._lock = threading.RLock()
         self._updated = clock()
         self._current = 0.0
-        self._closed = False
+        self._closed = self._driven = False  # contacts, coil
         self._closing_at = math.inf
         self._opening = False
 
@@ -79,7 +83,8 @@ class BenchPlant:
         with self._lock:
             self._advance()
             target = math.nan if math.isinf(self.resistance) else self.target
-            return self.battery, target, self._current, self._closed, self.detected
+            shown = {"battery": self.battery, "target": target, "current": self._current} | self.measured
+            return shown["battery"], shown["target"], shown["current"], self._closed, self.detected
 
     def close_contactor(self) -> None:
         """See PowerPlant."""
@@ -102,17 +107,21 @@ class BenchPlant:
         return self.resistance, (0.0 if math.isinf(self.resistance) else self.target)
 
     def _break(self) -> None:
-        self._closed = self._opening = False
+        self._driven = self._opening = False
+        self._closed = self._closed and self.welded
         self._current = 0.0
 
     def _advance(self) -> None:
         now = self._clock()
-        if now >= self._closing_at and not self._closed:
-            self._closed = True
+        if now >= self._closing_at:
+            self._driven = True
             self._updated = self._closing_at
             self._closing_at = math.inf
         elapsed, self._updated = now - self._updated, now
-        if not self._closed:
+        pulled = self._driven and not self.dropped
+        self._closed = pulled or (self._closed and self.welded)
+        if not pulled:
+            self._current = 0.0
             return
         if self._opening:
             self._current -= LARGEST_CURRENT / 0.05 * elapsed  # from full current below 1 A within 50 ms

@@ -29,9 +29,12 @@ from deltacharger_driver.board.payloads import (
     encode_samples,
 )
 from deltacharger_driver.board.protocol import (
+    CLEAR_WELD,
+    CLOSE,
     DEFAULT_RATE,
     FLAG_OVERRUN,
     FLAG_TARED,
+    OPEN,
     POWER_RATE,
     VERSION,
     AckError,
@@ -45,6 +48,7 @@ from deltacharger_driver.board.protocol import (
     encode_packet,
 )
 from deltacharger_driver.emulators.board_servos import BoardServos
+from deltacharger_driver.emulators.detectors import TARGET_VOLTAGES
 from deltacharger_driver.emulators.pads import EmulatedPads, PadPlant
 from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant
 from deltacharger_driver.emulators.wire_faults import DelayLine, WireFaults
@@ -78,6 +82,7 @@ class BoardEmulator:
         on_sample: called for every sampling with its sequence number, its due time and its actual time, s.
         on_heartbeat: called for every heartbeat with its arrival, s.
         servos: the servos' bus, if it is connected to the board.
+        target_voltages: lowest and highest V that the stage charges.
     """
 
     def __init__(
@@ -91,12 +96,13 @@ class BoardEmulator:
         on_sample: Callable[[int, float, float], object] | None = None,
         on_heartbeat: Callable[[float], object] | None = None,
         servos: ByteDevice | None = None,
+        target_voltages: tuple[float, float] = TARGET_VOLTAGES,
     ) -> None:
         self._format = sample_format
         self._drift = drift
         self._random = np.random.default_rng(seed)
         self._pads = EmulatedPads(plant)
-        self._power = EmulatedPower(plant, probe_time)
+        self._power = EmulatedPower(plant, probe_time, target_voltages)
         self._lock = threading.RLock()
         self._decoder = PacketDecoder()
         self._boot_time = boot_time
@@ -309,12 +315,14 @@ class BoardEmulator:
         return AckError.DONE
 
     def _contactor(self, packet: Packet, now: float) -> AckError:
-        if packet.payload == b"\1":
+        if packet.payload == bytes([CLOSE]):
             return self._power.close(now)
-        if packet.payload == b"\0":
-            self._power.open(now)
-            return AckError.DONE
-        return AckError.BAD_PAYLOAD
+        if packet.payload == bytes([CLEAR_WELD]):
+            return self._power.clear_weld()
+        if packet.payload != bytes([OPEN]):
+            return AckError.BAD_PAYLOAD
+        self._power.open(now)
+        return AckError.DONE
 
     def _probe(self, packet: Packet, now: float) -> AckError | None:
         error = self._power.start_probe(now)

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from deltacharger_driver.board.payloads import Power, probe_problem
-from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, BoardFault
+from deltacharger_driver.board.payloads import Power, probe_problem, weld_problem
+from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, ZERO_CURRENT, AckError, BoardFault
+from deltacharger_driver.emulators.detectors import TARGET_VOLTAGES, Detectors
 
 HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
 """s without a heartbeat until the contactor opens; the remaining 5 ms are for the board to notice and to open."""
@@ -44,22 +45,27 @@ class EmulatedPower:
     Args:
         plant: the physics.
         probe_time: s that a probe takes, at most 0.25.
+        target_voltages: lowest and highest V that the stage charges.
     """
 
-    def __init__(self, plant: PowerPlant, probe_time: float) -> None:
+    def __init__(
+        self, plant: PowerPlant, probe_time: float, target_voltages: tuple[float, float] = TARGET_VOLTAGES
+    ) -> None:
         self._plant = plant
         self._probe_time = probe_time
+        self._detectors = Detectors(target_voltages)
         self.closed = False
         self.fault = int(BoardFault.NONE)
         self.reset(0.0)
 
     def reset(self, now: float) -> None:
-        """Boot: reset all state, open the contactor."""
+        """Boot: reset all state but a weld, open the contactor."""
         if self.closed:
             self._plant.open_contactor(False)
         self.closed = False
-        self.fault = int(BoardFault.NONE)
-        self._seen_closed = False
+        self._clear_fault()
+        self._now = now
+        self._detectors.reset(now)
         self._heartbeat_deadline = -math.inf
         self._probe_deadline = -math.inf  # the last probe allows a close until then
         self._probe_due = math.inf
@@ -78,27 +84,43 @@ class EmulatedPower:
             return AckError.INTERLOCK
         self._abort_probe()  # the probe's circuit must leave the electrodes before the battery is connected
         self.closed = True
-        self._seen_closed = False
+        self._detectors.close()
         self._next_check = now + CHECK_PERIOD
         self._plant.close_contactor()
         return AckError.DONE
 
     def open(self, now: float) -> None:
-        """Open as commanded, ramping down, and clear the latched fault; a persisting one is latched again."""
+        """Open as commanded, ramping down, and clear the latched fault, but no weld; a persisting one returns."""
+        self._now = now
         self._open(ramp=True)
-        self.fault = int(BoardFault.NONE)
+        self._clear_fault()
         self._next_check = now + CHECK_PERIOD
 
+    def _clear_fault(self) -> None:
+        if self.fault != BoardFault.CONTACTOR_WELDED:
+            self.fault = int(BoardFault.NONE)
+
+    def clear_weld(self) -> AckError:
+        """Clear a latched weld once contactor and electrodes are dead."""
+        if self.closed or self.fault not in (BoardFault.NONE, BoardFault.CONTACTOR_WELDED):
+            return AckError.NOT_NOW
+        if weld_problem(Power(*self._plant.read_power())):
+            return AckError.INTERLOCK
+        self.fault = int(BoardFault.NONE)
+        return AckError.DONE
+
     def trip(self, fault: int) -> None:
-        """Open at once and latch `fault`; the first fault stays until the next opening command."""
+        """Open at once and latch `fault`; the first fault stays, but a weld replaces it."""
         self._open(ramp=False)
-        self.fault = self.fault or int(fault)
+        if self._outranks(fault):
+            self.fault = int(fault)
+
+    def _outranks(self, fault: int) -> bool:
+        return bool(fault) and (not self.fault or fault == BoardFault.CONTACTOR_WELDED != self.fault)
 
     def _open(self, ramp: bool) -> None:
         self._plant.open_contactor(ramp)
-        self._void()
-
-    def _void(self) -> None:
+        self._detectors.open(self._now, ramp)
         self.closed = False
         self._probe_deadline = -math.inf
         self._abort_probe()
@@ -110,8 +132,13 @@ class EmulatedPower:
 
     def start_probe(self, now: float) -> AckError:
         """Start a probe; DONE means that `poll_probe` will return the result."""
-        if self.closed or self._probe_due < math.inf or self._plant.read_power()[3]:
+        if self.fault:
+            return AckError.INTERLOCK
+        _, _, current, closed, _ = self._plant.read_power()
+        if self.closed or self._probe_due < math.inf or closed:
             return AckError.NOT_NOW
+        if abs(current) >= ZERO_CURRENT:
+            return AckError.INTERLOCK
         self._probe_due = now + self._probe_time
         return AckError.DONE
 
@@ -127,24 +154,28 @@ class EmulatedPower:
 
     def poll(self, now: float) -> None:
         """Check the heartbeat and the power stage's detectors."""
+        self._now = now
         if self.closed and now >= self._heartbeat_deadline:
             self.trip(BoardFault.HEARTBEAT_LOST)
         if now >= self._next_check:
             self.read()
-            self._next_check = now + CHECK_PERIOD if self.closed else math.inf
+            self._next_check = now + CHECK_PERIOD if now < self._detectors.open_from else math.inf
 
     def read(self) -> Power:
         """Read the plant, latch a detected fault, and return the content of a POWER packet."""
-        battery, target, current, contactor, detected = self._plant.read_power()
+        battery, target, current, contactor, detected = reading = self._plant.read_power()
+        was_closed = self._detectors.seen_closed
+        shown = self._detectors.fault(self._now, Power(*reading))
+        if not detected or shown == BoardFault.CONTACTOR_WELDED:
+            detected = shown
         if detected == BoardFault.NO_CHARGE_CURRENT and not self.closed:
             detected = BoardFault.NONE  # after an opening no current is expected
-        if detected and not self.fault:
+        if self._outranks(detected):
             self.trip(detected)
             contactor = self._plant.read_power()[3]
-        elif self._seen_closed and not contactor and self.closed:
-            self._void()  # it opened on its own: a pulled plug, a fuse
-        self._seen_closed = bool(contactor)
-        return Power(battery, target, current, bool(contactor), self.fault)
+        elif was_closed and not self._detectors.seen_closed:
+            self._open(ramp=False)  # it opened on its own: a pulled plug, a fuse
+        return Power(battery, target, current, bool(contactor) or self._detectors.seen_closed, self.fault)
 
     def next_event(self) -> float:
         """Return when `poll` or `poll_probe` is due, s."""

@@ -226,14 +226,17 @@ class MockTactileNode(Node):
 
     def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
         with self._lock:
-            if not request.close:
-                self._power.open()
-                response.success, response.message = True, "open"
-                return response
-            response.message = self._contact_problem()
-            if response.message:
-                return response
+            if request.close:
+                response.message = self._contact_problem()
+                if response.message:
+                    return response
             try:
+                if not request.close:
+                    self._power.open()
+                    if request.clear_weld:
+                        self._power.clear_weld()
+                    response.success, response.message = True, "open"
+                    return response
                 self._power.close(request.holder, seconds(request.lease), time.monotonic(), request.token)
             except LeaseRefused as refusal:
                 response.message = str(refusal)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
-from deltacharger_driver.board.protocol import BoardFault
+from deltacharger_driver.board.protocol import BoardFault, clearing
 
 BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX
 TARGET = 23.5  # V, open circuit
@@ -23,7 +23,7 @@ class MockPower:
         lease: on the contactor, by the driver's own code.
         closed: whether the contactor is closed.
         current: A into the target.
-        fault: code of ChargerPower, latched until the next opening command.
+        fault: code of ChargerPower, latched until the next opening command, a weld until it is cleared.
         misbehaviour: "" or one of short, open_circuit, reverse_polarity, no_charge_current, contactor_refusal,
             contactor_welded.
     """
@@ -74,15 +74,26 @@ class MockPower:
         if self.misbehaviour == "contactor_refusal":
             raise LeaseRefused("the board's interlock keeps the contactor open")
         if self.fault:
-            raise LeaseRefused(f"fault {self.fault} is latched: open the contactor to clear it")
+            raise LeaseRefused(f"fault {self.fault} is latched; {clearing(self.fault)}")
         self.lease.take(holder, duration, now, token)
         if not self.closed:
             self.closed, self._closed_at = True, now
 
     def open(self) -> None:
-        """Open by command, which also clears a latched fault."""
-        self.fault = 0
+        """Open by command, which also clears a latched fault, but no weld."""
+        if self.fault != BoardFault.CONTACTOR_WELDED:
+            self.fault = 0
         self._open()
+
+    def clear_weld(self) -> None:
+        """Clear a latched weld.
+
+        Raises:
+            LeaseRefused: the contactor is still closed.
+        """
+        if self.closed:
+            raise LeaseRefused("the weld stays latched: the contactor reports closed")
+        self.fault = 0
 
     def _open(self) -> None:
         self.lease.opened()

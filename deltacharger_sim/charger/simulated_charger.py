@@ -63,7 +63,13 @@ class SimulatedCharger:
         plant = SharedWorld(self.world)
         servos = ServoBusEmulator(plant, seed=self._simulation.seed)
         on_board = self._simulation.servos == "board"
-        board = BoardEmulator(plant, seed=self._simulation.seed, servos=servos if on_board else None)
+        circuit = self._simulation.world.circuit
+        board = BoardEmulator(
+            plant,
+            seed=self._simulation.seed,
+            servos=servos if on_board else None,
+            target_voltages=(circuit.voltage_min, circuit.voltage_max),
+        )
         with contextlib.ExitStack() as opened:
             folder = self._directory or Path(
                 opened.enter_context(tempfile.TemporaryDirectory("", "deltacharger-", ignore_cleanup_errors=True))

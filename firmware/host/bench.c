@@ -8,8 +8,6 @@
 #define PULL_IN_TIME 5000u
 #define WIRE_BUFFER 128u      /* bytes that a transmitter takes beyond the one it is sending */
 
-enum { CURRENT, TARGET, OUTPUT };
-
 void bench_init(struct bench *bench, uint64_t now, uint64_t seed)
 {
     memset(bench, 0, sizeof *bench);
@@ -130,12 +128,10 @@ static void read_power(void *context, dc_power_reading *reading)
     reading->output = output_voltage(bench);
     reading->current = bench_current(bench);
     reading->fault = bench->detected;
-    if (bench->forced_current)
-        reading->current = bench->forced[CURRENT];
-    if (bench->forced_target)
-        reading->target = bench->forced[TARGET];
-    if (bench->forced_output)
-        reading->output = bench->forced[OUTPUT];
+    float *const readings[] = {&reading->current, &reading->target, &reading->output, &reading->battery};
+    for (size_t i = 0; i < 4; i++)
+        if (bench->is_forced[i])
+            *readings[i] = bench->forced[i];
 }
 
 static void set_outputs(void *context, const dc_power_outputs *outputs)
@@ -150,8 +146,10 @@ static void set_outputs(void *context, const dc_power_outputs *outputs)
         bench->precharged = UINT64_MAX;
     if (outputs->contactor && !bench->outputs.contactor)
         bench->pulled_in = bench->now + PULL_IN_TIME;
-    if (!outputs->contactor && bench->outputs.contactor)
+    if (!outputs->contactor && bench->outputs.contactor) {
+        bench->switched_off = bench->now;
         bench->released = bench->now + bench->release_time;
+    }
     bench->outputs = *outputs;
     (void)bench_closed(bench);
 }
@@ -176,6 +174,16 @@ static bool poll_probe(void *context, float *resistance, float *target)
 static void stop_probe(void *context)
 {
     ((struct bench *)context)->probing = false;
+}
+
+static uint8_t load(void *context)
+{
+    return ((struct bench *)context)->stored;
+}
+
+static void save(void *context, uint8_t value)
+{
+    ((struct bench *)context)->stored = value;
 }
 
 static size_t read_servos(void *context, uint8_t *bytes, size_t size)
@@ -222,6 +230,8 @@ dc_hardware bench_hardware(struct bench *bench, bool servos)
         .start_probe = start_probe,
         .poll_probe = poll_probe,
         .stop_probe = stop_probe,
+        .load = load,
+        .save = save,
         .servo_read = servos ? read_servos : NULL,
         .servo_write = servos ? write_servos : NULL,
         .servo_speed = servos ? set_servo_speed : NULL,

@@ -21,8 +21,10 @@ struct bench {
     uint8_t detected;       /* fault reported by the stage's own detectors, 0 = none */
     bool welded, stuck;     /* contacts that do not open; that do not close */
     bool dropped;           /* the coil has lost its supply */
-    bool forced_current, forced_target, forced_output; /* these readings are replaced by `forced` */
-    float forced[3];        /* A, V, V */
+    bool is_forced[4];      /* whether current, target, output and battery are replaced by `forced` */
+    float forced[4];        /* A, V, V, V */
+    uint8_t stored;         /* the byte that outlives a boot */
+    uint64_t switched_off;  /* us, when the contactor's coil last was */
     uint32_t scan_time;     /* us, duration of read_taxels */
     uint32_t probe_time;    /* us, duration of a probe; UINT32_MAX = never ends */
     bool probing;

@@ -117,16 +117,15 @@ static bool set_dead(struct bench *bench, const char *text)
 /* `current -2`, `output nan` or `target none` (measure again). */
 static bool force(struct bench *bench, char *text)
 {
-    static const char *const NAMES[] = {"current", "target", "output"};
-    bool *const forced[] = {&bench->forced_current, &bench->forced_target, &bench->forced_output};
+    static const char *const NAMES[] = {"current", "target", "output", "battery"};
     char *value = strchr(text, ' ');
     if (value == NULL)
         return false;
     *value++ = '\0';
-    for (size_t i = 0; i < 3; i++) {
+    for (size_t i = 0; i < 4; i++) {
         if (strcmp(text, NAMES[i]) == 0) {
-            *forced[i] = strcmp(value, "none") != 0;
-            bench->forced[i] = *forced[i] ? strtof(value, NULL) : NAN;
+            bench->is_forced[i] = strcmp(value, "none") != 0;
+            bench->forced[i] = bench->is_forced[i] ? strtof(value, NULL) : NAN;
             return true;
         }
     }
@@ -231,6 +230,7 @@ static void tell_state(struct console *console, FILE *answer)
             bench->outputs.precharge, bench->probing, decoder->refused_version);
     fprintf(answer, " limit=%.9g current=%.9g broken=%.9g", (double)bench->outputs.current_limit,
             (double)bench_current(bench), (double)bench->broken);
+    fprintf(answer, " now=%" PRIu64 " switched_off=%" PRIu64, bench->now, bench->switched_off);
     const struct { const char *name; uint32_t count; } COUNTS[] = {
         {"packets", decoder->packets}, {"cobs", decoder->cobs_errors}, {"crc", decoder->crc_errors},
         {"length", decoder->length_errors}, {"version", decoder->version_errors},

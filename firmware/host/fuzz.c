@@ -5,7 +5,8 @@
  *
  * Decoder: every accepted packet must have been sent. Board: whatever the host does, the contactor is commanded only
  * while a heartbeat is fresh, never together with the probe, never with a latched fault, and never above the current
- * limit; the servos get no byte that the host did not send. */
+ * limit; a weld stays until a host clears it; the servos get no byte that the host did not send. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -138,6 +139,18 @@ static void check_board(const struct console *console, uint64_t heartbeat)
         fail("more servo bytes than there is room for");
 }
 
+/* A latched weld goes only after a command that clears it, and with what is stored. */
+static void check_weld(const struct console *console, const dc_packet *packet, bool was)
+{
+    static bool asked;
+    const bool welded = console->board.contactor.fault == DC_CONTACTOR_WELDED;
+    asked = was && (asked || (packet->type == DC_CONTACTOR && packet->size == 1 && packet->payload[0] == 2));
+    if (was && !welded && !asked)
+        fail("a weld was forgotten");
+    if (welded != (console->bench.stored == DC_CONTACTOR_WELDED))
+        fail("the stored byte is wrong");
+}
+
 /* Receive random bytes from the servos, or none; remove the bytes sent to them. */
 static void vary_bus(struct console *console, const dc_packet *packet)
 {
@@ -163,7 +176,7 @@ static dc_packet draw_command(uint8_t *payload)
     packet.type = TYPES[any(sizeof TYPES)];
     packet.sequence = (uint16_t)any(65536);
     packet.payload = payload;
-    payload[0] = (uint8_t)(any(4) != 0);
+    payload[0] = any(8) ? (uint8_t)(any(4) != 0) : 2u;
     if (packet.type == DC_CONTACTOR)
         packet.size = 1;
     else if (packet.type == DC_RATE || packet.type == DC_PING || packet.type == DC_SERVO_SPEED)
@@ -179,9 +192,14 @@ static dc_packet draw_command(uint8_t *payload)
 
 static void vary_bench(struct bench *bench)
 {
-    static const float RESISTANCES[] = {0.5f, 2.0f, 2.0f, 2.0f, 50.0f};
-    bench->resistance = RESISTANCES[any(5)];
+    static const float RESISTANCES[] = {0.5f, 2.0f, 2.0f, 2.0f, 50.0f, INFINITY};
+    bench->resistance = RESISTANCES[any(6)];
     bench->target = any(10) ? 24.0f : (float)any(80) - 40.0f;
+    bench->dropped = any(20) == 0;
+    for (size_t i = 0; i < 4; i++) {
+        bench->is_forced[i] = any(60) == 0;
+        bench->forced[i] = any(2) ? NAN : (float)any(60) - 30.0f;
+    }
     bench->detected = any(10) ? 0u : (uint8_t)any(10);
     bench->welded = any(20) == 0;
     bench->stuck = any(20) == 0;
@@ -205,11 +223,13 @@ static void fuzz_board(struct console *console, uint64_t *heartbeat)
     if (any(100) == 0)
         vary_bench(bench);
     const uint64_t before = console->board.contactor.heartbeat_deadline;
+    const bool welded = bench->stored == DC_CONTACTOR_WELDED;
     bench->now += any(3) ? any(5000) : any(60000);
     dc_board_poll(&console->board);
     if (console->board.contactor.heartbeat_deadline != before)
         *heartbeat = bench->now;
     check_board(console, *heartbeat);
+    check_weld(console, &packet, welded);
     vary_bus(console, &packet);
     bench->output_used = 0;
 }

@@ -67,6 +67,8 @@ const float PROBE_OPEN_CURRENT = 1e-4f;  /* A; below it the circuit is open */
 const float CURRENT_LIMIT = 18.0f;
 const float LOWEST_TARGET = 10.0f;  /* V */
 const float HIGHEST_TARGET = 30.0f;
+const float LOWEST_BATTERY = 22.7f; /* V, the charger's own; as docking_node's battery_voltage_min and _max */
+const float HIGHEST_BATTERY = 29.8f;
 
 /* Longest time between two polls, us: three scans of both pads (two of a tare, one of a frame), the arithmetic and half a
  * millisecond of sending to the servos. Measure it on the board. */

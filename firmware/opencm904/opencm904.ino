@@ -3,6 +3,7 @@
  *
  * NOT RUN ON HARDWARE: only linked with the core of the board package 1.5.1. Fill in board_wiring.h, then
  * follow "First start" of docs/firmware.md before anything carries current. */
+#include <EEPROM.h>
 #include <dc_board.h>
 #include <dc_crc32.h>
 
@@ -55,9 +56,21 @@ static size_t link_write(void *, const uint8_t *bytes, size_t size)
 }
 #endif
 
+/* The core's EEPROM is a page of flash: a write takes 0.1 ms, and every 250th erases a page, 40 ms. */
+static uint8_t byte_load(void *)
+{
+  return EEPROM.read(0);
+}
+
+static void byte_save(void *, uint8_t value)
+{
+  EEPROM.write(0, value);
+}
+
 static const dc_hardware HARDWARE = {
     NULL,         now_us,      link_read,  link_write, taxels_read,
     power_read,   power_drive, probe_start, probe_poll, probe_stop,
+    byte_load,    byte_save,
 #if SERVOS_ON_BOARD
     servos_read,  servos_write, servos_speed,
 #else
@@ -65,7 +78,8 @@ static const dc_hardware HARDWARE = {
 #endif
 };
 
-static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET, POLL_PERIOD_US};
+static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET,
+                                 LOWEST_BATTERY, HIGHEST_BATTERY, POLL_PERIOD_US};
 
 /* A number that differs at each boot: a counter that survives a reset, and, for a lost supply, the noise of the analog
  * inputs. */

@@ -13,7 +13,7 @@ from deltacharger_driver.board.protocol import BoardFault, Packet, PacketType
 from .board_bench import Bench, acks
 
 PROBE, CONTACTOR = PacketType.PROBE, PacketType.CONTACTOR
-OPEN, CLOSE = b"\0", b"\1"
+OPEN, CLOSE, CLEAR_WELD = b"\0", b"\1", b"\2"
 
 
 def answers(packets: list[Packet]) -> list[tuple[int, int, int]]:
@@ -64,7 +64,7 @@ def test_a_missing_heartbeat_while_open_is_no_fault() -> None:
     assert bench.power().fault == 0
 
 
-@pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 7, 9])
+@pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 9])
 def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command(fault: int) -> None:
     bench = Bench().closed()
     bench.plant.detected = fault
@@ -73,13 +73,67 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
     bench.plant.detected = 0
     bench.run(0.5)
     assert bench.power().fault == fault
-    bench.probe()
-    assert bench.close() == 3
+    assert bench.error(PROBE) == bench.close() == 3
     bench.send(CONTACTOR, OPEN)
     bench.run(0.1)
     assert bench.power().fault == 0
     assert bench.close() == 3  # the opening voided the probe
     bench.closed()
+
+
+def test_a_weld_stays_over_openings_and_boots_until_a_person_clears_it() -> None:
+    bench = Bench().closed()
+    bench.plant.welded = True
+    bench.send(CONTACTOR, OPEN)
+    bench.run(0.2)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 3  # it is closed
+    bench.plant.welded, bench.plant.resistance = False, math.inf
+    for forget in (lambda: bench.send(CONTACTOR, OPEN), bench.board.reboot):
+        forget()
+        bench.run(0.2)
+        assert bench.power().fault == BoardFault.CONTACTOR_WELDED
+        assert bench.error(PROBE) == bench.close() == 3
+    for live in ({"current": 0.5}, {"current": -0.5}, {"current": math.nan}, {"target": 5.0}, {"target": -5.0}):
+        bench.plant.measured = live
+        bench.run(0.01)
+        assert bench.error(CONTACTOR, CLEAR_WELD) == 3
+    bench.plant.measured = {"target": 4.9}
+    bench.run(0.01)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 0
+    bench.board.reboot()
+    bench.run(0.2)
+    assert bench.power().fault == 0
+
+
+def test_a_weld_replaces_every_fault_and_none_replaces_it() -> None:
+    bench = Bench().closed()
+    bench.plant.welded, bench.plant.detected = True, BoardFault.OVER_CURRENT
+    bench.run(0.03)
+    assert bench.board.fault == BoardFault.OVER_CURRENT
+    bench.run(0.12)
+    bench.board.trip(BoardFault.SHORT_CIRCUIT)
+    assert bench.board.fault == BoardFault.CONTACTOR_WELDED
+
+
+def test_clearing_a_weld_clears_nothing_else() -> None:
+    bench = Bench().closed()
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
+    assert bench.board.contactor_commanded
+    bench.board.trip(BoardFault.OVER_CURRENT)
+    bench.plant.resistance = math.inf
+    bench.run(0.1)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
+    assert bench.board.fault == BoardFault.OVER_CURRENT
+    bench.send(CONTACTOR, OPEN)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 0  # there is none: an answer that was lost is asked for again
+
+
+def test_no_probe_begins_while_current_flows() -> None:
+    bench = Bench()
+    for current, error in ((0.5, 3), (-0.5, 3), (0.49, 0)):
+        bench.plant.measured = {"current": current}
+        assert bench.error(PROBE, wait=0.0 if error else 0.2) == error
+        bench.send(CONTACTOR, OPEN)
 
 
 @pytest.mark.parametrize(("resistance", "target"), [(0.9, 24.0), (math.inf, 24.0), (2.0, -24.0)])

@@ -17,6 +17,7 @@ from deltacharger_driver.board.protocol import BoardFault, PacketType
 from deltacharger_driver.board.receiver import BoardReceiver
 from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import ProbeResult
+from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer
 
 from ..waiting import wait_until
@@ -81,6 +82,11 @@ class Charger:
     def contactor(self, close: bool) -> None:
         self.commands.append(close)
         error = self.bench.error(PacketType.CONTACTOR, bytes([close]))
+        if error:
+            raise CommandRefused(PacketType.CONTACTOR, error)
+
+    def clear_weld(self) -> None:
+        error = self.bench.error(PacketType.CONTACTOR, b"\2")
         if error:
             raise CommandRefused(PacketType.CONTACTOR, error)
 
@@ -193,6 +199,35 @@ def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(charger: Char
     charger.guard.open()
     charger.run(0.1)
     assert charger.bench.power().fault == 0
+
+
+@pytest.mark.parametrize("forgets", ["open", "reboot", "other board"])
+def test_a_weld_forbids_close_and_probe_by_name_until_a_person_clears_it(charger: Charger, forgets: str) -> None:
+    charger.charge(0.3)
+    charger.plant.welded = True
+    charger.guard.open()
+    charger.run(0.3)
+    if forgets == "open":
+        charger.guard.open()
+    elif forgets == "reboot":
+        charger.board.reboot()
+    else:
+        charger.guard.interrupted()
+        charger.bench.board = BoardEmulator(charger.plant)
+        charger.plant.welded = False
+    charger.run(0.3)
+    assert charger.guard.latched_fault().startswith("latched fault: contactor welded")
+    for request in (charger.close, charger.guard.probe):
+        with pytest.raises(LeaseRefused, match=r"welded.*clear_weld"):
+            request()
+    with pytest.raises(LeaseRefused, match=r"stays latched.* 24\.0 V"):  # the target is still docked
+        charger.guard.clear_weld()
+    charger.plant.welded, charger.plant.resistance = False, math.inf
+    charger.run(0.1)
+    charger.guard.clear_weld()
+    charger.run(0.1)
+    assert charger.guard.latched_fault() == ""
+    charger.guard.probe()
 
 
 def test_a_probe_while_closed_is_refused(charger: Charger) -> None:

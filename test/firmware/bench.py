@@ -12,7 +12,7 @@ from .board_host import BoardHost
 
 MS = 1000
 S = 1_000_000
-STRONG = "battery 45", "target 22", "resistance 1"  # a circuit of 23 A without a limit
+STRONG = "battery 29.7", "target 10.5", "resistance 1"  # a circuit of 19 A without a limit
 
 
 class Bench:

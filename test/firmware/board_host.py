@@ -84,6 +84,8 @@ class FirmwarePlant:
         self.target = 24.0
         self.resistance = 2.0
         self.detected = 0
+        self.welded = self.dropped = False
+        self.measured: dict[str, float] = {}
         self.offset = offset
         self.noise = noise
         self.board: FirmwareBoard | None = None
@@ -101,7 +103,8 @@ class FirmwarePlant:
             name: repr(float(getattr(self, name)))
             for name in ("offset", "noise", "battery", "target", "resistance", "detected")
         }
-        return {"pads": pads, **numbers}
+        forced = {f"force {name}": str(self.measured.get(name, "none")) for name in ("battery", "target", "current")}
+        return {"pads": pads, **numbers, **forced, "welded": f"{self.welded:d}", "drop": f"{self.dropped:d}"}
 
     def read_power(self) -> tuple[float, float, float, bool, int]:
         """Return battery V, target V, charge A, contactor closed and the detected fault at the board's present time."""

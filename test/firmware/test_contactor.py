@@ -57,16 +57,36 @@ def test_slow_commands_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
     bench.check(fault=BoardFault.HEARTBEAT_LOST)
 
 
-def test_a_slow_poll_opens_before_the_limit(new_bench: NewBench) -> None:
-    """The time between two polls shortens every deadline, so that 100 ms hold at the pins."""
-    bench = new_bench(poll_period=8000)
+@pytest.mark.parametrize("period", [8 * MS, 12 * MS, 20 * MS])
+def test_a_slow_poll_opens_between_90_and_100_ms(new_bench: NewBench, period: int) -> None:
+    """The time between two polls shortens the deadline, so that 100 ms hold at the pins, but never below 90 ms."""
+    bench = new_bench(poll_period=period)
     bench.charge().beat(last=True)
     silent = bench.now
-    bench.jump(bench.now + 91 * MS)  # polls that far apart are the worst case
+    bench.jump(silent + 90 * MS - 1)
     bench.check(contactor=1)
-    bench.jump(bench.now + 8 * MS)
-    bench.check(contactor=0)
-    assert bench.now - silent <= 100 * MS
+    bench.jump(silent + min(100 * MS, 90 * MS - 1 + period))
+    bench.check(contactor=0, fault=BoardFault.HEARTBEAT_LOST)
+
+
+def test_samplings_between_two_polls_do_not_delay_the_opening(new_bench: NewBench) -> None:
+    bench = new_bench(poll_period=12 * MS)
+    for scan in range(2000, 4500, 250):
+        bench.set("scan_time 0")
+        bench.charge(200 * MS)
+        bench.set(f"scan_time {scan}")
+        bench.send((PacketType.START, b""))
+        bench.run(scan)
+        bench.beat(last=True)
+        heard = bench.state("now")
+        while bench.state("contactor"):
+            bench.send((PacketType.TARE, b""))
+            bench.run(5 * MS)
+        assert 90 * MS <= bench.state("switched_off") - heard <= 100 * MS
+        bench.send((PacketType.STOP, b""))
+        bench.now = int(bench.state("now"))
+        bench.run(200 * MS)
+        bench.open()
 
 
 @pytest.mark.parametrize("payload", [b"", b"x"])

@@ -134,6 +134,13 @@ def test_a_welded_contactor_stays_closed_and_reports_it() -> None:
     power.misbehaviour = "contactor_welded"
     power.open()
     assert (power.closed, power.fault) == (True, BoardFault.CONTACTOR_WELDED)
+    with pytest.raises(LeaseRefused, match="closed"):
+        power.clear_weld()
+    power.misbehaviour = ""
+    power.open()
+    assert (power.closed, power.fault) == (False, BoardFault.CONTACTOR_WELDED)
+    power.clear_weld()
+    assert power.fault == 0
 
 
 def test_out_of_contact_the_probe_finds_an_open_circuit() -> None:

@@ -210,6 +210,16 @@ def test_a_welded_contactor_is_reported_and_stays_closed(ramp: bool) -> None:
     circuit.open(ramp)
     run(circuit, 0.2)
     assert (circuit.closed, circuit.fault) == (True, WELDED)
+    circuit.open(ramp)
+    circuit.close()
+    assert circuit.fault == WELDED
+    run(circuit, 0.2, None)
+    assert circuit.measured() == (26.0, 26.0, 0.0, True, WELDED)  # in free air, behind the contactor
+
+
+def test_the_battery_sags_under_charge_current() -> None:
+    circuit = charging(battery_voltage=26.0, battery_resistance=0.13)
+    assert circuit.voltages()[0] == pytest.approx(26.0 - 10.0 * 0.13)
 
 
 def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:

@@ -107,6 +107,7 @@ static void finish(dc_board *board)
     case DC_TARE_NONE:
         break;
     }
+    dc_contactor_poll(&board->contactor, now_us(board)); /* a tare may have sampled */
 }
 
 /* Sample if an instant of the schedule has come. Missed instants cannot be sampled any more: their sequence numbers
@@ -176,7 +177,8 @@ void dc_board_poll(dc_board *board)
     dc_contactor_poll(&board->contactor, now_us(board));
     finish(board);
     stream(board);
-    /* Sampling took time: check the heartbeat's deadline before reading one that arrived too late. */
+    /* Sampling took time: check the heartbeat's deadline before reading one that arrived too late. Checks after each
+     * sampling are closer than 10 ms, which DC_HEARTBEAT_MARGIN_US needs. */
     dc_contactor_poll(&board->contactor, now_us(board));
     report_power(board);
     receive(board);

@@ -50,8 +50,10 @@ static void send_to_servos(dc_board *board, const dc_packet *packet)
 
 static uint8_t switch_contactor(dc_board *board, const dc_packet *packet)
 {
-    if (packet->size != 1 || packet->payload[0] > 1)
+    if (packet->size != 1 || packet->payload[0] > 2)
         return DC_BAD_PAYLOAD;
+    if (packet->payload[0] == 2)
+        return dc_contactor_clear_weld(&board->contactor);
     if (packet->payload[0] == 1)
         return dc_contactor_close(&board->contactor, board->clock.now);
     dc_contactor_open(&board->contactor, board->clock.now);

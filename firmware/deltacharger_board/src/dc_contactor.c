@@ -39,7 +39,7 @@ void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, co
     end_probe(contactor);
     contactor->probe_aborted = false;
     contactor->closed = false;
-    contactor->fault = DC_NO_FAULT;
+    contactor->fault = hardware->load(hardware->context) == DC_CONTACTOR_WELDED ? DC_CONTACTOR_WELDED : DC_NO_FAULT;
     contactor->probe_answer_due = contactor->probe_valid_until = contactor->heartbeat_deadline = 0;
     contactor->next_check = now;
     read_power(contactor);
@@ -47,7 +47,9 @@ void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, co
 
 void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now)
 {
-    contactor->heartbeat_deadline = now + DC_HEARTBEAT_TIMEOUT_US - dc_poll_period(contactor->stage.config);
+    const uint32_t period = dc_poll_period(contactor->stage.config);
+    contactor->heartbeat_deadline =
+        now + DC_HEARTBEAT_TIMEOUT_US - (period < DC_HEARTBEAT_MARGIN_US ? period : DC_HEARTBEAT_MARGIN_US);
 }
 
 uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now)
@@ -67,25 +69,60 @@ void dc_contactor_open(dc_contactor *contactor, uint64_t now)
 {
     dc_stage_open(&contactor->stage, now, true);
     void_probe(contactor);
+    if (contactor->fault != DC_CONTACTOR_WELDED)
+        contactor->fault = DC_NO_FAULT;
+}
+
+static bool is_dead(const dc_power_reading *reading)
+{
+    return !reading->contactor_closed && dc_absolute(reading->current) < DC_ZERO_CURRENT &&
+           !(dc_absolute(reading->target) >= DC_DEAD_VOLTAGE);
+}
+
+uint8_t dc_contactor_clear_weld(dc_contactor *contactor)
+{
+    const dc_hardware *hardware = contactor->stage.hardware;
+    const bool other = contactor->fault != DC_NO_FAULT && contactor->fault != DC_CONTACTOR_WELDED;
+    if (other || contactor->closed)
+        return DC_NOT_NOW;
+    read_power(contactor);
+    if (!is_dead(&contactor->reading))
+        return DC_INTERLOCK;
+    if (contactor->fault == DC_CONTACTOR_WELDED)
+        hardware->save(hardware->context, DC_NO_FAULT);
     contactor->fault = DC_NO_FAULT;
+    return DC_DONE;
+}
+
+/* Return whether `fault` replaces the latched one: nothing may hide a weld. */
+static bool outranks(uint8_t fault, uint8_t latched)
+{
+    return latched == DC_NO_FAULT ? fault != DC_NO_FAULT : fault == DC_CONTACTOR_WELDED && latched != fault;
 }
 
 void dc_contactor_trip(dc_contactor *contactor, uint8_t fault, uint64_t now)
 {
     dc_stage_open(&contactor->stage, now, false);
     void_probe(contactor);
-    if (contactor->fault == DC_NO_FAULT)
-        contactor->fault = fault;
+    if (!outranks(fault, contactor->fault))
+        return;
+    contactor->fault = fault;
+    if (fault == DC_CONTACTOR_WELDED)
+        contactor->stage.hardware->save(contactor->stage.hardware->context, fault);
 }
 
 uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now)
 {
     const dc_hardware *hardware = contactor->stage.hardware;
+    if (contactor->fault != DC_NO_FAULT)
+        return DC_INTERLOCK;
     if (contactor->closed || contactor->probing || contactor->stage.state != DC_OPEN)
         return DC_NOT_NOW;
     read_power(contactor);
     if (contactor->reading.contactor_closed)
         return DC_NOT_NOW;
+    if (dc_absolute(contactor->reading.current) >= DC_ZERO_CURRENT)
+        return DC_INTERLOCK;
     contactor->probing = true;
     contactor->probe_answer_due = now + DC_PROBE_TIMEOUT_US - dc_poll_period(contactor->stage.config);
     hardware->start_probe(hardware->context);
@@ -120,15 +157,18 @@ static void check(dc_contactor *contactor, uint64_t now)
 {
     read_power(contactor);
     const uint8_t shown = dc_stage_step(&contactor->stage, now, &contactor->reading);
-    uint8_t fault = contactor->reading.fault != DC_NO_FAULT ? contactor->reading.fault : shown;
+    const bool told = contactor->reading.fault != DC_NO_FAULT && shown != DC_CONTACTOR_WELDED;
+    uint8_t fault = told ? contactor->reading.fault : shown;
     if (fault == DC_NO_CHARGE_CURRENT && !contactor->closed)
         fault = DC_NO_FAULT; /* after an opening no current is expected */
-    if (fault != DC_NO_FAULT && contactor->fault == DC_NO_FAULT) {
+    if (outranks(fault, contactor->fault)) {
         dc_contactor_trip(contactor, fault, now);
         read_power(contactor);
     } else if (contactor->closed && contactor->stage.dropped_out) {
         void_probe(contactor);
     }
+    if (contactor->stage.state == DC_CLOSED || contactor->stage.state == DC_RAMPING_DOWN)
+        contactor->reading.contactor_closed = true; /* an open feedback is a bounce, and no opening */
     const bool busy = contactor->stage.state != DC_OPEN || contactor->reading.contactor_closed;
     contactor->next_check = now + (busy ? DC_CHECK_PERIOD_US : DC_IDLE_CHECK_PERIOD_US);
 }

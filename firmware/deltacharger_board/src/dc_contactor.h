@@ -14,9 +14,11 @@ extern "C" {
 #endif
 
 #define DC_HEARTBEAT_TIMEOUT_US 100000u
+#define DC_HEARTBEAT_MARGIN_US 10000u /* the longest part of it that a slow poll may take */
 #define DC_PROBE_LIFETIME_US 2000000u /* during which an answer allows a close */
 #define DC_PROBE_TIMEOUT_US 250000u   /* longest time until a probe is answered */
 #define DC_SHORT_RESISTANCE 1.0f      /* ohm, below it the electrodes are shorted */
+#define DC_DEAD_VOLTAGE 5.0f          /* V, below it the electrodes are dead */
 #define DC_CHECK_PERIOD_US 1000u      /* between readings of the active power stage */
 #define DC_IDLE_CHECK_PERIOD_US 10000u
 
@@ -26,7 +28,7 @@ typedef enum { DC_PROBE_NONE, DC_PROBE_DONE, DC_PROBE_ABORTED } dc_probe_event;
 typedef struct {
     dc_stage stage;
     bool closed;   /* a close was accepted and no opening followed; the stage may still pre-charge */
-    uint8_t fault; /* latched until the next opening command, 0 = none */
+    uint8_t fault; /* latched until the next opening command, a weld until it is cleared; 0 = none */
     bool probing;
     bool probe_aborted;          /* not answered yet */
     uint64_t probe_answer_due;   /* us, latest answer to the running probe */
@@ -36,7 +38,7 @@ typedef struct {
     dc_power_reading reading;    /* the last one */
 } dc_contactor;
 
-/* Boot: open, all state reset. */
+/* Boot: open, all state reset but a weld. */
 void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, const dc_config *config, uint64_t now);
 
 void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now);
@@ -44,13 +46,16 @@ void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now);
 /* Close if every interlock allows it; return DC_DONE, DC_INTERLOCK or DC_NOT_NOW. */
 uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now);
 
-/* Open as commanded, ramping down, and clear the latched fault. */
+/* Open as commanded, ramping down, and clear the latched fault, but no weld. */
 void dc_contactor_open(dc_contactor *contactor, uint64_t now);
 
-/* Open at once and latch a fault; the first stays until the next opening command. */
+/* Clear a latched weld once contactor and electrodes are dead; return DC_DONE, DC_INTERLOCK or DC_NOT_NOW. */
+uint8_t dc_contactor_clear_weld(dc_contactor *contactor);
+
+/* Open at once and latch a fault; the first stays, but a weld replaces it. */
 void dc_contactor_trip(dc_contactor *contactor, uint8_t fault, uint64_t now);
 
-/* Start a probe; return DC_DONE (dc_contactor_poll_probe will return the result) or DC_NOT_NOW. */
+/* Start a probe; return DC_DONE (dc_contactor_poll_probe will return the result), DC_INTERLOCK or DC_NOT_NOW. */
 uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now);
 
 /* Return whether the probe has ended; ohm and V are set with DC_PROBE_DONE. */

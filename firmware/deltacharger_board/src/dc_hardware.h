@@ -63,6 +63,11 @@ typedef struct {
     /* Disconnect the probe's voltage from the electrodes, whether it has ended or not. */
     void (*stop_probe)(void *context);
 
+    /* One byte that outlives a reset and a lost supply: the board keeps there whether the contactor has welded. `load` is
+     * called at boot, `save` when a weld is found and when a person clears it. A byte that was never saved is not 7. */
+    uint8_t (*load)(void *context);
+    void (*save)(void *context, uint8_t value);
+
     /* The servos' bus, if it is connected to the board; else NULL. */
 
     /* Take at most `size` bytes received from the servos; return their number. */
@@ -84,8 +89,10 @@ typedef struct {
     float current_limit;   /* A at most; the electrodes carry 18 */
     float lowest_target;   /* V, lowest voltage that the stage charges */
     float highest_target;  /* V */
+    float lowest_battery;  /* V, the charger's own battery under load */
+    float highest_battery; /* V */
     /* Longest time between two polls, read_taxels included, us; limited to 20 000. Every deadline of the contactor is
-     * shortened by it, so that the contract's limits hold at the pins. */
+     * shortened by it, so that the contract's limits hold at the pins; the heartbeat's by 10 ms at most. */
     uint32_t poll_period;
 } dc_config;
 
@@ -94,7 +101,7 @@ static inline uint32_t dc_poll_period(const dc_config *config)
     return config->poll_period < 20000u ? config->poll_period : 20000u;
 }
 
-#define DC_DEFAULT_CONFIG {DC_U12, 18.0f, 10.0f, 30.0f, 0u}
+#define DC_DEFAULT_CONFIG {DC_U12, 18.0f, 10.0f, 30.0f, 22.7f, 29.8f, 0u}
 
 #ifdef __cplusplus
 }

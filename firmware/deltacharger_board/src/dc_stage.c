@@ -29,8 +29,7 @@ void dc_stage_reset(dc_stage *stage, const dc_hardware *hardware, const dc_confi
 {
     stage->hardware = hardware;
     stage->config = config;
-    stage->flowing = stage->seen = now;
-    stage->flowed = stage->dropped_out = false;
+    stage->dropped_out = false;
     enter(stage, DC_OPEN, now);
     drive(stage, false, false, 0.0f);
 }
@@ -50,20 +49,10 @@ void dc_stage_open(dc_stage *stage, uint64_t now, bool ramp)
         enter(stage, DC_RAMPING_DOWN, now);
 }
 
-static uint8_t voltage_fault(const dc_stage *stage, float target)
-{
-    if (target < 0.0f)
-        return DC_REVERSE_POLARITY;
-    if (target < stage->config->lowest_target || target > stage->config->highest_target)
-        return DC_VOLTAGE_OUT_OF_RANGE;
-    return DC_NO_FAULT;
-}
-
 static uint8_t precharge(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
 {
-    const uint8_t fault = voltage_fault(stage, reading->target);
-    if (fault != DC_NO_FAULT)
-        return fault;
+    if (reading->target < stage->config->lowest_target || reading->target > stage->config->highest_target)
+        return DC_VOLTAGE_OUT_OF_RANGE;
     if (dc_absolute(reading->output - reading->target) <= DC_PRECHARGE_MATCH) {
         enter(stage, DC_CLOSING, now);
         drive(stage, true, true, 0.0f);
@@ -80,8 +69,9 @@ static uint8_t pull_in(dc_stage *stage, uint64_t now, const dc_power_reading *re
 {
     if (reading->contactor_closed) {
         enter(stage, DC_CLOSED, now);
-        stage->flowing = stage->seen = now;
+        stage->flowing = stage->seen = stage->target_good = stage->battery_good = stage->battery_full = now;
         stage->flowed = false;
+        stage->bounce = now - DC_BOUNCE_PERIOD_US; /* contacts bounce most when they close */
         drive(stage, false, true, 0.0f);
     } else if (now - stage->since >= DC_PULL_IN_TIMEOUT_US) {
         return DC_NO_CHARGE_CURRENT;
@@ -89,32 +79,64 @@ static uint8_t pull_in(dc_stage *stage, uint64_t now, const dc_power_reading *re
     return DC_NO_FAULT;
 }
 
-/* Faults of a closed contactor in any state. Comparisons with NaN are false. */
-static uint8_t watch(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
+/* Faults that open at once, whatever the feedback shows; a cause before its consequence. Comparisons with NaN are
+ * false. */
+static uint8_t at_once(const dc_power_reading *reading)
 {
-    if (reading->current > DC_LARGEST_CURRENT)
-        return DC_OVER_CURRENT;
-    if (reading->current < DC_REVERSE_LIMIT)
-        return DC_REVERSE_CURRENT;
     if (reading->target < 0.0f)
         return DC_REVERSE_POLARITY;
     if (reading->current > DC_OPEN_CURRENT && reading->target < DC_SHORT_VOLTAGE)
         return DC_SHORT_CIRCUIT;
-    if (reading->target > stage->config->highest_target)
+    if (reading->current > DC_LARGEST_CURRENT)
+        return DC_OVER_CURRENT;
+    return reading->current < DC_REVERSE_LIMIT ? DC_REVERSE_CURRENT : DC_NO_FAULT;
+}
+
+/* Return whether `good` has not held for `longest` us; `last` is when it last did. */
+static bool lapsed(uint64_t *last, uint64_t now, bool good, uint32_t longest)
+{
+    if (good)
+        *last = now;
+    return now - *last >= longest;
+}
+
+/* Readings that must not stay unknown or out of range while the contactor is closed. */
+static uint8_t watch(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
+{
+    const dc_config *config = stage->config;
+    const float target = reading->target, battery = reading->battery;
+    const bool in_range = target >= config->lowest_target && target <= config->highest_target;
+    if (lapsed(&stage->seen, now, dc_is_finite(reading->current), DC_BLIND_TIMEOUT_US))
+        return DC_STALE;
+    if (lapsed(&stage->target_good, now, in_range, DC_BLIND_TIMEOUT_US))
+        return dc_is_nan(target) ? DC_STALE : DC_VOLTAGE_OUT_OF_RANGE;
+    if (lapsed(&stage->battery_good, now, battery <= config->highest_battery, DC_BLIND_TIMEOUT_US))
+        return dc_is_nan(battery) ? DC_STALE : DC_VOLTAGE_OUT_OF_RANGE;
+    if (lapsed(&stage->battery_full, now, battery >= config->lowest_battery, DC_SAG_TIMEOUT_US))
         return DC_VOLTAGE_OUT_OF_RANGE;
-    if (dc_is_finite(reading->current))
-        stage->seen = now;
-    return now - stage->seen >= DC_BLIND_TIMEOUT_US ? DC_STALE : DC_NO_FAULT;
+    return DC_NO_FAULT;
+}
+
+/* Return whether the contactor has opened on its own. Contacts bounce: TE names 5 ms at most for its EVC135, Durakool 7 ms
+ * for its DEVR40. */
+static bool has_opened(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
+{
+    if (reading->contactor_closed)
+        return false;
+    if (now - stage->bounce >= DC_BOUNCE_PERIOD_US)
+        stage->bounce = now;
+    return now - stage->bounce >= DC_BOUNCE_TIME_US;
 }
 
 static uint8_t charge(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
 {
-    if (reading->current >= DC_IDLE_CURRENT || dc_is_nan(reading->current)) {
+    if (reading->current >= DC_IDLE_CURRENT) {
         stage->flowing = now;
-        stage->flowed = stage->flowed || !dc_is_nan(reading->current);
-    }
-    if (now - stage->flowing >= (stage->flowed ? DC_LOST_TIMEOUT_US : DC_IDLE_TIMEOUT_US))
+        stage->flowed = true;
+    } else if (dc_is_finite(reading->current) &&
+               now - stage->flowing >= (stage->flowed ? DC_LOST_TIMEOUT_US : DC_IDLE_TIMEOUT_US)) {
         return DC_NO_CHARGE_CURRENT;
+    }
     float limit = stage->outputs.current_limit + DC_RAMP_UP * 1e-6f * (float)(now - stage->stepped);
     if (limit > stage->config->current_limit)
         limit = stage->config->current_limit;
@@ -139,7 +161,9 @@ static void ramp_down(dc_stage *stage, uint64_t now, const dc_power_reading *rea
 
 uint8_t dc_stage_step(dc_stage *stage, uint64_t now, const dc_power_reading *reading)
 {
-    uint8_t fault = DC_NO_FAULT;
+    uint8_t fault = stage->state == DC_OPEN ? DC_NO_FAULT : at_once(reading);
+    if (fault != DC_NO_FAULT)
+        return fault;
     switch (stage->state) {
     case DC_OPEN:
         if (now - stage->since >= DC_ZERO_TIMEOUT_US &&
@@ -154,7 +178,7 @@ uint8_t dc_stage_step(dc_stage *stage, uint64_t now, const dc_power_reading *rea
         break;
     case DC_CLOSED:
     case DC_RAMPING_DOWN:
-        if (!reading->contactor_closed) {
+        if (has_opened(stage, now, reading)) {
             stage->dropped_out = stage->state == DC_CLOSED;
             switch_off(stage, now);
             break;

@@ -30,7 +30,10 @@ extern "C" {
 #define DC_IDLE_CURRENT 0.05f         /* A; below it no current flows */
 #define DC_IDLE_TIMEOUT_US 3000000u   /* without current since the closing */
 #define DC_LOST_TIMEOUT_US 50000u     /* without current that has flowed before */
-#define DC_BLIND_TIMEOUT_US 100000u   /* without a measured current */
+#define DC_BLIND_TIMEOUT_US 100000u   /* without a measured current, or with a voltage unmeasured or out of range */
+#define DC_SAG_TIMEOUT_US 5000000u    /* with a low battery, which sags under load */
+#define DC_BOUNCE_TIME_US 20000u      /* with open feedback, counted from the first opening */
+#define DC_BOUNCE_PERIOD_US 100000u   /* between the first openings of two bounces */
 
 typedef enum { DC_OPEN, DC_PRECHARGE, DC_CLOSING, DC_CLOSED, DC_RAMPING_DOWN } dc_stage_state;
 
@@ -43,6 +46,10 @@ typedef struct {
     uint64_t stepped; /* us, the last step */
     uint64_t flowing; /* us, when current last flowed, or first could */
     uint64_t seen;    /* us, when the current was last measured */
+    uint64_t target_good;  /* us, when the target's voltage was last in its range */
+    uint64_t battery_good; /* us, when the battery's was last measured and not too high */
+    uint64_t battery_full; /* us, when it was last not too low */
+    uint64_t bounce;       /* us, when the last bounce of the feedback began */
     bool flowed;      /* current has flowed since the closing */
     bool dropped_out; /* the contactor opened on its own: a pulled plug, a fuse */
 } dc_stage;

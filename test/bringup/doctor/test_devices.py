@@ -39,8 +39,8 @@ def servo_findings(port: str, speeds: Sequence[int] = LIKELY) -> list[Finding]:
     return list(examine_servos(port, 1_000_000, IDS, 3.0, speeds))
 
 
-def board_findings(port: str, watched: float = 0.15, wired: bool = False) -> list[Finding]:
-    return list(examiner.examine_board(port, 1_000_000, watched, wired=wired))
+def board_findings(port: str, watched: float = 0.15, **options: bool) -> list[Finding]:
+    return list(examiner.examine_board(port, 1_000_000, watched, **options))
 
 
 def named(findings: Iterable[Finding], *expected: tuple[str, str, str]) -> None:
@@ -73,6 +73,18 @@ def test_dead_taxels_and_a_latched_fault_are_named(board: BoardEmulator, board_p
     found = board_findings(board_port)
     named(found, ("hint", "left pad", "row 3 column 7"), ("wrong", "right pad", "4 of 100"))
     named(found, ("wrong", "power", "over current"))
+
+
+def test_a_weld_is_cleared_on_request_unless_something_is_live(board: BoardEmulator, board_port: str) -> None:
+    plant = board._power._plant
+    with BoardLink(board_port):
+        board.trip(BoardFault.CONTACTOR_WELDED)
+    named(board_findings(board_port), ("wrong", "power", "--clear-weld"))
+    named(board_findings(board_port, clear_weld=True), ("wrong", "weld", "24.0 V"), ("wrong", "power", "welded"))
+    plant.resistance = math.inf
+    found = board_findings(board_port, clear_weld=True)
+    named(found, ("ok", "weld", "none"))
+    assert not parts(found, "wrong")
 
 
 @pytest.mark.rest

@@ -87,6 +87,9 @@ def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded
         assert abs(power.charge_current) < 20.0  # and it was measured
     assert refused(loaded) == AckError.NOT_NOW
     with pytest.raises(CommandRefused) as refusal:
+        loaded.link.clear_weld()
+    assert refusal.value.error == AckError.NOT_NOW
+    with pytest.raises(CommandRefused) as refusal:
         loaded.link.probe()
     assert refusal.value.error == AckError.NOT_NOW
     loaded.link.contactor(False)
@@ -105,6 +108,9 @@ def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost) -> N
     assert opened.time - stopped < within(SEEN_WITHIN)
     assert opened.power.fault == BoardFault.HEARTBEAT_LOST
     assert refused(loaded) == AckError.INTERLOCK
+    with pytest.raises(CommandRefused) as refusal:
+        loaded.link.probe()
+    assert refusal.value.error == AckError.INTERLOCK
     loaded.link.contactor(False)
     assert loaded.next_powers(2)[-1].power.fault == BoardFault.NONE, "an opening clears the latched fault"
 
