@@ -8,6 +8,7 @@ parameters; their defaults refer to these constants.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 """Driven joints in the order of the limbs, as named in the URDF and in every message."""
@@ -48,6 +49,14 @@ STRAYS = {
     STRAY_OUTSIDE: "is outside its range: look at its horn, its rod and zero_ticks",
 }
 """Why servo_node stops the arm, as in ServoState."""
+
+
+def in_words(stray: Iterable[int]) -> str:
+    """Return which servos stray and why, from ServoState.stray; '' = none."""
+    named = ((number, why) for number, why in enumerate(stray, 1) if why)
+    return "; ".join(f"servo {number} {STRAYS.get(why, f'strays, for reason {why}')}" for number, why in named)
+
+
 JOINT_SPEED = 4.9
 """rad/s that an arm turns at most: what the heaviest pose and 0.7 A of push leave of the 6.60 without load (63 rpm, by
 the vendor's e-manual)."""
@@ -73,6 +82,8 @@ CONTACT_FORCE = 1.0
 
 LONGEST_LEASE = 0.25
 """s that the contactor stays closed unless the lease is renewed."""
+ORDER_AGE_MAX = 2.0
+"""s after which an order about torque, tare, probe or contactor is refused: docking waits no longer for a probe."""
 DOCK_DISTANCE = 0.080
 """m, z of the target's electrodes if the robot stands correctly (paper: (0, 0, 80) mm)."""
 BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.task import Future, Task
 
 from deltacharger_core.environment import refuse_ros
+from deltacharger_ros.order_age import serving
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -172,7 +173,8 @@ class Spinner:
         """Serve a request in a worker of its group."""
 
         def serve() -> None:
-            service.send_response(service.callback(request, response), header)
+            with serving(header):
+                service.send_response(service.callback(request, response), header)
 
         self._submit(service.callback_group, serve)
 

@@ -11,6 +11,9 @@ AHEAD = 0.1
 """s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
 is, so this is no more than press_age_max. Clocks of two computers with NTP differ by less than a tenth of it."""
 
+ANOTHER_CLOCK = 1e6
+"""s; a stamp this old, or this far ahead, is from another clock."""
+
 
 class MessageRefused(Exception):
     """A message is refused. Example: its stamp lies in the future."""

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
+from deltacharger_driver.orders import late
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
@@ -139,6 +140,8 @@ class ServoController:
                 more = {ServoPhase.OFF: "; call set_torque first", ServoPhase.STOPPING: f": {self.stop_reason}"}
                 raise TrajectoryRefused(self._phase.value + more.get(self._phase, ""))
             now = self._clock.now()
+            self._goals.advance(now)
+            self._watch.follow(now, self._goals.angles)
             self._watch.check(trajectory, max(now - start, 0.0), self._goals.default)
             self._submitted = trajectory, start
 
@@ -147,9 +150,14 @@ class ServoController:
         if self._submitted is not None or self._goals.are_moving:
             self._submitted = HOLD, math.inf
 
-    def request(self, action: str) -> ServoRequest:
-        """Request "torque_on", "torque_off" or "reboot"; the servos' thread executes and finishes it."""
-        return self._requests.put(action)
+    def request(self, action: str, age: float = 0.0) -> ServoRequest:
+        """Request "torque_on", "torque_off" or "reboot"; the servos' thread executes it, or refuses it as too late.
+
+        Args:
+            action: what to do.
+            age: s since the client sent it.
+        """
+        return self._requests.put(action, self._clock.now() - age)
 
     def stop(self, reason: str, severity: str = "error") -> None:
         """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
@@ -271,7 +279,9 @@ class ServoController:
     def _serve_requests(self) -> None:
         while request := self._requests.next():
             try:
-                if self._phase is ServoPhase.DISCONNECTED:
+                if refusal := late(self._clock.now() - request.sent):
+                    request.finish(False, refusal)
+                elif self._phase is ServoPhase.DISCONNECTED:
                     request.finish(False, self._reconnection.fault)
                 elif request.action == "torque_on":
                     self._switch_on(request)

@@ -61,8 +61,17 @@ class JointWatch:
         """Return how far (rad) a goal may lead a joint under `torque`, N·m."""
         return _SOFTER * abs(torque) / self._stiffness + _FREE
 
+    def follow(self, now: float, goals: Sequence[float]) -> None:
+        """Take the goals (rad) at `now` (s)."""
+        passed = 0.0 if math.isnan(self._at) else now - self._at
+        self._ahead = [
+            max(ahead + abs(goal - before) - JOINT_SPEED * passed, 0.0)
+            for ahead, before, goal in zip(self._ahead, self._goals, goals, strict=True)
+        ]
+        self._goals, self._at = tuple(goals), now
+
     def check(self, trajectory: Trajectory, elapsed: float, bounds: Sequence[float]) -> None:
-        """Refuse a trajectory whose goals move faster than the joints can, from the present goals on.
+        """Refuse a trajectory whose goals move faster than the joints can, from the goals last followed on.
 
         Args:
             trajectory: checked.
@@ -74,8 +83,8 @@ class JointWatch:
         """
         rest = trajectory.remaining(elapsed)
         rows = [(0.0, self._goals, None), *zip(rest.times, rest.angles, rest.torques, strict=True)]
-        if rest.is_hold and not trajectory.is_hold:  # all is in the past: the last point holds from now on
-            rows.append((0.0, trajectory.angles[-1], trajectory.torques[-1]))
+        if trajectory.times and elapsed >= trajectory.times[0]:  # a point in the past is a jump
+            rows.insert(1, (0.0, trajectory.goal_at(elapsed, self._goals), trajectory.torque_at(elapsed)))
         ahead, most = list(self._ahead), [self._constant * bound for bound in bounds]
         for number, ((since, before, _), (time, angles, torques)) in enumerate(pairwise(rows)):
             most = [max(*pair) for pair in zip(most, torques, strict=True)] if torques else most
@@ -103,12 +112,7 @@ class JointWatch:
             goals: of this cycle, rad.
             angles, rates, currents: rad, rad/s, A; NaN = not measured.
         """
-        passed = 0.0 if math.isnan(self._at) else now - self._at
-        self._ahead = [
-            max(ahead + abs(goal - before) - JOINT_SPEED * passed, 0.0)
-            for ahead, before, goal in zip(self._ahead, self._goals, goals, strict=True)
-        ]
-        self._goals, self._at = tuple(goals), now
+        self.follow(now, goals)
         for index, row in enumerate(zip(goals, angles, rates, currents, strict=True)):
             self.strays[index] = self.strays[index] or self._stray(index, *row)
         found = (

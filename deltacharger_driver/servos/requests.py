@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from typing import Protocol
@@ -15,8 +16,9 @@ _POLL_PERIOD = 0.005  # s between two checks of the contactor
 class ServoRequest:
     """A request to the servos' thread, with its result."""
 
-    def __init__(self, action: str) -> None:
+    def __init__(self, action: str, sent: float = math.inf) -> None:
         self.action = action
+        self.sent = sent  # s, the servos' clock
         self.success = False
         self.message = ""
         self._done = threading.Event()
@@ -41,9 +43,9 @@ class ServoRequests:
         self._queue: queue.SimpleQueue[ServoRequest] = queue.SimpleQueue()
         self._held: list[ServoRequest] = []
 
-    def put(self, action: str) -> ServoRequest:
-        """Queue a request."""
-        request = ServoRequest(action)
+    def put(self, action: str, sent: float = math.inf) -> ServoRequest:
+        """Queue a request that was sent at `sent` (s)."""
+        request = ServoRequest(action, sent)
         self._queue.put(request)
         return request
 

@@ -55,6 +55,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.log import Log
+from deltacharger_ros.order_age import order_age
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
@@ -247,11 +248,11 @@ class ServoNode(Node):
         return self._ask("reboot", response)
 
     def _ask(self, action: str, response: Any) -> Any:
-        """Have the bus thread execute `action`, and fill in the result."""
+        """Have the bus thread execute `action` unless it comes too late, and fill in the result."""
         if self._stop.is_set():
             response.success, response.message = False, "the driver is closing"
             return response
-        queued = self._controller.request(action)
+        queued = self._controller.request(action, order_age())
         if queued.wait(_SERVICE_TIMEOUT):
             response.success, response.message = queued.success, queued.message
         else:

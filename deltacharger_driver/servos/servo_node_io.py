@@ -113,10 +113,12 @@ class ContactorClient:
             age = stamp_age(stamp.sec, stamp.nanosec, clock)
             later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._requested_at and age >= -AHEAD
             opened |= later and not power.contactor_closed
-            flows |= abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
+            current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
+            flows |= current
+            live = power.contactor_closed or current or power.fault == ChargerPower.FAULT_CONTACTOR_WELDED
             armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
             publisher = each.publisher or self._nameless(power.contactor_closed)
-            self.guard.observe(publisher, power.contactor_closed, armed, age, now)
+            self.guard.observe(publisher, live, armed, age, now)
         self._open |= opened and not flows and self.guard.state(now, False) is not ContactorState.CLOSED
 
     def _nameless(self, closed: bool) -> bytes:

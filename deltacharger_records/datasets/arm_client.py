@@ -19,6 +19,7 @@ from deltacharger.msg import ServoState
 from rclpy.context import Context
 from std_srvs.srv import SetBool
 
+from deltacharger_core.machine import in_words
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
@@ -147,7 +148,8 @@ class ArmClient(ArmGuest):
         if any(state.hardware_error):
             raise ArmError(f"a servo reports hardware error {list(state.hardware_error)}; see `reboot_servos`")
         if self._commanded is not None and not all(state.torque_enabled):
-            raise ArmError("the servos lost their torque: check servo_node's diagnostics")
+            why = in_words(state.stray) or "check servo_node's diagnostics"
+            raise ArmError(f"the servos lost their torque: {why}")
 
     def angles(self) -> Vector:
         """Return the arm angles (rad), averaged over the last half second; call it after `rest`."""

@@ -24,6 +24,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
+from deltacharger_driver.board import tactile_node
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_plant import BenchPlant
@@ -72,6 +73,9 @@ class Client(Node):
     def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25, token: str = "") -> Any:
         duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
         return call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration, token=token))
+
+    def clear_weld(self) -> Any:
+        return call(self._contactor, SetContactor.Request(clear_weld=True))
 
 
 class Rig:
@@ -187,6 +191,22 @@ def test_probe_and_refusals_are_answered(rig: Rig) -> None:
     answer = rig.client.probe()
     assert answer.success  # measured, even if it is a short
     assert answer.resistance == pytest.approx(0.1)
+    rig.board.trip(BoardFault.CONTACTOR_WELDED)
+    wait_until(lambda: rig.power().fault == ChargerPower.FAULT_CONTACTOR_WELDED)
+    assert "welded" in rig.client.probe().message
+    assert "24.0 V" in rig.client.clear_weld().message
+    rig.plant.resistance = math.inf
+    assert rig.client.clear_weld().success
+    assert rig.client.probe().success
+
+
+def test_late_orders_are_refused_with_their_age_but_never_an_opening(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tactile_node, "order_age", lambda: 2.3)
+    for answer in (rig.client.tare(), rig.client.probe(), rig.client.contactor(True)):
+        assert not answer.success
+        assert "2.3 s ago" in answer.message
+    assert not rig.board.contactor_commanded
+    assert rig.client.contactor(False).success
 
 
 def test_an_open_does_not_wait_for_a_probe(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

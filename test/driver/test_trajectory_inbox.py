@@ -246,6 +246,8 @@ def test_the_state_follows_the_reports_and_impossible_ones_are_ignored(reports: 
     for data in (b"\0\1\0\0\xff\xff\xff\xff\xff", b"", bytes(5_000_000)):
         reports.put(data, b"2")
     assert reports.receive(b"2", closed=True, sec=0) is ContactorState.OPEN  # stamped 1970
-    assert reports.receive(b"1", closed=True) is ContactorState.CLOSED
+    for live in ({"closed": True}, {"closed": False, "charge_current": -0.6}, {"closed": False, "fault": 7}):
+        assert reports.receive(b"1", closed=False) is ContactorState.OPEN
+        assert reports.receive(b"1", **live) is ContactorState.CLOSED  # type: ignore[arg-type]
     reports.clock.sleep(0.3)
     assert reports.client.state() is ContactorState.UNKNOWN

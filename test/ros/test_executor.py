@@ -20,6 +20,7 @@ from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.order_age import age, order_age
 
 from ..chargers import DEADLINE, wait_until
 from ..nodes import answer, call, options
@@ -122,6 +123,38 @@ def test_services_of_a_reentrant_group_wait_concurrently(node: Node, serve: Serv
     assert not any(each.done() for each in waiting)
     slow.release.set()
     wait_until(lambda: all(each.done() for each in waiting), "all answers")
+
+
+@pytest.mark.version
+def test_a_service_knows_how_old_its_request_is(node: Node, serve: Serve) -> None:
+    """Whatever the type of the service; here the node is suspended when the request is sent."""
+    ages: list[float] = []
+
+    def old(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        ages.append(order_age())
+        return response
+
+    node.create_service(Trigger, "aged", old, callback_group=ReentrantCallbackGroup())
+    client: Any = node.create_client(Trigger, "aged")
+    wait_until(client.service_is_ready)
+    asked = client.call_async(Trigger.Request())
+    time.sleep(0.2)  # the suspension
+    serve()
+    answer(asked)
+    assert 0.2 <= ages[0] < DEADLINE
+    assert order_age() == 0.0, "no request is served here"
+
+
+NOW = 1_790_000_000 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("sent", "seconds"),
+    [(NOW - 1_300_000_000, 1.3), (0, 0.0), (NOW + 3600 * 10**9, 0.0), (60 * 10**9, 0.0)],
+    ids=["old", "no stamp", "the clock was set back", "the clock was set for the first time"],
+)
+def test_a_clock_that_was_set_makes_no_request_old(sent: int, seconds: float) -> None:
+    assert age(sent, NOW) == pytest.approx(seconds)
 
 
 @pytest.mark.version
