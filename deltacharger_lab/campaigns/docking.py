@@ -9,7 +9,7 @@ from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
-from deltacharger_lab.campaigns import estimates
+from deltacharger_lab.campaigns import estimates, judge
 from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.estimates import EstimateLog
@@ -20,6 +20,7 @@ from deltacharger_lab.campaigns.published import published
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.servo_load import SECONDS, Effort, Rest
+from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 
 LIMIT = 420.0  # simulated s; docking itself ends after goal_timeout and its way back
@@ -112,7 +113,7 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
     for name in scene.drawn():
         key = known_keys()[name]
         found[name] = (key.kind, key.description("{text}, {unit}"))
-    return found | RESULTS
+    return found | RESULTS | (judge.COLUMNS if scene.hostile else {})
 
 
 def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False) -> dict[str, Any]:
@@ -125,20 +126,35 @@ def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False)
         exact: every tick and every tactile frame as in the nodes, slower.
     """
     row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()
+    row |= {name: _default(name) for name in scene.drawn()} if scene.bases else {}
+    trial = None
     try:
         drawn = draw(scene, seed, number)
         row |= _what_was_drawn(drawn)
-        row |= run(drawn, exact)
+        trial = Trial(drawn.scene, drawn.seed) if scene.hostile else None
+        row |= run(drawn, exact, trial=trial)
     except Exception as error:  # any error; the other dockings continue
         row |= _nothing()
         row |= {"code": -1, "code_name": CRASHED, "message": f"{type(error).__name__}: {error}"}
         row["error"] = "".join(traceback.format_exception(error))[-_TEXT_MOST:]
+    if scene.hostile:
+        row = judge.nothing() | row
+        row |= trial.judged(row) if trial is not None else {}
     return row
 
 
-def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict[str, Any]:
-    """Run one docking to its outcome and return the columns of `RESULTS`; as published, it ends before it charges."""
-    charger = make_charger(drawn, exact)
+def _default(name: str) -> Any:
+    """Return the value of a key that the drawn base scene leaves alone."""
+    default = known_keys()[name].default
+    return math.nan if default is None else default
+
+
+def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: Trial | None = None) -> dict[str, Any]:
+    """Run one docking to its outcome and return the columns of `RESULTS`; as published, it ends before it charges.
+
+    With a `trial` it is watched longer, and a second goal follows.
+    """
+    charger = make_charger(drawn, exact, trial)
     log, effort = EstimateLog(charger, drawn.estimator, drawn.seed), Effort(charger)
     nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
@@ -163,7 +179,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
     log.frozen = True
     row = result(charger, charger.outcome, above) | _estimates(log)
     if charger.machine.status.charging:
-        watched = SECONDS
+        watched = SECONDS if trial is None else trial.watched
         if nudging is not None:
             watched = max(watched, drawn.nudge.after + watched_after(drawn.docking))
         row |= Rest(charger, watched, nudging).watch()
@@ -171,6 +187,8 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
         row["nudge_opened"] = nudging.opened
     if charger.machine.status.charging:
         row |= _undock(charger)
+    if trial is not None:
+        row |= trial.finish([row["code_name"], row["ended"], row["undocked"]], drawn.goal)
     return row | _record(charger) | {"servo_push": effort.most}
 
 
@@ -187,16 +205,20 @@ def _undock(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
-    """Return the charger of a docking."""
+def make_charger(drawn: Drawn, exact: bool, trial: Trial | None = None) -> VirtualCharger:
+    """Return the charger of a docking, with the faults of a `trial` if given."""
     pads = make_pads(drawn.pads, drawn.tactile, drawn.second, drawn.rig_seed, drawn.seed)
-    if exact:
-        charger = VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads, drawn.geometry)
+    felt = pads if trial is None else trial.pads(pads)
+    seeds, assumed, flat = (drawn.seed, drawn.rig_seed), drawn.geometry, drawn.pads == FIRST
+    charger: VirtualCharger
+    if trial is not None and exact:
+        charger = ExactHostile(trial, drawn.world, drawn.docking, *seeds, felt, assumed)
+    elif trial is not None:
+        charger = QuickHostile(trial, drawn.world, drawn.docking, felt, *seeds, assumed, proportional=flat)
+    elif exact:
+        charger = VirtualCharger(drawn.world, drawn.docking, *seeds, pads, assumed)
     else:
-        charger = QuickCharger(
-            *(drawn.world, drawn.docking, pads, drawn.seed, drawn.rig_seed, drawn.geometry),
-            proportional=drawn.pads == FIRST,
-        )
+        charger = QuickCharger(drawn.world, drawn.docking, pads, *seeds, assumed, proportional=flat)
     if drawn.high_row:
         charger.excess = high_row(drawn.high_row, drawn.seed)
     return charger

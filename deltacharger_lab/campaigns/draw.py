@@ -48,6 +48,7 @@ class Drawn:
         high_row: excess reading of a row of taxels after each tare, N.
         nudge: movement of the target while it charges.
         published: dock by the paper's algorithm as printed.
+        scene: name of the scene that was drawn from.
     """
 
     number: int
@@ -65,6 +66,7 @@ class Drawn:
     high_row: float = 0.0
     nudge: Nudge = field(default_factory=Nudge)
     published: bool = False
+    scene: str = ""
 
 
 def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
@@ -85,6 +87,8 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
     def source(what: str) -> random.Random:
         return random.Random(f"{seed} {number} {what}")
 
+    if scene.bases:
+        scene = source("based_on").choice(scene.bases)
     values = {name: spread.draw(source(name)) for name, spread in scene.spreads.items()}
     if scene.dockings:
         values.update(scene.dockings[number % len(scene.dockings)])
@@ -107,6 +111,7 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
         high_row=float(values.get("taxels.high_row", 0.0)),
         nudge=Nudge(**nested(values, "nudge")),
         published=bool(values.get("published", False)),
+        scene=scene.name,
     )
 
 

@@ -136,6 +136,7 @@ class _Campaign:
     parked: Parked = field(default_factory=Parked)
     nudge: Nudge = field(default_factory=Nudge)
     published: bool = flag(False, "true = dock by the paper's algorithm as printed; give estimator.paper too")
+    hostile: bool = flag(False, "true = one or two drawn faults act on each docking, which the world judges")
     pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
 
 

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
@@ -85,6 +86,7 @@ class QuickCharger(VirtualCharger):
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
         self._segment = 0
         self._current = math.nan  # A, into the target at the last observation
+        self._felt: Array | None = None  # N, the last tared frame made in contact
         self._largest = 0.0  # N on the taxel with the largest reading
         self._read_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
@@ -205,17 +207,25 @@ class QuickCharger(VirtualCharger):
         """Return whether some taxel reads 1 N; a hardly changed contact is not computed again."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
         if (self.excess is None and pose is None) or not self._tared:
-            self._read_at = None
+            self._read_at = self._felt = None
             return False
         if self.excess is not None or not self._proportional:
-            return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
+            self._felt = self.feel(1, 0.0)[0] - self.baseline
+            return float(np.nanmax(self._felt)) >= CONTACT_FORCE
         assert pose is not None
         known = self._read_at
         if known is None or not self._is_known(known, pose, force):
-            frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.lean)[0]
-            self._largest = float(np.nanmax(frame - self.baseline))
+            self._felt = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.lean)[0]
+            self._felt -= self.baseline
+            self._largest = float(np.nanmax(self._felt))
             self._read_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
         return self._largest * force >= CONTACT_FORCE * known[3]
+
+    def _taxels(self) -> Array | None:
+        """Return the last frame made in contact, at the present force."""
+        if self._felt is None or self._read_at is None or not self._read_at[3] > 0.0:
+            return self._felt
+        return (self._felt * (self.world.mechanics.contact_force / self._read_at[3])).clip(min=0.0)
 
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
         """Return whether the last reading still holds: same contact and place, same force or far from threshold.

@@ -21,7 +21,7 @@ from deltacharger_scenes.scene import find_file, packaged_files, read_file
 DEFAULT = "default"
 SECTIONS = (
     *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "assumed", "taxels", "pads"),
-    *("published", "parked", "nudge", "world", "tactile", "second", "docking"),
+    *("published", "hostile", "parked", "nudge", "world", "tactile", "second", "docking"),
 )
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
@@ -40,6 +40,7 @@ class CampaignScene:
         dockings: values of the first, second, … docking, which take precedence over the spreads; empty = none.
         content: of the file, for the record.
         file: its path.
+        bases: scenes to choose from for each docking, instead of `spreads`; empty = none.
     """
 
     name: str
@@ -48,10 +49,16 @@ class CampaignScene:
     dockings: tuple[Mapping[str, Value], ...] = ()
     content: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
+    bases: tuple[CampaignScene, ...] = ()
+
+    @property
+    def hostile(self) -> bool:
+        """Whether its dockings are judged under faults."""
+        return "hostile" in self.spreads
 
     def drawn(self) -> list[str]:
         """Return the keys that the scene sets, in the order of the results' columns."""
-        given = set(self.spreads).union(*self.dockings)
+        given = set(self.spreads).union(*self.dockings, *(base.drawn() for base in self.bases))
         return sorted(given.union(*(DERIVED.get(name, ()) for name in given)))
 
 
@@ -70,10 +77,19 @@ def packaged_campaigns() -> dict[str, Path]:
 
 
 def _with_base(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
-    """Return a scene's content merged into its packaged base scene, whose keys it may override."""
+    """Return a scene's content merged into its packaged base scene, whose keys it may override.
+
+    Of several base scenes to choose from, each takes its place in the content.
+    """
     if not isinstance(content, Mapping) or _BASE not in content:
         return content
     base = content[_BASE]
+    if isinstance(base, Mapping) and set(base) == {"choose"} and isinstance(base["choose"], list) and base["choose"]:
+        several = [
+            each if isinstance(each, Mapping) else {"name": each, **_with_base({_BASE: each}, name, above)}
+            for each in base["choose"]
+        ]
+        return {**content, _BASE: {"choose": several}}
     packaged = packaged_campaigns()
     if not isinstance(base, str) or base not in packaged or base in (*above, name):
         raise ParameterError(
@@ -121,6 +137,8 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
         if not isinstance(content.get(key, ""), str):
             raise ParameterError(key, content[key], f"{brief(content[key])} is not text")
     spreads = dict(_spreads(content))
+    own = {key: value for key, value in content.items() if key in SECTIONS}
+    several = content.get(_BASE, {}).get("choose", ())
     scene = CampaignScene(
         name=content.get("name", name),
         description=" ".join(content.get("description", "").split()),
@@ -128,6 +146,9 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
         dockings=_read_dockings(content.get("dockings"), spreads),
         content=content,
         file=file,
+        bases=tuple(
+            parse_campaign_scene(_laid_over(each, own), f"{name} {index}") for index, each in enumerate(several)
+        ),
     )
     _check_contradictions(scene)
     return scene

@@ -20,13 +20,15 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
-    *("driver/errors.py", *(f"driver/servos/{name}.py" for name in ("joint_watch", "mx64", "snapshot", "trajectory"))),
+    *("driver/errors.py", "driver/parameters.py"),
+    *(f"driver/servos/{name}.py" for name in ("joint_watch", "mx64", "snapshot", "trajectory")),
     *(
         f"lab/campaigns/{name}.py"
         for name in ("contradictions", "disturbances", "docking", "draw", "estimates", "keys")
     ),
     *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "published", "quick_charger", "quick_motion")),
     *(f"lab/campaigns/{name}.py" for name in ("scene", "servo_load", "spread", "assumed", "virtual_charger")),
+    *(f"lab/campaigns/{name}.py" for name in ("faults", "hostile", "judge", "trial")),
 )
 
 

@@ -34,7 +34,7 @@ def summarise(results: Results) -> dict[str, Any]:
     Returns:
         n; charged and aligned as shares, with 95 % intervals (Wilson) under charged_interval and aligned_interval;
         refused, how often by code; crashed; shorts and energised_unsafe (s), sums; and for each of `NUMBERS` median,
-        p95 and max, NaN for none.
+        p95 and max, NaN for none. Of hostile dockings also broken: how often each law was.
     """
     count = len(results["number"])
     codes = Counter(name for name in results["code_name"] if name not in ("NONE", CRASHED))
@@ -47,6 +47,8 @@ def summarise(results: Results) -> dict[str, Any]:
     summary["crashed"] = sum(name == CRASHED for name in results["code_name"])
     summary["shorts"] = int(sum(results["shorts"]))
     summary["energised_unsafe"] = float(np.nansum(np.asarray(results["energised_unsafe"], dtype=float)))
+    if "broken" in results:
+        summary["broken"] = dict(Counter(law for each in results["broken"] for law in each.split()))
     for name in NUMBERS:
         summary[name] = dict(
             zip(("median", "p95", "max"), quantiles(numbers(results, name), 0.5, 0.95, 1.0), strict=True)

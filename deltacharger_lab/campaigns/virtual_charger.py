@@ -45,6 +45,7 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_driver.orders import late
 from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -58,6 +59,7 @@ from deltacharger_tactile.source import ContactSource
 TICK = 0.01
 FRAME = 1.0 / FRAME_RATE
 GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
+_ORDERS = (Service.TORQUE_ON, Service.TORQUE_OFF, Service.TARE, Service.PROBE)  # refused if they come too late
 
 
 class PoseModel(Protocol):
@@ -111,7 +113,7 @@ class VirtualCharger:
         world = world or WorldParameters()
         self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
         self.geometry = geometry or DeltaGeometry()
-        self.world = World(world, tactile or ContactSource(None, rig_seed, seed), seed)
+        self.world = self._make_world(world, tactile or ContactSource(None, rig_seed, seed), seed)
         self.plant = SharedWorld(self.world, clock=lambda: self.now)
         self.machine = self._make_machine()
         self.distort: Callable[[Observation], Observation] = lambda observation: observation
@@ -139,6 +141,9 @@ class VirtualCharger:
         gains = round(stiffness / STIFFNESS_PER_GAIN), 0, round(damping / DAMPING_PER_GAIN)
         self._watch = JointWatch(BusSettings("", gains=gains), self.parameters.torque_constant)
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
+
+    def _make_world(self, world: WorldParameters, tactile: TactileSource, seed: int) -> World:
+        return World(world, tactile, seed)
 
     def _make_machine(self) -> DockingMachine:
         return DockingMachine(self.parameters, self.geometry)
@@ -246,7 +251,12 @@ class VirtualCharger:
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),
             stopped=self._stopped,
+            taxels=self._taxels(),
         )
+
+    def _taxels(self) -> Array | None:
+        """Return the newest tared frame (2, 10, 10) N."""
+        return self._frame if self._tared else None
 
     def _reading(self) -> tuple[Vector, Vector]:
         """Return angles (rad) and currents (A) as in servo_state."""
@@ -310,6 +320,8 @@ class VirtualCharger:
 
     def _reply(self, pending: Pending) -> Reply:
         number, service = pending.request.number, pending.request.service
+        if service in _ORDERS and (refusal := late(self.now - pending.asked)):
+            return Reply(number, False, refusal)
         if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
             self._torque = service is Service.TORQUE_ON
             self._trajectory, self._goal = (), self._angles()
@@ -319,6 +331,8 @@ class VirtualCharger:
             self.baseline, self._tared = np.mean(pending.frames, axis=0), True
             if self.excess is not None:
                 self.baseline -= self.excess
+        elif service is Service.OPEN:
+            self.plant.open_contactor(True)  # clears a latched fault
         elif service is Service.PROBE:
             ohm, volt = self.plant.probe()
             return Reply(number, True, resistance=ohm, target_voltage=volt)

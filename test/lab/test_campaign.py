@@ -237,10 +237,10 @@ def test_results_of_an_earlier_version_are_compared_and_not_continued(tmp_path: 
 def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     real = docking.run
 
-    def sometimes(drawn: Any, exact: bool) -> dict[str, Any]:
+    def sometimes(drawn: Any, exact: bool, **more: Any) -> dict[str, Any]:
         if drawn.number == 1:
             raise ZeroDivisionError("no such thing")
-        return real(drawn, exact)
+        return real(drawn, exact, **more)
 
     monkeypatch.setattr(docking, "run", sometimes)
     rows = run_batch(settings(3).to_json(), [0, 1, 2])

@@ -158,10 +158,9 @@ def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[s
 
 @exactly_too
 def test_turning_a_charging_target_ends_charging(exact: bool) -> None:
-    row, parameters = nudged(exact, 0.3, roll=0.18, after=1.5), DockingParameters()  # 0.19 shorts one that lies askew
-    assert (row["charged"], row["ended"], row["shorts"]) == (True, "CRITICAL_ANGLE", 0)
-    # Two estimates detect it, two seconds apart; the first may be immediate.
-    assert parameters.clearance_period < row["nudge_opened"] < 2.0 * (parameters.clearance_period + 0.5)
+    row = nudged(exact, 0.3, roll=0.18, after=1.5)  # 0.19 shorts one that lies askew
+    assert (row["charged"], row["ended"], row["shorts"]) == (True, "NO_CONTACT", 0)
+    assert row["nudge_opened"] < LASTS
     assert row["energised"] == pytest.approx(1.5 + row["nudge_opened"], abs=0.1)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.summary import upper_bound
-from deltacharger_lab.reports.docking import lean, lean_picture
+from deltacharger_lab.reports.docking import hostile, lean, lean_picture
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
 from deltacharger_lab.reports.docking.pictures import PICTURES
@@ -128,6 +128,44 @@ def test_nudges_count_opened_and_unsafe_dockings() -> None:
     found = docking_summary.nudges(every)
     assert [found[name] for name in ("n", "opened", "unsafe", "unsafe_opened")] == [5, 3, 2, 1]
     assert (found["delay"]["median"], found["seconds"]["max"]) == pytest.approx((0.4, 0.3))
+
+
+def test_hostile_figures_count_laws_and_codes_by_fault() -> None:
+    given = {"broken": "", "acted": "servo_stays", "next_code": "NONE", "outside": 0.0, "live_unsafe_all": 0.0}
+    every = rows(4, peak_force=60.0, **given)
+    every["broken"] = np.array(["", "code box", "box", ""])
+    every["acted"] = np.array(["servo_stays", "servo_stays probe_late", "", "probe_late"])
+    every["code_name"] = np.array(["NONE", "OVERCURRENT", "NONE", "POWER_STALE"])
+    every["undocked"], every["next_code"] = (
+        np.array(["NONE", "", "STUCK", ""]),
+        np.array(["NONE", "NONE", "", "TIMEOUT"]),
+    )
+    found = hostile.figures(every)
+    assert (found["n"], found["clean"]) == (4, 2)
+    assert {law["name"]: (law["hits"], law["examples"]) for law in found["laws"] if law["hits"]} == {
+        "code": (1, [1]),
+        "box": (2, [1, 2]),
+    }
+    assert found["faults"] == [
+        {
+            "name": "servo_stays",
+            "n": 2,
+            "codes": {"NONE": 2, "OVERCURRENT": 1},
+            "explained": 0.5,
+            "broken": {"code": 1, "box": 1},
+        },
+        {
+            "name": "probe_late",
+            "n": 2,
+            "codes": {"OVERCURRENT": 1, "POWER_STALE": 1},
+            "explained": 0.5,
+            "broken": {"code": 1, "box": 1},
+        },
+    ]
+    assert found["next"] == {"NONE": 2, "TIMEOUT": 1}
+    unmet = {each["name"] for each in hostile.targets({"hostile": found}) if each["met"] is False}
+    assert unmet == {"hostile: code", "hostile: box"}
+    assert {each["met"] for each in hostile.targets({})} == {None}
 
 
 def leaning(yaws: list[float], pitches: list[float], **changes: Any) -> Columns:

@@ -15,7 +15,7 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import arms, grounds, lean, summary
+from deltacharger_lab.reports.docking import arms, grounds, hostile, lean, summary
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
@@ -90,6 +90,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
     rows = {part.name: each for part in plan.parts if (each := _read(directory / CAMPAIGNS / part.name)) is not None}
     folders = {name: directory / CAMPAIGNS / name for name in rows}
     settings = {name: read_settings(folder) for name, folder in folders.items()}
+    faulty = {name: rows.pop(name) for name in hostile.SCENES if name in rows}
     progress("figures")
     every, near = summary.joined(rows, "random", "upright"), summary.joined(rows, "zero", "edge")
     upright = None if every is None else summary.part(every, every["degrees"] <= summary.UPRIGHT)
@@ -101,7 +102,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "simulated": True,
         "versions": {name: each.versions for name, each in settings.items()},
         "plan": [vars(part) | {"run": len(rows[part.name]["number"])} for part in plan.parts if part.name in rows],
-        "not_run": [part.name for part in plan.parts if part.name not in rows],
+        "not_run": [part.name for part in plan.parts if part.name not in folders],
         "parts": {name: summary.summarise(each) for name, each in rows.items()},
         "calibration": {name: summary.calibration(rows[name]) for name in summary.CALIBRATED if name in rows},
         "upright": summary.summarise(upright) if upright is not None else None,
@@ -113,6 +114,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "holding": {name: summary.holding(rows[name]) for name in ("yielding", "yielding_exact") if name in rows},
         "lean": {name: lean.figures(rows[name]) for name in lean.SCENES if name in rows},
         "lean_map": {name: lean.by_lean(rows[name]) for name in lean.MAP if name in rows},
+        "hostile": {name: hostile.figures(each) for name, each in faulty.items()},
         "near_zero": summary.near_zero(near) if near is not None else {},
         "pairs": _pairs(folders),
     }
@@ -120,6 +122,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         *summary.targets(results["parts"], results["upright"]),
         *arms.targets(results["arms"]),
         *lean.targets(results["lean"]),
+        *hostile.targets(results["hostile"]),
     ]
     progress("pictures")
     report.draw(PICTURES, directory, without(rows), rows=rows)

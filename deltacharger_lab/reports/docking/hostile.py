@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dockings under faults: laws that were broken, and how dockings with each fault ended."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from deltacharger_lab.campaigns.hostile import FAULTS
+from deltacharger_lab.campaigns.judge import LAWS, PERSON
+from deltacharger_lab.campaigns.summary import upper_bound
+from deltacharger_lab.reports.docking.summary import Columns, Figures, quantiles
+from deltacharger_lab.reports.report import none
+
+SCENES = ("hostile", "hostile_exact")
+"""Campaigns of the section, if they were run."""
+_EXAMPLES = 5
+_CODES = ("code_name", "ended", "undocked")
+
+
+def figures(rows: Columns) -> Figures:
+    """Return the figures of one hostile campaign."""
+    broken = [set(str(each).split()) for each in rows["broken"]]
+    codes = [[str(rows[name][index]) for name in _CODES if rows[name][index]] for index in range(len(broken))]
+    return {
+        "n": len(broken),
+        "clean": sum(not each for each in broken),
+        "laws": [_law(name, rows, broken) for name in LAWS],
+        "outside": quantiles(rows["outside"]),
+        "force": quantiles(rows["peak_force"]),
+        "unsafe": quantiles(rows["live_unsafe_all"]),
+        "faults": [each for fault in FAULTS if (each := _fault(fault.name, rows, broken, codes))["n"]],
+        "next": _next(rows, codes),
+    }
+
+
+def _law(name: str, rows: Columns, broken: list[set[str]]) -> Figures:
+    """Return how often a law was broken, its bound, and the numbers of some dockings that broke it."""
+    numbers = [int(number) for number, laws in zip(rows["number"], broken, strict=True) if name in laws]
+    bound = upper_bound(len(numbers), len(broken))
+    return {"name": name, "about": LAWS[name], "hits": len(numbers), "bound": bound, "examples": numbers[:_EXAMPLES]}
+
+
+def _fault(name: str, rows: Columns, broken: list[set[str]], codes: list[list[str]]) -> Figures:
+    """Return for the dockings in which a fault acted: codes, the share that the faults explain, and broken laws."""
+    acted = [index for index, names in enumerate(rows["acted"]) if name in str(names).split()]
+    explained = sum(not broken[index] & {"code", "crashed", "outcome"} for index in acted)
+    return {
+        "name": name,
+        "n": len(acted),
+        "codes": dict(Counter(code for index in acted for code in codes[index]).most_common()),
+        "explained": explained / len(acted) if acted else 0.0,
+        "broken": dict(Counter(law for index in acted for law in LAWS if law in broken[index])),
+    }
+
+
+def _next(rows: Columns, codes: list[list[str]]) -> dict[str, int]:
+    """Return the codes of the goals after the faults were removed, of dockings whose codes asked for no person."""
+    free = [index for index, each in enumerate(codes) if not set(each) & set(PERSON)]
+    return dict(Counter(str(rows["next_code"][index]) or "none" for index in free).most_common())
+
+
+def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
+    """Yield the target of each law, over all hostile campaigns."""
+    count = f"of {sum(each['n'] for each in found.values())}"
+    for index, name in enumerate(LAWS):
+        hits = sum(each["laws"][index]["hits"] for each in found.values()) if found else None
+        yield none(f"hostile: {name}", hits, count)
