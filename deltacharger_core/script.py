@@ -40,6 +40,7 @@ class Runner:
 
     def __init__(self) -> None:
         self._script: Script[None] | None = None
+        self._begun = False
 
     @property
     def is_running(self) -> bool:
@@ -49,7 +50,7 @@ class Runner:
     def start(self, script: Script[None]) -> None:
         """Start a script; replaces a running one."""
         self.stop()
-        self._script = script
+        self._script, self._begun = script, False
 
     def stop(self) -> None:
         """Close the script."""
@@ -58,11 +59,15 @@ class Runner:
         self._script = None
 
     def step(self, problem: Exception | None) -> Wait:
-        """Continue the script, or raise `problem` in it; return its next wait."""
+        """Continue the script, or raise `problem` in it; return its next wait.
+
+        A script handles nothing before it has begun, so its first step comes first.
+        """
         if self._script is None:
             return NEXT
+        begun, self._begun = self._begun, True
         try:
-            return next(self._script) if problem is None else self._script.throw(problem)
+            return next(self._script) if problem is None or not begun else self._script.throw(problem)
         except StopIteration:
             self._script = None
             return NEXT

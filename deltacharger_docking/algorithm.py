@@ -25,7 +25,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.ease import ease
-from deltacharger_docking.energy import check_battery, de_energise
+from deltacharger_docking.energy import check_battery, de_energise, prove_dead
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.press import Look, contact, move_aside
@@ -52,8 +52,8 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
     check_lean(context, electrodes)
     target.foresee(electrodes)
     yield from _prepare(context, charges)
-    yield from approach(context, electrodes.position)  # 2
-    target.depth = electrodes.position[2] + parameters.search_depth
+    z = yield from approach(context, electrodes.position)  # 2
+    target.depth = z + parameters.search_depth
     if parameters.always_live:
         yield from wired.stay_away(context)
     estimate = yield from contact(context, target.depth, _look(context, target))  # 4
@@ -62,6 +62,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
 
 def _prepare(context: Context, charges: bool) -> Script[None]:
     yield from prepare(context)
+    yield from prove_dead(context)
     if charges and not context.parameters.always_live:
         check_battery(context)
 
@@ -179,6 +180,7 @@ def prepare(context: Context) -> Script[None]:
         raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
     if _pads_silent(context):
         raise TactileStale("no tactile frames; check the board's cable and tactile_node")
+    yield from context.answered()
     yield from de_energise(context)  # never pull off a contactor that welded in an earlier goal
     if not context.observation.torque_enabled:
         yield from context.torque_on()

@@ -14,14 +14,13 @@ from deltacharger_docking.codes import (
     DockingError,
     EstimateUnsure,
     NoChargeCurrent,
-    PowerStale,
     TactileStale,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy import Watch, no_current
+from deltacharger_docking.energy import no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.touch import Target, with_pitch
+from deltacharger_docking.touch import Target, keep_evidence, with_pitch
 
 
 @dataclass
@@ -35,11 +34,17 @@ class Order:
     def is_met(self, context: Context) -> str:
         """Return the stop condition that is met; '' = none."""
         goal = self.goal
-        if goal.stop_energy and context.energy >= goal.stop_energy:
-            return f"the stop condition was met: {context.energy:.0f} J"
+        if goal.stop_energy and context.energy_most >= goal.stop_energy:
+            most = "at most " if math.isnan(context.energy) else ""
+            return f"the stop condition was met: {most}{context.energy_most:.0f} J"
         if goal.stop_after and context.time - self.since >= goal.stop_after:
             return f"the stop condition was met: {context.time - self.since:.1f} s"
-        return ""
+        return self.is_over(context)
+
+    def is_over(self, context: Context) -> str:
+        """Return that the electrodes have rested for `hold_max` since the last goal; '' = not yet."""
+        limit = context.parameters.hold_max
+        return f"{limit:g} s (hold_max) have passed since the last goal" if context.time - self.since >= limit else ""
 
 
 class Flow(Enum):
@@ -83,39 +88,19 @@ class Taper:
         return Flow.FULL if time - self._below_since >= parameters.full_time else Flow.FLOWS
 
 
-class EnergyCheck:
-    """Checks that current and voltage, and so energy, are measured; short gaps are allowed."""
-
-    def __init__(self) -> None:
-        self._since = math.inf
-
-    def is_lost(self, context: Context) -> bool:
-        """Return whether the gap is longer than the allowed age of charger_power."""
-        observation = context.observation
-        if math.isfinite(observation.charge_current * observation.target_voltage):
-            self._since = math.inf
-            return False
-        self._since = min(self._since, context.time)
-        return context.time - self._since > context.parameters.power_age_max
-
-
 def charge(context: Context, order: Order, target: Target) -> Script[str]:
     """Supervise charging until a stop condition, a goal without charging, or a full target; return the reason.
 
     Raises:
         DockingError: why charging ended; the caller opens the contactor and retracts.
     """
-    watch, taper, energy_check = Watch(context), Taper(context.parameters), EnergyCheck()
+    taper = Taper(context.parameters)
     checks = clearance_checks(context, order, target)
     while True:
-        problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
-        if problem is None and order.goal.stop_energy and energy_check.is_lost(context):
-            problem = PowerStale("the target's voltage is no longer measured, so energy cannot be counted")
-        if problem is None and flow is Flow.LOST and not watch.refused:
-            problem = NoChargeCurrent(no_current(context))
-        if problem is not None:
-            raise problem
+        refused = context.closing is not None and context.closing.refused  # it opens, and so ends the current
+        if flow is Flow.LOST and not refused:
+            raise NoChargeCurrent(no_current(context))
         if flow is Flow.FULL:
             current = context.observation.charge_current
             context.decide("full", flow.value, charge_current_A=current, mean_A=taper.mean, energy_J=context.energy)
@@ -137,6 +122,7 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
     unsafe = blind = 0
     while True:
         yield from context.wait(parameters.clearance_period)
+        context.evidence.begin()
         reply = yield from context.ask(
             Service.ESTIMATE, TactileStale, parameters.measure_timeout, parameters.clearance_frames
         )
@@ -149,6 +135,7 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
             continue
         blind = 0
         context.status.estimate = target.combined_later(estimate)
+        keep_evidence(context, estimate)
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:

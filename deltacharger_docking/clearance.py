@@ -127,6 +127,13 @@ def pitch_shift(estimate: MisalignmentEstimate, parameters: DockingParameters) -
     return parameters.pitch_shift * pitch if math.isfinite(pitch) else 0.0
 
 
+def least_clearance(estimate: MisalignmentEstimate, parameters: DockingParameters, sigmas: float) -> float:
+    """Return the clearance (m) that is left at so many standard deviations."""
+    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
+    shifted = abs(estimate.across) + pitch_shift(estimate, parameters)
+    return clearance(estimate.angle, shifted, gap, length) - sigmas * clearance_stddev(estimate, gap, length)
+
+
 def judge(
     estimate: MisalignmentEstimate, parameters: DockingParameters, critical_angle: float | None = None
 ) -> Verdict:
@@ -140,15 +147,13 @@ def judge(
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
     limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
     sigma = clearance_stddev(estimate, gap, length)
-    shifted = abs(estimate.across) + pitch_shift(estimate, parameters)
     centred = clearance(estimate.angle, 0.0, gap, length)
-    actual = clearance(estimate.angle, shifted, gap, length)
     worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
     # Written so that NaN never passes.
     if not (worst_angle < limit and centred - parameters.clearance_sigmas * sigma >= parameters.clearance_min):
         return Verdict.CRITICAL
-    if not actual - parameters.clearance_sigmas * sigma >= parameters.clearance_min:
+    if not least_clearance(estimate, parameters, parameters.clearance_sigmas) >= parameters.clearance_min:
         return Verdict.TOO_CLOSE
-    if not actual - parameters.clearance_sigmas_sure * sigma >= parameters.clearance_min:
+    if not least_clearance(estimate, parameters, parameters.clearance_sigmas_sure) >= parameters.clearance_min:
         return Verdict.PROBABLY_SAFE
     return Verdict.SAFE

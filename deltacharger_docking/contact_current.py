@@ -88,6 +88,11 @@ class ContactCurrent:
         self._window.clear()
         self._median = math.nan
 
+    @property
+    def span(self) -> float:
+        """Time (s) from the oldest to the newest reading in the window."""
+        return self._window[-1][0] - self._window[0][0] if self._window else 0.0
+
     def tare(self) -> None:
         """Use the present force as zero (free air, at rest after a motion along +z)."""
         if self._window:

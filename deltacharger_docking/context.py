@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from deltacharger_core.machine import ORDER_AGE_MAX
 from deltacharger_core.script import NEXT, Calls, Script, Wait
-from deltacharger_docking.codes import Astray, DockingError, PhaseTimeout, ServoFailure, State
+from deltacharger_docking.codes import SILENT_SERVOS, DockingError, PhaseTimeout, ServoFailure, State, TactileStale
 from deltacharger_docking.contact_current import ContactCurrent
+from deltacharger_docking.evidence import Evidence
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import (
     NAN3,
@@ -36,8 +40,12 @@ _SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
 _SURELY = 0.25  # of the configured stiffness, which a servo whose own is unknown has at least
 _NEARLY = 0.95  # of a servo's current bound
-_OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
+REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) pull less than the push bound holds
+_HELD_MAX = 3.0  # s that the arm waits on its way for fresher data, as long as for nodes that start
+_SHOWN = 0.1  # s in which servo_state shows what servo_node has done
+_QUERIES = (Service.ESTIMATE, Service.DETECT)  # change nothing, however late they are answered
 _REACHES_OUT = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
+_MOVES = (*_REACHES_OUT, State.RETRACT)
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,19 @@ class KnownContact:
     commanded: float
     measured: float
     current: float
+
+
+class Live:
+    """What is remembered from the order to close the contactor to the order to open it.
+
+    Attributes:
+        refused: why a renewal of the lease was refused; '' if none was.
+    """
+
+    def __init__(self, time: float) -> None:
+        self.was_closed = False
+        self.refused, self.refused_at = "", math.inf
+        self.sound = {"battery": time, "low": time, "target": time}  # s, when each was last as it should be
 
 
 class Context:
@@ -71,8 +92,14 @@ class Context:
         self.pause = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
         self.live = False  # the contactor was ordered to close and has not been seen open since
-        self.doubtful = False  # there was a second source since the last estimate was requested
-        self.energy = 0.0
+        self.opened = False  # the contactor has been seen open, and was not ordered to close since
+        self.closing: Live | None = None  # from the order to close to the order to open
+        self.evidence = Evidence()  # of the last measurement
+        self.doubt = ""  # how the evidence of the last measurement was lost
+        self.doubtful = ""  # second sources since the last estimate was requested
+        self.energy = 0.0  # J delivered in this goal; NaN once a part of it was not measured
+        self.energy_most = 0.0  # J, with full power for what was not measured
+        self.angles: Vector = NAN3  # rad, the last measured ones
         self.commanded: Vector = NAN3
         self.share = RemainingShare(parameters)
         self.senses = TwoSenses(parameters)
@@ -83,14 +110,17 @@ class Context:
         self.touched = self.felt = math.nan  # m, z where the pads began to touch, and where they last did
         self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known
+        self.started = 0.0  # s, of the goal
         self.deadline = math.inf
         self.waits = NEXT  # what the script waited for in its last step
         self._retreats = False  # the line under way leads away from the target
         self._line: tuple[Vector, Vector, float] | None = None  # under way: start and end (m), peak speed (m/s)
         self._calls: Calls[Reply] = Calls()
+        self._orders: dict[int, tuple[Service, float]] = {}  # unanswered, by number, with their time (s)
+        self._held, self._held_since = "", 0.0  # by which old data the arm is held on its way, and since when (s)
         self._override: Piece | None = None  # in place of the line under way
         self._set_back = 0.0
-        self._last_valid = -math.inf
+        self._last_valid = self._last_felt = -math.inf
         self._states: list[State] = []
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
@@ -115,26 +145,72 @@ class Context:
         self.time = observation.time + self._set_back
         self.pause = max(jump, self.time - max(before, self.waits.until))
         self.waits = NEXT
-        for reading in observation.earlier:
+        valid = observation.servos_valid and _measured(observation.angles, observation.currents)
+        earlier = tuple(reading for reading in observation.earlier if _measured(*reading[1:]))
+        if valid is not observation.servos_valid or len(earlier) < len(observation.earlier):
+            observation = replace(observation, servos_valid=valid, earlier=earlier)
+        for reading in earlier:
             self.contact.update(*reading)
-        if observation.servos_valid:
-            self._last_valid = self.time - observation.servo_age
+        if valid:
+            self.angles, self._last_valid = observation.angles, self.time - observation.servo_age
             self.contact.update(self.time, observation.angles, observation.currents)
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
+        if observation.taxels is None or not np.isnan(observation.taxels).all():
+            self._last_felt = self.time - observation.tactile_age
+        else:  # a frame without a measured taxel is none
+            age, known = max(observation.tactile_age, self.time - self._last_felt), self.observation
+            observation = replace(
+                observation, tactile_age=age, tactile_contact=known.tactile_contact, taxels=known.taxels
+            )
         if observation.tactile_contact:
             self.felt = self.position[2]
             self.touched = self.touched if self.observation.tactile_contact else self.felt
         self.observation = observation
         self._calls.receive(observation.replies)
-        power = observation.charge_current * observation.target_voltage
-        if observation.contactor_closed and math.isfinite(power):
-            self.energy += power * min(self.time - before, self.parameters.energy_gap_max)
-        self.doubtful |= bool(observation.duplicate_sources)
+        self._cross_off(observation.replies)
+        if observation.contactor_closed:
+            self._count(observation.charge_current * observation.target_voltage, self.time - before)
+        self._tell_hold()
+        self.evidence.add(observation.taxels)
+        self.doubt = self.doubt or self.evidence_lost
+        self.doubtful = observation.duplicate_sources or self.doubtful
         self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position
         self.status.dampings, self.status.friction_force = self.springs.dampings, self.springs.friction_force
         self.status.contact_current, self.status.contact_force = self.contact.value, self.contact.force
+
+    def _count(self, power: float, seconds: float) -> None:
+        """Count the energy of the last `seconds` at this power (W); unknown after a pause without measurements."""
+        parameters = self.parameters
+        known = math.isfinite(power) and seconds <= parameters.power_age_max
+        self.energy += power * seconds if known else math.nan
+        most = power if known else parameters.charge_current_max * parameters.target_voltage_max
+        self.energy_most += most * seconds
+
+    def _cross_off(self, replies: Iterable[Reply]) -> None:
+        """Remove answered orders. An order to go limp that came too late is repeated if no goal needs the torque."""
+        for reply in replies:
+            order, sent = self._orders.pop(reply.number, (None, self.time))
+            late = not reply.success and self.time - sent > ORDER_AGE_MAX
+            if late and order is Service.TORQUE_OFF and self.status.state is State.IDLE:
+                self.send(Service.TORQUE_OFF)
+
+    def _tell_hold(self) -> None:
+        """Report which old data hold the arm on its way; on the way to the target, still older ones end the goal."""
+        before, self._held = self._held, ""
+        observation, parameters = self.observation, self.parameters
+        if self.is_blind and self.status.state in _MOVES and math.isfinite(self.deadline):
+            if observation.servo_age > parameters.press_age_max:
+                name, missing = "servo_state", observation.servo_age > parameters.servo_age_max
+            else:
+                name, missing = "tactile_frame", observation.tactile_age > parameters.tactile_age_max
+            if not missing or self.status.state is State.RETRACT:
+                self._held = f"{name} younger than {parameters.press_age_max:g} s"
+        if self._held or before:
+            self.status.waiting_for = self._held
+        if self._held != before:
+            self._held_since = self.time
 
     def command(self) -> Command:
         """Return what the scripts requested in this tick, and clear it."""
@@ -150,19 +226,26 @@ class Context:
         return command
 
     @property
-    def astray(self) -> Astray | None:
-        """Why the arm must not be driven on, if so."""
-        seen, geometry = self.observation, self.kinematics.geometry
-        if seen.stopped:
-            return Astray(f"servo_node stopped the arm: {seen.stopped}")
-        box = zip(geometry.workspace_min, self.position, geometry.workspace_max, strict=True)
-        if not seen.torque_enabled or not any(p < low - _OUTSIDE or p > high + _OUTSIDE for low, p, high in box):
-            return None
-        x, y, z = (1000.0 * value for value in self.position)
-        return Astray(
-            f"the arm is at ({x:.0f}, {y:.0f}, {z:.0f}) mm, outside its workspace: look at its horns, rods and "
-            "zero_ticks, and at what drags it"
-        )
+    def felt_forces(self) -> tuple[float, float]:
+        """Force on each pad, N; NaN without a tared frame."""
+        if (taxels := self.observation.taxels) is None:
+            return math.nan, math.nan
+        left, right = np.nansum(taxels, axis=(1, 2))
+        return float(left), float(right)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the electrodes surely touch nothing: by pads, currents and the place where they last touched."""
+        seen, parameters = self.observation, self.parameters
+        pushes = seen.torque_enabled and self.contact.value > parameters.contact_lost_current
+        feels = seen.tactile_contact or not seen.tactile_age <= parameters.press_age_max
+        return not (feels or pushes or self.position[2] > self.felt - REACH)
+
+    @property
+    def evidence_lost(self) -> str:
+        """Why the last measurement no longer holds; '' = it does."""
+        largest = self.contact.value + self.contact.currents_error
+        return self.evidence.lost(self.parameters, self.position, largest, self.observation)
 
     @property
     def is_blind(self) -> bool:
@@ -179,11 +262,21 @@ class Context:
         self.deadline = self.time + limit
 
     def expired(self) -> DockingError | None:
-        """Return the error of a phase that lasted too long, if it did."""
+        """Return the error of a phase that lasted too long, or whose data stayed too old to move on, if so."""
+        if self._held and self.time - self._held_since > _HELD_MAX:
+            observation = self.observation
+            told = f"the arm waited {_HELD_MAX:g} s for {self._held}"
+            if observation.servo_age > self.parameters.press_age_max:
+                return ServoFailure(f"{told}, but it is {observation.servo_age:.2f} s old; {SILENT_SERVOS}")
+            return TactileStale(
+                f"{told}, but it is {observation.tactile_age:.2f} s old; check the board's cable, tactile_node, and "
+                "whether this computer is too busy"
+            )
         if self.time <= self.deadline:
             return None
-        phase = self.status.state.name
-        return PhaseTimeout(f"{phase} took longer than {phase.lower()}_timeout; see in the log what it waited for")
+        phase, waited = self.status.state.name, self.status.waiting_for
+        hint = f"it waited for {waited}" if waited else "see in the log what it did"
+        return PhaseTimeout(f"{phase} took longer than {phase.lower()}_timeout; {hint}")
 
     @contextmanager
     def waiting_for(self, what: str) -> Iterator[None]:
@@ -208,7 +301,7 @@ class Context:
         """
         self._calls.forget()  # earlier replies are no longer awaited
         number = self._calls.number()
-        self._requests.append(Request(number, service, frames, timeout))
+        self._request(Request(number, service, frames, timeout))
         end = self.time + timeout
         with self.waiting_for(service.value):
             while (reply := self._calls.take(number)) is None:
@@ -227,10 +320,34 @@ class Context:
         reply = yield from self.ask(Service.TORQUE_ON, ServoFailure, self.parameters.service_timeout)
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
+        end = self.time + self.parameters.servo_age_max
+        while not self.observation.torque_enabled:
+            if self.time > end:
+                raise ServoFailure("servo_state does not show the torque that servo_node switched on; check servo_node")
+            yield NEXT
 
     def send(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
-        self._requests.append(Request(self._calls.number(awaited=False), service))
+        self._request(Request(self._calls.number(awaited=False), service))
+
+    def _request(self, request: Request) -> None:
+        self._requests.append(request)
+        if request.service not in _QUERIES:
+            self._orders[request.number] = request.service, self.time
+
+    def answered(self) -> Script[None]:
+        """Wait until all orders of earlier goals are answered and servo_state shows it; none falls into this goal.
+
+        After `service_timeout` a missing answer was lost with its node.
+        """
+        if not self._orders:
+            return
+        end = self.time + self.parameters.service_timeout
+        with self.waiting_for(", ".join(sorted({order.value for order, _ in self._orders.values()}))):
+            while self._orders and self.time <= end:
+                yield NEXT
+        self._orders.clear()
+        yield from self.wait(_SHOWN)
 
     def decide(self, kind: str, text: str, **values: float) -> None:
         """Record a decision and the numbers behind it, for logs and recordings; names of numbers end in the unit."""
@@ -243,11 +360,9 @@ class Context:
     @property
     def unexplained_lead(self) -> float:
         """Distance (m) along z by which the command leads the platform beyond what push, friction and speed explain."""
-        springs, ahead, speed = self.springs, self.commanded, 0.0
+        springs = self.springs
         stiffness = springs.stiffness if springs.is_estimated else _SURELY * springs.stiffness
-        if self._line is not None and self.feed.is_under_way(self.time):
-            start, goal, speed = self._line
-            ahead = between(start, goal, way_done(self.feed.share(self.time)))
+        speed = self._line[2] if self._line is not None and self.feed.is_under_way(self.time) else 0.0
         x, y, z = self.position
         held = self.kinematics.holding_torque(x, y, z, self.parameters.gravity)
         yields = (
@@ -256,7 +371,27 @@ class Context:
                 self.planner.bound(held), held, self.kinematics.jacobian(x, y, z)[6:], strict=True
             )
         )
-        return ahead[2] - z - sum(yields) - springs.damping / stiffness * speed
+        return self.sent[2] - z - sum(yields) - springs.damping / stiffness * speed
+
+    @property
+    def sent(self) -> Vector:
+        """Where the command is now (m, charger_base)."""
+        if self._line is None or not self.feed.is_under_way(self.time):
+            return self.commanded
+        start, goal, _ = self._line
+        return between(start, goal, way_done(self.feed.share(self.time)))
+
+    @property
+    def beside(self) -> float:
+        """Sideways distance (m) of the platform from the line under way; 0 without one."""
+        if self._line is None or not self.feed.is_under_way(self.time):
+            return 0.0
+        start, goal, _ = self._line
+        way = [b - a for a, b in zip(start, goal, strict=True)]
+        length = sum(part * part for part in way) or 1.0
+        done = sum(part * (p - a) for part, p, a in zip(way, self.position, start, strict=True)) / length
+        x, y, _ = between(start, goal, min(max(done, 0.0), 1.0))
+        return math.hypot(self.position[0] - x, self.position[1] - y)
 
     def pull(self, goal: Vector, bound: Vector, rest: Vector | None = None) -> None:
         """Set the servos' goals (rad) and torque bounds (N·m) at once.
@@ -265,7 +400,7 @@ class Context:
         """
         geometry, stiffness = self.kinematics.geometry, self.springs.stiffness
         held = self.kinematics.holding_torque(*self.position, self.parameters.gravity)
-        place = rest or self.observation.angles
+        place = rest or self.angles
         wanted = (angle + torque / stiffness for angle, torque in zip(place, held, strict=True))
         a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
         self.feed.stop()
@@ -394,3 +529,8 @@ class Context:
             if self.time > end:
                 raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
             yield NEXT
+
+
+def _measured(*readings: Vector) -> bool:
+    """Return whether all numbers of the servos' readings are finite."""
+    return all(math.isfinite(value) for reading in readings for value in reading)

@@ -106,7 +106,6 @@ class GoalDesk:
 
     Attributes:
         is_open: whether a goal is being served.
-        started: time of its start, s.
         deadline: time by which it must end, s.
         cancel_requested: whether its client has cancelled it.
         outcome: of the last goal, until the shell has taken it.
@@ -115,7 +114,6 @@ class GoalDesk:
     def __init__(self, context: Context) -> None:
         self._context = context
         self.is_open = False
-        self.started = 0.0
         self.deadline = math.inf
         self.cancel_requested = False
         self.outcome: DockingOutcome | None = None
@@ -125,9 +123,9 @@ class GoalDesk:
         context = self._context
         context.observe(observation)
         self.is_open, self.cancel_requested, self.outcome = True, False, None
-        self.started = context.time
+        context.started = context.time
         self.renew()
-        context.energy = math.nan if context.parameters.always_live else 0.0
+        context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
         context.deadline = math.inf
         context.status.request_id = request_id
         context.status.code, context.status.message = Code.NONE, ""
@@ -155,7 +153,7 @@ class GoalDesk:
             code=code,
             message=message,
             retriable=retriable,
-            aligned=context.status.aligned,
+            aligned=success and context.status.aligned,
             alignments=context.status.alignments,
             redockings=context.status.redockings,
             estimate=context.status.estimate,
@@ -165,7 +163,7 @@ class GoalDesk:
             contact_force_max=most,
             charge_current=measured,
             energy=context.energy,
-            elapsed=context.time - self.started,
+            elapsed=context.time - context.started,
         )
 
     def _end(self, outcome: DockingOutcome) -> None:

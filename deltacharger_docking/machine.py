@@ -12,18 +12,15 @@ from collections.abc import Callable
 
 from deltacharger_core.script import Runner, Script
 from deltacharger_docking.codes import (
-    SILENT_SERVOS,
+    Astray,
     Busy,
     Canceled,
     Code,
     ContactorWelded,
     DockingError,
-    Overcurrent,
     PhaseTimeout,
-    ServoFailure,
     State,
     Stuck,
-    TactileStale,
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise
@@ -33,13 +30,9 @@ from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, 
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.retract import go_limp, retract
 from deltacharger_docking.visit import TargetVisit
+from deltacharger_docking.watch import Watches
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
-
-_NEEDS_TORQUE = (State.CONTACT, State.MEASURE, State.ALIGN)
-_NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
-_LEAD_MAX = 0.003  # m that the command may lead the platform beyond what is explained
-_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
 
 
 class DockingMachine:
@@ -61,8 +54,9 @@ class DockingMachine:
     ) -> None:
         self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
         self._desk = GoalDesk(self._context)
+        self._watches = Watches(self._context)
         self._runner = Runner()
-        self._interruptible = self._astray = False
+        self._interruptible = self._halted = False  # halted: no look ends what makes the arm safe
         self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # that ends the goal after another goal arrived
 
@@ -172,7 +166,7 @@ class DockingMachine:
         """Advance by one tick and return what to do."""
         context = self._context
         context.observe(observation)
-        context.status.elapsed = context.time - self._desk.started
+        context.status.elapsed = context.time - context.started
         context.waits = self._runner.step(self._problem() if self._runner.is_running else None)
         if not self._runner.is_running:
             self._docking, self._interruptible = None, False
@@ -182,7 +176,7 @@ class DockingMachine:
         """Return the command that makes everything safe at once, and forget the goal: for a shell that must end."""
         self._forget_script()
         self._desk.is_open = False
-        self._context.energise = False
+        self._context.energise, self._context.closing = False, None
         self._context.status.charging = False
         self._context.enter(State.IDLE, math.inf)
         if self._context.observation.torque_enabled:
@@ -218,52 +212,19 @@ class DockingMachine:
 
     def _problem(self) -> DockingError | None:
         """Return the reason to interrupt the script now, if any."""
-        context, observation, parameters = self._context, self._context.observation, self.parameters
-        if not self._astray and (astray := context.astray) is not None:
-            self._astray = True
-            return astray
-        if not self._interruptible:
-            return context.expired()  # even retracting has a limit
-        if self._desk.cancel_requested:
-            return Canceled("cancelled by the client")
-        refusal, self._refusal = self._refusal, None
-        if refusal is not None:
-            return refusal
-        if self._is_missing(observation.servo_age, parameters.servo_age_max):
-            return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; {SILENT_SERVOS}")
-        if observation.hardware_error:
-            return ServoFailure(
-                f"a servo reports hardware error {observation.hardware_error:#04x}; remove the cause, then call "
-                "reboot_servos"
-            )
-        if context.contact.value > parameters.hard_current and not context.lets_go:
-            return Overcurrent(
-                f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A"
-                f"{context.springs.contradiction}"
-            )
-        if context.status.state is State.CONTACT and (lead := context.unexplained_lead) > _LEAD_MAX:
-            return ServoFailure(
-                f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
-                "look for an obstacle, a cable that drags, or a servo that slips"
-            )
-        touches = context.status.state in _NEEDS_TOUCH
-        if touches and self._is_missing(observation.tactile_age, parameters.tactile_age_max):
-            return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
-        moving = context.status.state is State.APPROACH and context.feed.is_under_way(context.time)
-        if (moving or context.status.state in _NEEDS_TORQUE) and not observation.torque_enabled:
-            return ServoFailure("the servos lost their torque; check the diagnostics of servo_node")
-        if not self._is_supervising and context.time > self._desk.deadline:
-            return PhaseTimeout(f"docking took longer than goal_timeout, {parameters.goal_timeout:.0f} s")
-        return context.expired()
-
-    def _is_missing(self, age: float, oldest: float) -> bool:
-        """Return whether data of this age (s) end the goal; nodes that have just started get `first_data_timeout`.
-
-        A node counts as starting if none of its data was measured since the goal began, even if earlier data arrived.
-        """
-        since = self._context.time - self._desk.started
-        starting = age > since and self._context.status.state in _BEFORE_MOVING
-        return age > oldest and not (starting and since < self.parameters.first_data_timeout)
+        context, desk = self._context, self._desk
+        if self._interruptible:
+            refusal, self._refusal = self._refusal, None
+            if desk.cancel_requested:
+                return Canceled("cancelled by the client")
+            if refusal is not None:
+                return refusal
+        if not self._halted and (problem := self._watches.problem(self._interruptible)) is not None:
+            self._halted = isinstance(problem, Astray | ContactorWelded) or not self._interruptible
+            return problem
+        if self._interruptible and not self._is_supervising and context.time > desk.deadline:
+            return PhaseTimeout(f"docking took longer than goal_timeout, {self.parameters.goal_timeout:.0f} s")
+        return context.expired()  # even retracting has a limit
 
     def _serve(self, script: Callable[[], Script[None]], restarts: int = 0) -> Script[None]:
         """Run a goal's script. However it ends, open the contactor and retract the arm; keep the first error.
@@ -273,7 +234,7 @@ class DockingMachine:
         context, desk = self._context, self._desk
         first: DockingError | None = None
         while True:
-            self._interruptible, self._astray = True, False
+            self._interruptible, self._halted = True, False
             try:
                 yield from script()
                 return
@@ -284,7 +245,7 @@ class DockingMachine:
             if self._docking is not None and self._docking.supervising:
                 first = None  # the restart succeeded, so the earlier error no longer counts
             first = self._report(first, last)
-            home = yield from self._retract()
+            home = yield from self._retract(last)
             if not (home and restarts and last.restart_may_help) or desk.cancel_requested:
                 break
             restarts -= 1
@@ -307,29 +268,31 @@ class DockingMachine:
         self._context.decide("interrupted", f"{last.code.name}: {last}", code=last.code)
         return blamed
 
-    def _retract(self) -> Script[bool]:
+    def _retract(self, why: DockingError) -> Script[bool]:
         """Open the contactor, move the arm home and switch the torque off; return whether that succeeded."""
         context, status = self._context, self._context.status
         context.interrupt()
         try:
-            if self._astray:
+            if isinstance(why, Astray):
                 context.hold()
                 context.enter(State.RETRACT, math.inf)
                 yield from de_energise(context)
                 yield from go_limp(context)
             else:
                 yield from retract(context)
-            return not (self._astray or context.observation.hardware_error)
+            return not (isinstance(why, Astray) or context.observation.hardware_error)
         except ContactorWelded as error:
-            # Torque stays on: moving live electrodes off the target would draw an arc.
             if status.code is not Code.CONTACTOR_WELDED:
                 status.message = f"{status.message}; then {error}"
-            context.hold()
+            context.hold()  # moving live electrodes off the target would draw an arc
+            self._halted = True
+            if context.is_free:
+                yield from go_limp(context)
         except DockingError as error:
             status.message = f"{status.message}; then {error}"
             held = status.docked or context.observation.tactile_contact
             status.docked = held and isinstance(error, Stuck)  # the magnets still hold it
-            context.deadline = math.inf
+            context.deadline, self._halted = math.inf, True
             yield from go_limp(context)
         finally:
             status.charging = False

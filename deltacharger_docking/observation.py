@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import MisalignmentEstimate
@@ -126,8 +127,9 @@ class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
     `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds readings
-    of the servos since the last observation, before this one. `stopped` is why servo_node stopped a joint that strayed,
-    `clock_problem` describes a problem of the clock that ages are measured by; '' = none.
+    of the servos since the last observation, before this one. `clock_problem` describes a problem of the clock that
+    ages are measured by; '' = none. `stopped` is why servo_node stopped a joint that strayed. `taxels` is the newest
+    tared frame (2, 10, 10), N.
     """
 
     time: float
@@ -153,6 +155,7 @@ class Observation:
     earlier: tuple[Reading, ...] = ()
     clock_problem: str = ""
     stopped: str = ""
+    taxels: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,9 @@ class DockingParameters(Bounded):
     home_y: float = tunable(0.0, -0.06, 0.06, "m", "home position, y")
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
     travel_speed: float = tunable(0.12, 0.005, 0.5, "m/s", "peak speed in free air")
-    approach_speed: float = tunable(0.25, 0.005, 0.5, "m/s", "peak speed toward the standoff")
+    approach_speed: float = tunable(
+        0.18, 0.005, 0.5, "m/s", "peak speed toward the standoff, at which a target nearer than told is met"
+    )
     run_up_speed: float = tunable(0.045, 0.001, 0.1, "m/s", "peak speed of the run-up before the tare")
     search_speed: float = tunable(0.02, 0.001, 0.1, "m/s", "peak speed where contact is possible")
     press_speed: float = tunable(0.025, 0.001, 0.1, "m/s", "peak speed of steps, and near a known contact")
@@ -209,9 +211,15 @@ class DockingParameters(Bounded):
         0.5, 0.0, 1.0, "", "share of the mean (taper_time) below which charge current was cut off"
     )
     full_time: float = tunable(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
+    hold_max: float = tunable(
+        14400.0,
+        1.0,
+        604800.0,
+        "s",
+        "longest rest on a target since the last goal; then charging ends and the arm goes home",
+    )
     fault_delay: float = number(0.15, 0.0, 1.0, "s", "longest delay of the fault report after a refused renewal")
     pause_max: float = number(1.0, 0.1, 5.0, "s", "longest pause of docking while the electrodes are live")
-    energy_gap_max: float = number(0.2, 0.02, 2.0, "s", "pause between ticks beyond which energy is not counted")
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
     live_servo_age_max: float = number(0.2, 0.02, 0.5, "s", "age of servo_state that opens a closed contactor")

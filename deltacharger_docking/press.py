@@ -8,11 +8,21 @@ from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
+from deltacharger_docking.codes import (
+    NoContact,
+    NoTactileContact,
+    Overcurrent,
+    ServoFailure,
+    State,
+    TactileStale,
+    Unreachable,
+)
 from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.release import rolls, take_off
 
 _YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
+_DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless dockings 12, on robots that swing
+_LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
 
 Look = Callable[[], Script[MisalignmentEstimate | None]]
@@ -85,6 +95,7 @@ def move_aside(context: Context, x: float, y: float) -> Script[None]:
     context.enter(State.ALIGN, parameters.align_timeout)
     yield from take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
+    context.evidence.forget()
     yield from context.move(place, parameters.travel_speed, settle=False)
 
 
@@ -202,7 +213,11 @@ def _into_band(context: Context, depth: float) -> Script[None]:
     parameters = context.parameters
     low, high = parameters.current_min + parameters.band_margin, parameters.current_max
     response, overshoots = 1.0, 0  # response: the slope's share of the expected one
+    start, contradictions = (context.felt_forces, context.contact.force), 0
     while True:
+        contradictions = contradictions + 1 if (told := _contradiction(context, *start)) else 0
+        if contradictions > 1:  # a robot that swings makes one
+            raise ServoFailure(told)
         expected = slope_expected(context)
         slope = response * expected
         before, z = context.contact.value, context.commanded[2]
@@ -237,6 +252,23 @@ def _into_band(context: Context, depth: float) -> Script[None]:
         if touching and before > 0.0 and after - before > parameters.response_visible:
             measured = (after - before) / (step * expected)
             response = min(max(measured, parameters.response_min), parameters.response_max)
+
+
+def _contradiction(context: Context, before: tuple[float, float], told: float) -> str:
+    """Return how pads and currents contradict each other on the push since `before` and `told` (N); '' = they do not.
+
+    Only on faces that lie flat: on others the magnets close while the arm presses, which pads feel too.
+    """
+    felt = sum(before)
+    if not _LEVEL * felt <= min(before):
+        return ""
+    felt, told = sum(context.felt_forces) - felt, context.contact.force - told
+    if not felt - context.springs.true_force(told)[1] > _DIFFERS + 2.0 * context.parameters.force_error * felt:
+        return ""
+    return (
+        f"pads and currents contradict each other: while pressing, the pads felt {felt:.0f} N more and the servos' "
+        f"currents showed {told:.0f} N: check torque_constant, and whether servo_state repeats its currents"
+    )
 
 
 def check_depth(context: Context, depth: float) -> None:

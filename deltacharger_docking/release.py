@@ -11,11 +11,10 @@ import math
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import DockingError, Stuck, TargetRolls
-from deltacharger_docking.context import Context
+from deltacharger_docking.context import REACH, Context
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
 
-REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) pull less than the push bound holds
 _BACK = 0.012  # m from where it first touched or parted: the arm swings by half of it when it stops there
 _FARTHEST = 0.025  # m that a braked target follows at most: 5 N/mm and 2 mm of play under push and magnets
 _FOLLOWS = 0.010  # m from which one that did not part counts as rolling
@@ -54,11 +53,19 @@ def take_off(context: Context, z: float) -> Script[None]:
 
 
 def lift_off(context: Context, pull: bool = False) -> Script[None]:
-    """Pull off the magnets if there is contact or `pull` is set, then go straight back, to allow sideways moves."""
+    """Pull off the magnets if there is contact or `pull` is set, then go straight back, to allow sideways moves.
+
+    Raises:
+        Stuck: the pads feel contact at home, where there is no way back; or as `take_off`.
+    """
     parameters = context.parameters
     x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
-    if pull or context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current:
+    at_home = z < max(parameters.home_z, context.kinematics.geometry.workspace_min[2]) + _BACK
+    if at_home and touches(context):
+        raise Stuck("the pads feel contact at home, so nothing was moved: move away what touches them, or check them")
+    pushes = context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current
+    if not at_home and (pull or pushes):
         yield from take_off(context, clear)
     else:
         context.commanded = x, y, z

@@ -7,10 +7,10 @@ import math
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import ServoFailure, State, Stuck
-from deltacharger_docking.context import Context
-from deltacharger_docking.energy import de_energise
+from deltacharger_docking.context import REACH, Context
+from deltacharger_docking.energy import de_energise, prove_dead
 from deltacharger_docking.observation import Service
-from deltacharger_docking.release import REACH, lift_off, rolls, touches
+from deltacharger_docking.release import lift_off, rolls, touches
 
 _OFF_TIME = 0.1  # s: servo_node switches the torque off within some cycles
 
@@ -24,7 +24,10 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     """
     parameters = context.parameters
     context.enter(State.RETRACT, math.inf)
+    context.evidence.forget()
     yield from de_energise(context)  # has its own limit: the phase must not expire while electrodes may be live
+    if wanted:
+        yield from context.answered()
     context.deadline = context.time + parameters.retract_timeout
     while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
         yield NEXT
@@ -54,6 +57,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
                 f"{context.springs.contradiction}"
             )
     context.status.docked = False
+    yield from prove_dead(context)
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, parameters.service_timeout)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.codes import ServoFailure, State, Stuck
+from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
+from deltacharger_docking.release import take_off
 from deltacharger_docking.springs import LOAD_SHARES
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import (
@@ -32,6 +33,7 @@ _FREE = 0.9  # of the torque bound, below which a current follows the error
 _LATE, _HEARD = 0.15, 0.005  # s until a servo hears of a jump at the latest; rad that show it
 _SWINGS = 5.0  # rad of the servo's own oscillation that are recorded
 _TRIES = 4
+_NEARER = 3  # places before which the arm tries to tare
 _PAUSE, _SAME = 0.04, 0.001  # s: of docking, after which its pull may have lapsed; between two dates of one reading
 _STRONGER = 1.3  # by which the pull must exceed the magnets
 _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and how often it is doubled
@@ -40,39 +42,69 @@ _MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
 
 
-def approach(context: Context, target: Vector) -> Script[None]:
+def approach(context: Context, target: Vector) -> Script[float]:
     """Move to the standoff before `target` (m, charger_base), learn how the servos brake and rub, and tare there.
+
+    Whoever touches on the way is nearer than told: the arm lets go and begins again before it. Zero is measured only
+    in free air.
+
+    Returns:
+        z of the target, m: as told, or where the pads met it.
 
     Raises:
         ServoFailure: a servo swings or creeps, or friction takes what pushing needs.
         Stuck: the pull would not release the magnets.
+        NoContact: the pads feel contact wherever the arm would tare, or live ones (power: none) touch before.
     """
-    parameters, speed = context.parameters, context.parameters.run_up_speed
+    parameters = context.parameters
     context.enter(State.APPROACH, parameters.approach_timeout)
     x, y, z = target
+    context.check_way((x, y, z - parameters.standoff))  # before anything moves
+    yield from _check_swing(context, z - parameters.standoff)
+    for _ in range(_NEARER):
+        if not (yield from _tare(context, (x, y, z))):
+            _check_pull(context, (x, y, z))
+            return z
+        context.decide("nearer", "the target is nearer than told", z_m=context.position[2])
+        if parameters.always_live:
+            break
+        yield from context.wait(parameters.settle_touching)
+        z = context.position[2]
+        yield from take_off(context, max(z - parameters.standoff, parameters.home_z))
+    raise NoContact("the pads feel contact before the standoff: check the target's coordinates, and the pads")
+
+
+def _tare(context: Context, target: Vector) -> Script[bool]:
+    """Weigh the platform at the standoff on a way back and forward again, and tare; return whether the pads touched."""
+    parameters, speed = context.parameters, context.parameters.run_up_speed
+    x, y, z = target
     standoff = x, y, z - parameters.standoff
-    context.check_way(standoff)  # before anything moves
-    yield from _check_swing(context, standoff[2])
-    yield from context.move(standoff, parameters.approach_speed, settle=False)
+    if (yield from _free_move(context, standoff, parameters.approach_speed, settle=False)):
+        return True
     lag = max(standoff[2] - context.position[2], 0.0)  # mostly by friction, which a run-up reverses
     speed *= min(1.0, context.springs.softness)  # stiff servos overshoot, which turns friction's sign
     run_up = max(parameters.run_up * max(1.0, context.springs.softness), min(_LAGS * lag, _LONGEST_RUN_UP))
     for _ in range(_LONGER):
         yield from context.move((x, y, max(standoff[2] - run_up, min(parameters.home_z, standoff[2]))), speed)
         down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
-        yield from context.move(standoff, speed)
+        if (yield from _free_move(context, standoff, speed)):
+            return True
         turns = [now - then for now, then in zip(context.observation.angles, angles, strict=True)]
-        touched = context.observation.tactile_contact  # a target nearer than given
-        if touched or min(turns) * sum(context.kinematics.jacobian(*standoff)[6:]) >= _LOOSE * run_up:
+        if min(turns) * sum(context.kinematics.jacobian(*standoff)[6:]) >= _LOOSE * run_up:
             break
         run_up *= 2.0  # friction held the arm: so short a way does not show all of it
-    if not touched:
-        _learn_friction(context, down, currents)
+    _learn_friction(context, down, currents)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
     a, b, c = (goal - now for goal, now in zip(standoff, context.position, strict=True))
     context.lead = a, b, c
-    _check_pull(context, target)
+    return False
+
+
+def _free_move(context: Context, goal: Vector, speed: float, settle: bool = True) -> Script[bool]:
+    """Move to `goal` (m) at most until the pads feel something; return whether they do."""
+    touched = yield from context.move(goal, speed, settle, until=lambda: context.observation.tactile_contact)
+    return touched or context.observation.tactile_contact
 
 
 def _check_swing(context: Context, farthest: float) -> Script[None]:
@@ -111,7 +143,7 @@ def _swing(context: Context, farthest: float, current: float) -> Script[list[Swi
     jump = min(current * springs.compliance, _LONGEST_JUMP)
     way = jump * sum(kinematics.jacobian(x, y, z)[6:])
     jump = jump if z + way < farthest else -jump
-    a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.observation.angles)
+    a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.angles)
     held = kinematics.holding_torque(x, y, z, parameters.gravity)
     bound = context.planner.bound(held)
     seen: list[tuple[float, Vector, Vector]] = []

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from deltacharger_docking.along import AlongFilter, LookAlong, Plan, empty_pad_offset
-from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.clearance import MisalignmentEstimate, pitch_shift
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
@@ -188,18 +188,29 @@ class TargetPlace:
         angle = estimate.angle
         sine, cosine = math.sin(angle), math.cos(angle)
         pitch, pitch_stddev = _among(p.yaw_stddev, estimate.pitch, estimate.pitch_stddev)
-        bias, spread = self._along.bias / p.load_per_yaw, self._along.bias_stddev / p.load_per_yaw
-        share = self._share.value
-        doubt = self._share.stddev / share**2 * bias
+        shifted = pitch_shift(replace(estimate, pitch_stddev=0.0), p)  # what a known pitch adds to the pads' own error
+        yaw, yaw_stddev = self._yaw_by_contacts()
         return replace(
             estimate,
             horizontal=contact.mean,
             horizontal_stddev=contact.stddev,
             vertical=(estimate.across + contact.mean * sine) / cosine,
-            vertical_stddev=math.hypot(estimate.across_stddev, contact.stddev * sine) / cosine,
-            yaw=bias / share + pitch * math.tan(angle),
-            yaw_stddev=math.hypot(spread / share, doubt, pitch_stddev * math.tan(angle)),
+            vertical_stddev=math.hypot(estimate.across_stddev, shifted, contact.stddev * sine) / cosine,
+            yaw=yaw + pitch * math.tan(angle),
+            yaw_stddev=math.hypot(yaw_stddev, pitch_stddev * math.tan(angle)),
         )
+
+    def _yaw_by_contacts(self) -> tuple[float, float]:
+        """Return the yaw along the ridges and its standard deviation, rad: as before contact and as the contacts show.
+
+        They show the load of the share that remains, so the share's relative error is one of the yaw.
+        """
+        (before, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
+        load = self._along.measured_bias
+        found = load.mean / per_yaw / share.value
+        error = math.hypot(load.stddev / per_yaw, share.stddev * max(abs(found), abs(before))) / share.value
+        weight = 1.0 / (1.0 + (error / stddev) ** 2) if stddev > 0.0 else 0.0
+        return before + weight * (found - before), stddev * math.sqrt(1.0 - weight)
 
 
 def _along_ridges(electrodes: ElectrodePose, usual_yaw: float, usual_pitch: float) -> tuple[float, float]:

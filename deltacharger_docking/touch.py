@@ -10,10 +10,8 @@ from deltacharger_core.script import Script
 from deltacharger_docking.clearance import (
     MisalignmentEstimate,
     Verdict,
-    clearance,
-    clearance_stddev,
     judge,
-    pitch_shift,
+    least_clearance,
 )
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -41,7 +39,9 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     """
     parameters = context.parameters
     context.enter(State.MEASURE, parameters.measure_timeout)
-    context.doubtful = bool(context.observation.duplicate_sources)
+    context.doubt, context.doubtful = "", context.observation.duplicate_sources
+    context.evidence.forget()
+    context.evidence.begin()
     reply = yield from context.ask(
         Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
     )
@@ -55,9 +55,17 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     if told:
         context.decide("senses", told)
     context.status.senses = told
+    keep_evidence(context, estimate)
     if not estimate.contact:
         raise NoTactileContact("the pads lost contact before the misalignment was measured")
     return estimate
+
+
+def keep_evidence(context: Context, estimate: MisalignmentEstimate) -> None:
+    """Let this estimate of the contact count until its evidence is lost."""
+    sigmas = context.parameters.clearance_sigmas
+    margin = least_clearance(estimate, context.parameters, sigmas) if estimate.usable else 0.0
+    context.evidence.keep(context.position, margin)
 
 
 def with_pitch(context: Context, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
@@ -70,15 +78,16 @@ def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_an
     """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
     verdict = judge(estimate, parameters, critical_angle)
-    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    left = clearance(estimate.angle, abs(estimate.across) + pitch_shift(estimate, parameters), gap, length)
-    sigma = clearance_stddev(estimate, gap, length)
+    least = [
+        least_clearance(estimate, parameters, sigmas) - parameters.clearance_min
+        for sigmas in (0.0, parameters.clearance_sigmas, parameters.clearance_sigmas_sure)
+    ]
     context.decide(
         "verdict",
         verdict.value,
-        clearance_m=left,
-        margin_3_sigma_m=left - parameters.clearance_sigmas * sigma - parameters.clearance_min,
-        margin_6_sigma_m=left - parameters.clearance_sigmas_sure * sigma - parameters.clearance_min,
+        clearance_m=least[0] + parameters.clearance_min,
+        margin_3_sigma_m=least[1],
+        margin_6_sigma_m=least[2],
     )
     return verdict
 

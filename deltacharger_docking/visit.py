@@ -17,6 +17,8 @@ from deltacharger_docking.goals import GoalDesk
 from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.touch import Target
 
+_DOUBTS_MAX = 3
+
 
 class TargetVisit:
     """One target, from its first goal until the electrodes leave it.
@@ -30,9 +32,10 @@ class TargetVisit:
         self._desk = desk
         self._goal = goal  # the first one
         limit = goal.critical_angle or context.parameters.critical_angle
-        self._order = Order(goal, limit, desk.started)
+        self._order = Order(goal, limit, context.started)
         self._target = Target(context, limit)
         self._is_new = False  # a further goal has not been handled yet
+        self._doubts = 0  # measurements that did not last
         self.supervising = False
 
     def take(self, goal: DockGoal) -> DockingError | None:
@@ -86,7 +89,7 @@ class TargetVisit:
     def _dock(self) -> Script[None]:
         context = self._context
         context.status.aligned, context.status.estimate = False, None
-        context.status.alignments = context.status.redockings = 0
+        context.status.alignments = context.status.redockings = self._doubts = 0
         self._target = Target(context, self._order.critical_angle)
         yield from dock(context, self._target, self._goal.electrodes, self._order.goal.start_charging)
 
@@ -109,8 +112,10 @@ class TargetVisit:
     def _charge(self) -> Script[None]:
         """Close the contactor, report success or hold the goal, supervise charging, and open it."""
         context, desk = self._context, self._desk
-        yield from self._measure_without_second_sources()
-        yield from energise(context)
+        begun = context.time
+        yield from self._measure_until_sure(begun)
+        while not (yield from energise(context)):
+            yield from self._measure_until_sure(begun)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
         if not self._order.goal.hold:
@@ -122,15 +127,28 @@ class TargetVisit:
         if not self._is_new:
             desk.succeed(reason)
 
-    def _measure_without_second_sources(self) -> Script[None]:
-        while self._context.doubtful:
-            yield from wait_for_single_sources(self._context)
+    def _measure_until_sure(self, begun: float) -> Script[None]:
+        """Measure again until nothing casts doubt on the last measurement; sources are awaited from `begun` (s) on.
+
+        Raises:
+            NoContact: no measurement lasted until the contactor could close.
+            DuplicateSource: a second source does not disappear.
+        """
+        context = self._context
+        while context.doubtful or context.doubt:
+            if context.doubtful:
+                yield from wait_for_single_sources(context, begun)
+            else:
+                self._doubts += 1
+                context.decide("doubt", context.doubt, times=self._doubts)
+            if self._doubts > _DOUBTS_MAX:
+                raise NoContact(f"no measurement lasted until the contactor could close: {context.doubt}")
             yield from self._measure_again()
 
     def _stay_live(self) -> Script[None]:
         """Stay docked while charge current is not measured; leave the target on a stop condition."""
         context, order, desk = self._context, self._order, self._desk
-        yield from self._measure_without_second_sources()
+        yield from self._measure_until_sure(context.time)
         context.enter(State.IDLE, math.inf)
         if not order.goal.hold:
             desk.succeed(wired.DOCKED, wired.DOCKED)
@@ -141,7 +159,7 @@ class TargetVisit:
         desk.succeed(reason, f"{reason}; {wired.PARTED}")
 
     def _stay(self) -> Script[bool]:
-        """Stay docked without current; return True for a further goal, False after the torque went off."""
+        """Stay docked without current; return whether a goal follows, not a torque that went off or `hold_max`."""
         context, order, desk = self._context, self._order, self._desk
         context.enter(State.IDLE, math.inf)
         while not self._is_new:
@@ -155,5 +173,9 @@ class TargetVisit:
             if desk.is_open and reason:
                 context.decide("stop", reason)
                 desk.succeed(reason)
+            if order.is_over(context):
+                self.supervising = False
+                yield from wired.part(context)
+                return False
             yield NEXT
         return True

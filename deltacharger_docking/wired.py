@@ -14,8 +14,8 @@ from deltacharger_core.script import Script
 from deltacharger_docking.charging import Order, clearance_checks
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, State, TactileStale
-from deltacharger_docking.context import Context
-from deltacharger_docking.energy import Watch, wait_for_single_sources
+from deltacharger_docking.context import Context, Live
+from deltacharger_docking.energy import wait_for_single_sources
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
 from deltacharger_docking.touch import Target, record_verdict, rolled_too_far, with_pitch
@@ -34,7 +34,7 @@ def stay_away(context: Context) -> Script[None]:
         DuplicateSource: there is still one after duplicate_source_timeout.
     """
     if context.observation.duplicate_sources:
-        yield from wait_for_single_sources(context, State.APPROACH)
+        yield from wait_for_single_sources(context, context.time, State.APPROACH)
 
 
 def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
@@ -72,11 +72,8 @@ def watch(context: Context, order: Order, target: Target) -> Script[str]:
     Raises:
         DockingError: the problem; the caller retracts.
     """
-    watching, checks = Watch(context), clearance_checks(context, order, target)
+    checks, context.closing = clearance_checks(context, order, target), Live(context.time)
     while True:
-        problem = watching.problem_unmeasured()
-        if problem is not None:
-            raise problem
         if reason := order.is_met(context):
             context.decide("stop", reason, time_s=context.time - order.since)
             return reason

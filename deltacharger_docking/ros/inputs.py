@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS, STRAYS
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_ros.clock import ClockWatch
@@ -24,9 +24,16 @@ from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
-from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
+from deltacharger_ros.refusals import (
+    AHEAD,
+    ANOTHER_CLOCK,
+    MessageRefused,
+    Refusals,
+    check_ahead,
+    stamp_and_sequence,
+    stamp_seconds,
+)
 
-_ANOTHER_CLOCK = 1e6  # s; a stamp this old, or this far ahead, is from another clock
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
 _FRAME_MAX = 16_384  # bytes; a tactile frame has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
@@ -56,6 +63,7 @@ class Heard:
         self._watch = ClockWatch(clock)
         self._frame_check = FrameCheck()
         self._latest: dict[type[Any], Any] = {}  # the latest message of each type
+        self._taxels = np.zeros((PADS, ROWS, COLUMNS))  # N, of the latest frame
         self._ahead: dict[type[Any], float] = {}  # how far the latest stamp is ahead of this node's clock, s
         self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
 
@@ -100,6 +108,8 @@ class Heard:
         except MessageRefused as refusal:
             self.refused.add(_NAMES[kind], str(refusal))
             return
+        if kind is TactileFrame:
+            self._taxels = np.array((message.left, message.right), np.float64).reshape(-1, ROWS, COLUMNS)
         if kind is not ServoState or all(message.valid):
             self._measured[kind] = instant - max(now - stamp, 0.0)
         self._latest[kind] = message
@@ -130,10 +140,14 @@ class Heard:
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
                 thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
-                stopped="; ".join(f"servo {index} {_stray(why)}" for index, why in enumerate(servo.stray, 1) if why),
+                stopped=in_words(servo.stray),
             )
         if tactile is not None:
-            values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
+            values.update(
+                tactile_contact=bool(np.fmax.reduce(self._taxels, axis=None) >= CONTACT_FORCE),
+                tared=tactile.tared,
+                taxels=self._taxels if tactile.tared else None,
+            )
         if power is not None:
             values.update(
                 contactor_closed=power.contactor_closed,
@@ -153,7 +167,7 @@ class Heard:
     def _other_clock(self, now: float) -> str:
         """Return which topic is stamped by another clock; '' = none."""
         for kind, measured in self._measured.items():
-            if _ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > _ANOTHER_CLOCK:
+            if ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > ANOTHER_CLOCK:
                 return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
         return ""
 
@@ -241,10 +255,6 @@ def _in_order(message: ServoState) -> ServoState:
     )
 
 
-def _stray(why: int) -> str:
-    return STRAYS.get(why, f"strays, for reason {why}")
-
-
 def _two_pads(message: TactileFrame) -> TactileFrame:
     sizes = (message.rows, message.columns, len(message.left), len(message.right))
     if sizes != (ROWS, COLUMNS, ROWS * COLUMNS, ROWS * COLUMNS):
@@ -256,7 +266,3 @@ def _two_pads(message: TactileFrame) -> TactileFrame:
 
 _CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads}
 _NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower), SOURCES, strict=False))
-
-
-def _touches(frame: TactileFrame) -> bool:
-    return any(float(np.nanmax(np.asarray(pad), initial=0.0)) >= CONTACT_FORCE for pad in (frame.left, frame.right))

@@ -33,6 +33,7 @@ from deltacharger_docking import (
     release,
     standoff,
     touch,
+    watch,
     wired,
 )
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
@@ -40,7 +41,9 @@ from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.frame_check import FrameCheck
+from deltacharger_driver import orders
 from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
+from deltacharger_driver.emulators import detectors
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.errors import DriverError
@@ -162,20 +165,29 @@ def scene(**changes: Any) -> context.Context:
 
 
 def may_close(**changes: Any) -> bool:
-    return energy.Watch(scene(**changes)).reason_not_to_close() is None
+    return watch.reason_not_to_close(scene(**changes)) is None
 
 
 def stays_closed(seen: Observation | None = None, **changes: Any) -> bool:
     live = {"contactor_closed": True, "charge_current": 5.0}
-    shared = scene(**live)
-    watch = energy.Watch(shared)
-    assert watch.problem() is None
-    shared.observe(replace(seen or pressing(), **{"time": 0.2} | live | changes))
-    return watch.problem() is None
+    return watched(scene(**live), replace(seen or pressing(), **{"time": 0.2} | live | changes))
+
+
+def watched(shared: context.Context, seen: Observation) -> bool:
+    """Return whether live electrodes stay where they were measured in pressing()."""
+    shared.enter(State.CHARGING, INF)
+    shared.closing = context.Live(0.0)
+    shared.evidence.keep(shared.position, 0.003)
+    watches = watch.Watches(shared)
+    assert watches.problem() is None
+    shared.observe(seen)
+    return watches.problem() is None
 
 
 def touches_live(**changes: Any) -> bool:
-    return energy.Watch(scene(**changes)).problem_unmeasured() is None
+    shared = context.Context(replace(PARAMETERS, power="none"), DeltaGeometry())
+    shared.observe(pressing())
+    return watched(shared, replace(pressing(), **changes))
 
 
 def has_battery(battery_voltage: float) -> bool:
@@ -195,7 +207,8 @@ def continues(state: State = State.MEASURE, seen: Observation | None = None, lea
     docking = machine.DockingMachine(PARAMETERS)
     docking.start(script, pressing())  # type: ignore[arg-type]
     docking.step(pressing())
-    docking.step(replace(seen or pressing(), **{"time": 0.2} | changes))
+    for time in (0.14, 0.2):  # what pushes too hard is read more than once
+        docking.step(replace(seen or pressing(), **{"time": time} | changes))
     return docking.status.code is Code.NONE
 
 
@@ -434,7 +447,8 @@ def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_ag
 
 
 def stage(resistance: float = 25.0, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
-    found = SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: (26.0, 24.0, 5.0, closed, fault))
+    reading = 26.0, 24.0, 5.0 if closed else 0.0, closed, fault
+    found = SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: reading)
     found.close_contactor, found.open_contactor = lambda: None, lambda ramp: None
     return found
 
@@ -458,6 +472,29 @@ def board_holds(silence: float, fault: int = 0) -> bool:
     power._plant = stage(closed=True, fault=fault)
     power.poll(10.0 + silence)
     return power.closed and power.fault == 0
+
+
+def keeps(seconds: float = 5.1, **reading: Any) -> bool:
+    """Return whether the emulated board keeps its contactor closed for so long on this reading."""
+    watch = detectors.Detectors()
+    watch.close()
+    power = payloads.Power(26.0, 24.0, 5.0, True, 0)
+    for at in np.arange(0.0, seconds, 0.001):
+        if watch.fault(at, power) or not watch.seen_closed:
+            return False
+        power = power._replace(**reading)
+    return True
+
+
+def clears_weld(**reading: Any) -> bool:
+    return not payloads.weld_problem(payloads.Power(26.0, NAN, 0.0, False, 7)._replace(**reading))
+
+
+def finds_open(current: float = 0.0, closed: bool = False, after: float = 0.051) -> bool:
+    watch = detectors.Detectors()
+    watch.close()
+    watch.open(0.0, ramp=False)
+    return not watch.fault(after, payloads.Power(26.0, 24.0, current, closed, 0))
 
 
 def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
@@ -512,6 +549,23 @@ BOARD = (
     *fields(board_closes, False, (True,), "closed"),
     *fields(board_holds, 0.094, (0.096, INF), "silence"),
     Limit("detectors, s", lambda v: board_holds(v, fault=9), 0.009, 0.011, ()),
+    *fields(keeps, 19.9, (20.1, -0.51, 0.04, NAN), "charge_current"),
+    *fields(keeps, 10.1, (9.9, 1.9, -0.1, NAN), "target_voltage"),
+    *fields(keeps, 29.9, (30.1,), "target_voltage"),
+    *fields(keeps, 22.71, (22.69, NAN), "battery_voltage"),
+    *fields(keeps, 29.79, (29.81,), "battery_voltage"),
+    Limit("bounce, s", lambda v: keeps(v, contactor_closed=False), 0.02, 0.023, ()),
+    Limit("lost current, s", lambda v: keeps(v, charge_current=0.04), 0.05, 0.053, ()),
+    Limit("unknown current, s", lambda v: keeps(v, charge_current=NAN), 0.1, 0.103, ()),
+    Limit("wrong target, s", lambda v: keeps(v, target_voltage=9.9), 0.1, 0.103, ()),
+    Limit("high battery, s", lambda v: keeps(v, battery_voltage=29.9), 0.1, 0.103, ()),
+    Limit("low battery, s", lambda v: keeps(v, battery_voltage=22.6), 5.0, 5.003, ()),
+    *fields(finds_open, 0.49, (0.51, -0.51), "current"),
+    *fields(finds_open, False, (True,), "closed"),
+    Limit("contacts open, s", lambda v: finds_open(closed=True, after=v), 0.049, 0.051, ()),
+    *fields(clears_weld, 0.49, (0.51, -0.51, NAN), "charge_current"),
+    *fields(clears_weld, 4.9, (5.1, -5.1, INF), "target_voltage"),
+    *fields(clears_weld, False, (True,), "contactor_closed"),
     *fields(feeds, 19.9, (20.1,), "current"),
     *fields(feeds, 10.1, (9.9, -24.0), "target_voltage"),
     *fields(feeds, 29.9, (30.1,), "target_voltage"),
@@ -567,6 +621,7 @@ SERVOS = (
     *fields(follows, 3.99, (4.01, -0.01, NAN, INF), "torque"),
     *fields(follows, 1000, (1001,), "points"),
     *fields(follows, 0.49, (0.51, -0.51, NAN, INF), "age"),
+    Limit("order, s", lambda v: not orders.late(v), 1.99, 2.01, (NAN, INF)),
     *fields(measures, 1, (2,), "torque"),
     *fields(measures, 2047, (2048, -2048), "current"),
     *fields(measures, 40, (39, 0), "voltage"),

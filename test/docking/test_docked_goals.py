@@ -6,6 +6,7 @@ No attack leaves current on, an arm stuck or an endless goal.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -155,6 +156,41 @@ def test_holding_lasts_until_its_time_even_beyond_the_time_to_dock(start_chargin
     assert outcome.success
     assert outcome.elapsed >= 14.0
     assert run.machine.status.docked
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [CONTACT_ONLY, DockGoal(GOAL, start_charging=False, hold=True, stop_energy=9.0), DockGoal(GOAL, hold=True)],
+    ids=["no client", "nothing to count", "held while charging"],
+)
+def test_a_rest_ends_after_hold_max_with_or_without_a_client(goal: DockGoal) -> None:
+    run = quick_charger(parameters={"hold_max": 2.0}, coarse=True)
+    assert run.dock(goal).success
+    run.until(lambda: not run.machine.busy and run.machine.status.state is State.IDLE and not run._torque, 6.0)
+    assert ("hold_max" in run.outcome.message) is goal.hold  # type: ignore[union-attr]
+    assert not run.machine.status.docked
+    assert run.machine.status.code is Code.NONE
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize("period", [10**6, 12], ids=["one gap", "gaps with good samples between"])
+def test_energy_that_was_not_all_measured_is_unknown_and_never_more_than_ordered(period: int) -> None:
+    run = quick_charger()
+    run.begin(DockGoal(GOAL, hold=True, stop_energy=1000.0))
+    run.until(lambda: run.machine.status.charging, 60.0)
+    ticks = itertools.count()
+    run.distort = lambda seen: replace(seen, target_voltage=math.nan) if next(ticks) % period < 8 else seen
+    delivered, before = 0.0, run.now
+    while run.outcome is None and run.now < before + 10.0:
+        now = run.now
+        run.tick()
+        _, volts, amperes, closed, _ = run.plant.read_power()
+        delivered += volts * amperes * (run.now - now) if closed else 0.0
+    assert run.outcome is not None
+    assert run.outcome.success, run.outcome.message
+    assert "at most" in run.outcome.message
+    assert math.isnan(run.outcome.energy)
+    assert 100.0 < delivered < 1000.0
 
 
 @pytest.mark.parametrize("hold", [True, False])
@@ -498,6 +534,16 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) 
     assert run.machine.status.duplicate_sources == NAMES
     assert run.world.record.energised == 0.0
     until_idle(run)
+
+
+def test_a_second_source_that_comes_and_goes_counts_like_one_that_stays() -> None:
+    run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
+    reach(run, State.MEASURE)
+    run.distort = lambda seen: replace(seen, duplicate_sources=NAMES if int(9.2 * seen.time) % 2 else "")
+    outcome = run.finish(20.0)
+    assert outcome.code is Code.DUPLICATE_SOURCE
+    assert NAMES in outcome.message
+    assert not outcome.aligned, "no failed goal says so"
 
 
 @pytest.mark.parametrize("begins", [rest(State.CONTACT), State.MEASURE])

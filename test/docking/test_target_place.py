@@ -67,6 +67,28 @@ def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camer
     assert abs(felt.horizontal) > 3.0 * abs(estimate.horizontal)
 
 
+@pytest.mark.parametrize("factor", [0.35, 1.0, 1.8], ids=["follows more", "as configured", "follows less"])
+def test_contacts_on_a_platform_of_unknown_share_do_not_make_a_seen_yaw_worse(factor: float) -> None:
+    """The camera errs by half a degree, its standard deviation."""
+    place = target_place(DockingParameters(yaw_stddev=3.0 * DEGREE), seen(2.5, 0.5))
+    for aside in (0.0, 0.006, -0.006, 0.0):
+        felt = contact(aside, 2.0 * factor)
+        place.add(felt, -aside, 0.0, PUSH)
+    estimate = place.combined(felt)
+    assert abs(estimate.yaw - 2.0 * DEGREE) < 0.6 * DEGREE
+    assert abs(estimate.yaw - 2.0 * DEGREE) < 2.0 * estimate.yaw_stddev
+
+
+def test_a_known_pitch_widens_the_error_of_the_vertical_offset() -> None:
+    """The pads read 8 mm per rad of it, in campaigns with leaning faces."""
+    place, felt = target_place(PARAMETERS, seen()), contact(0.0)
+    place.add(felt, 0.0, 0.0, PUSH)
+    level = place.combined(felt)
+    pitched = place.combined(replace(felt, pitch=4.0 * DEGREE, pitch_stddev=0.5 * DEGREE))
+    assert pitched.vertical == level.vertical
+    assert math.sqrt(pitched.vertical_stddev**2 - level.vertical_stddev**2) == pytest.approx(0.6e-3, rel=0.05)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 def test_how_far_magnets_drew_the_platform_shows_the_target_also_if_they_reach_less_or_farther(share: float) -> None:
     target, blind, place = 5.0 * MILLIMETRE, target_place(PARAMETERS, seen()), target_place(PARAMETERS, seen())

@@ -66,7 +66,7 @@ INPUTS = {
         opens=0.15,
     ),
     "lost push": Input({State.CHARGING: Code.NO_CONTACT}, shown={"currents": (0.0, 0.0, 0.0)}, opens=0.25),
-    "late frames": Input(_ends(_PADS, _PADS), shown={"tactile_age": 5.0}),
+    "late frames": Input(_ends(_PADS, _PADS, _PADS), shown={"tactile_age": 5.0}, opens=0.15),
     "late power": Input(_ends(_POWER, _POWER, _POWER, Code.CONTACTOR_WELDED), shown={"power_age": 5.0}, opens=0.15),
     "trip": Input(_ends(*[Code.OVERCURRENT] * 3), shown={"power_fault": 9}, opens=0.15),
 }

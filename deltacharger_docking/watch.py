@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is watched, in which phase: who notices, in what time, with which code.
+
+docs/docking.md prints `WATCHES`. Docking asks its rows in every tick, before its script goes on, a cause before its
+consequences: servo_node opens the contactor if a servo fails, so the servos come before the power stage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from deltacharger_docking.codes import (
+    POWER_FAULTS,
+    SILENT_SERVOS,
+    Astray,
+    ChargeOvercurrent,
+    Code,
+    ContactorWelded,
+    DockingError,
+    DuplicateSource,
+    NoChargeCurrent,
+    NoContact,
+    NoTactileContact,
+    Overcurrent,
+    PowerStale,
+    ReverseCurrent,
+    ReversePolarity,
+    ServoFailure,
+    State,
+    TactileStale,
+    VoltageOutOfRange,
+)
+from deltacharger_docking.context import Context, Live
+
+WELD = 7  # ChargerPower.FAULT_CONTACTOR_WELDED
+_OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
+_BESIDE = 0.030  # m beside its line; faultless dockings 14 at most, with worn gears
+_LEAD_MAX = 0.003  # m that the command may lead the platform beyond what is explained
+_PUSHED = 0.05  # s that the readings of a push must span
+_VOLTAGE_TIME, _SAG_TIME = 0.1, 5.0  # s that a voltage may be off; that load may pull the charger's battery down
+DEAD = 5.0  # V that electrodes in free air may have: snubbers and dividers leak
+FADED, SURE = 1.0, 0.5  # s after an opening, until capacitors are empty; s of a voltage that is no spike
+
+
+class Watches:
+    """Looks at every input of docking, in every tick.
+
+    Args:
+        context: of docking.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._outside = math.inf  # m beyond the box at most since the torque is on
+        self._looked = -math.inf  # s, at the electrodes in free air
+        self._dead = -math.inf  # s, when electrodes in free air last had no voltage, or were not in free air
+        self._free = -math.inf  # s, since when they have been in free air with the contactor open
+
+    def problem(self, interruptible: bool = True) -> DockingError | None:
+        """Return why the script must end now, if anything; on the way back only what forbids to move on."""
+        state = self._context.status.state
+        for row in WATCHES:
+            if row.look is None or state not in row.phases or not (interruptible or row.halts):
+                continue
+            if (problem := row.look(self)) is not None:
+                return problem
+        return None
+
+    def _astray(self) -> DockingError | None:
+        context = self._context
+        seen, geometry = context.observation, context.kinematics.geometry
+        if seen.stopped:
+            return Astray(f"servo_node stopped the arm: {seen.stopped}")
+        box = zip(geometry.workspace_min, context.position, geometry.workspace_max, strict=True)
+        outside = max(0.0, *(max(low - p, p - high) for low, p, high in box))  # a limp arm may hang there
+        known, self._outside = self._outside, min(self._outside, outside) if seen.torque_enabled else outside
+        if seen.torque_enabled and (beside := context.beside) > _BESIDE:
+            goals = context.kinematics.inverse(*context.sent)
+            errors = [abs(goal - angle) for goal, angle in zip(goals, context.angles, strict=True)]
+            return Astray(
+                f"the arm is {1000 * beside:.0f} mm beside its line, servo {errors.index(max(errors)) + 1} farthest "
+                "from its goal: look for what blocks or drags it, and at its horn, gear and cable"
+            )
+        if not seen.torque_enabled or not outside > known + _OUTSIDE:
+            return None
+        x, y, z = (1000.0 * value for value in context.position)
+        return Astray(
+            f"the arm is at ({x:.0f}, {y:.0f}, {z:.0f}) mm, outside its workspace: look at its horns, rods and "
+            "zero_ticks, and at what drags it"
+        )
+
+    def _unordered(self) -> DockingError | None:
+        """A contactor that was seen open is closed, carries current or is reported as welded, without an order."""
+        context = self._context
+        if not context.opened or context.parameters.always_live or not is_closed(context):
+            return None
+        return welded(context)
+
+    def _live_in_air(self) -> DockingError | None:
+        context, seen = self._context, self._context.observation
+        now, before, self._looked = context.time, self._looked, context.time
+        unlooked = now - before > SURE  # in other phases
+        if context.parameters.always_live or not context.opened or not context.is_free or unlooked:
+            self._free = self._dead = now
+        elif not seen.target_voltage > DEAD or now - self._free < FADED:
+            self._dead = now
+        if now - self._dead < SURE:
+            return None
+        return ContactorWelded(
+            f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open, so it is "
+            "welded: switch the charger's battery off and replace the contactor"
+        )
+
+    def _servos_silent(self) -> DockingError | None:
+        age = self._context.observation.servo_age
+        if self._is_missing(age, self._context.parameters.servo_age_max):
+            return ServoFailure(f"servo_state is {age:.1f} s old; {SILENT_SERVOS}")
+        return None
+
+    def _hardware_error(self) -> DockingError | None:
+        bits = self._context.observation.hardware_error
+        if not bits:
+            return None
+        return ServoFailure(f"a servo reports hardware error {bits:#04x}; remove the cause, then call reboot_servos")
+
+    def _torque_lost(self) -> DockingError | None:
+        context, state = self._context, self._context.status.state
+        moves = context.lets_go or context.feed.is_under_way(context.time)
+        needed = moves or context.closing is not None or state in (*_TOUCHING, State.ENERGISE)
+        if context.observation.torque_enabled or not needed:
+            return None
+        return ServoFailure("the servos lost their torque; see servo_node's diagnostics")
+
+    def _pushes_too_hard(self) -> DockingError | None:
+        context, most = self._context, self._context.parameters.hard_current
+        if context.lets_go or context.contact.span < _PUSHED or not context.contact.value > most:
+            return None
+        return Overcurrent(
+            f"contact current is {context.contact.value:.2f} A, above {most} A{context.springs.contradiction}"
+        )
+
+    def _does_not_follow(self) -> DockingError | None:
+        if not (lead := self._context.unexplained_lead) > _LEAD_MAX:
+            return None
+        return ServoFailure(
+            f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
+            "look for an obstacle, a cable that drags, or a servo that slips"
+        )
+
+    def _pads_silent(self) -> DockingError | None:
+        context, age = self._context, self._context.observation.tactile_age
+        if not self._is_missing(age, context.parameters.tactile_age_max):
+            return None
+        if context.status.state in LIVE and context.closing is None:
+            return None
+        return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+
+    def _is_missing(self, age: float, oldest: float) -> bool:
+        """Return whether data of this age (s) end the goal; nodes that have just started get `first_data_timeout`.
+
+        A node counts as starting if none of its data was measured since the goal began, even if earlier data arrived.
+        """
+        context = self._context
+        since = context.time - context.started
+        starting = age > since and context.status.state in _BEFORE_MOVING
+        return age > oldest and not (starting and since < context.parameters.first_data_timeout)
+
+    def _paused(self) -> DockingError | None:
+        context, pause = self._context, self._context.pause
+        if context.closing is None:
+            return None
+        context.closing.was_closed |= context.observation.contactor_closed
+        if not pause > context.parameters.pause_max:
+            return None
+        return PowerStale(
+            f"docking itself was suspended for {pause:.1f} s while the electrodes were live; check what else this "
+            "computer runs"
+        )
+
+    def _fault(self) -> DockingError | None:
+        fault = self._context.observation.power_fault
+        if self._context.closing is None or not fault:
+            return None
+        kind, words = POWER_FAULTS.get(fault, (PowerStale, f"fault {fault}"))
+        return kind(f"the power stage opened the contactor: {words}")
+
+    def _servos(self) -> DockingError | None:
+        return None if self._context.closing is None else servo_problem(self._context)
+
+    def _power(self) -> DockingError | None:
+        context, live = self._context, self._context.closing
+        if live is None or context.parameters.always_live:
+            return None
+        observation, parameters, refusal = (
+            context.observation,
+            context.parameters,
+            context.observation.contactor_refusal,
+        )
+        if observation.power_age > parameters.power_age_max:
+            return _power_silent()
+        if refusal and not live.was_closed:
+            return NoChargeCurrent(f"the contactor was not closed: {refusal}")
+        if refusal or live.refused:
+            return self._refusal(live, refusal)
+        if live.was_closed and not observation.contactor_closed:
+            return PowerStale("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
+        if live.was_closed and not math.isfinite(observation.charge_current):
+            return PowerStale("the charge current is no longer measured; check the power stage")
+        if observation.charge_current < -parameters.zero_current:
+            flow = f"{observation.charge_current:.1f} A flow out of the target"
+            return ReverseCurrent(f"{flow}; have its charging input checked")
+        if observation.charge_current > parameters.charge_current_max:
+            return ChargeOvercurrent(
+                f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A; have the "
+                "power stage's limiter checked"
+            )
+        return None
+
+    def _refusal(self, live: Live, refusal: str) -> DockingError | None:
+        """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
+        context = self._context
+        if not live.refused:
+            live.refused, live.refused_at = refusal, context.time
+            context.energise = False
+        if context.time - live.refused_at <= context.parameters.fault_delay:
+            return None
+        return PowerStale(f"the contactor's lease was not renewed: {live.refused}")
+
+    def _voltages(self) -> DockingError | None:
+        """A voltage that is unknown or off for longer than a spike; the charger's battery may sag under load."""
+        context, live = self._context, self._context.closing
+        if live is None or not live.was_closed:
+            return None
+        problems = {"battery": battery_problem(context), "target": target_problem(context)}
+        sags = context.observation.battery_voltage < context.parameters.battery_voltage_min
+        for name, problem in problems.items():
+            if problem is None:
+                live.sound[name] = context.time
+            elif context.time - live.sound[name] > (_SAG_TIME if sags and name == "battery" else _VOLTAGE_TIME):
+                return problem
+        return None
+
+    def _contact(self) -> DockingError | None:
+        context, parameters = self._context, self._context.parameters
+        if context.closing is None or context.observation.servo_age > parameters.press_age_max:
+            return None
+        if why := context.evidence_lost:
+            return NoContact(f"{why} while the electrodes were live; the target moved")
+        return None
+
+
+def is_closed(context: Context) -> bool:
+    """Return whether the last measurement shows a closed contactor, current, or a weld."""
+    seen = context.observation
+    flows = abs(seen.charge_current) >= context.parameters.zero_current
+    return seen.contactor_closed or flows or seen.power_fault == WELD
+
+
+def welded(context: Context) -> ContactorWelded:
+    """Return the error of a contactor that is closed, or may be, although it was ordered to open or never to close."""
+    observation, parameters = context.observation, context.parameters
+    if observation.power_age > parameters.power_age_max:
+        return ContactorWelded(
+            "charger_power is silent, so the contactor may still be closed; the arm stays on the target: check the "
+            "board's cable and tactile_node, or switch the charger's battery off"
+        )
+    if observation.power_fault == WELD and not observation.contactor_closed:
+        how = "the board reports a welded contactor"
+    else:
+        how = f"the contactor is closed without an order (charge current {observation.charge_current:.1f} A)"
+    reserve = observation.thermal_reserve
+    lasts = f"; the arm can hold the electrodes for {reserve:.0f} s" if math.isfinite(reserve) else ""
+    return ContactorWelded(f"{how}: switch the charger's battery off by hand and replace the contactor{lasts}")
+
+
+def reason_not_to_close(context: Context) -> DockingError | None:
+    """Return why the contactor must not close now."""
+    observation, parameters = context.observation, context.parameters
+    if observation.power_age > parameters.power_age_max:
+        return _power_silent()
+    if (unfit := battery_problem(context)) is not None:
+        return unfit
+    if observation.tactile_age > parameters.tactile_age_max:
+        return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+    if not observation.tactile_contact:
+        return NoTactileContact("the pads lost contact before the contactor was closed")
+    if observation.duplicate_sources:
+        return duplicate(observation.duplicate_sources)
+    return servo_problem(context)
+
+
+def servo_problem(context: Context) -> DockingError | None:
+    """Return why the servos must not hold live electrodes, if anything."""
+    observation = context.observation
+    if observation.servo_age > context.parameters.live_servo_age_max:
+        return ServoFailure(f"servo_state stopped while the electrodes were live; {SILENT_SERVOS}")
+    measured = (context.contact.value, *observation.angles, *observation.currents)  # contact.value lags: a median
+    if not all(map(math.isfinite, measured)):
+        return ServoFailure("the servos' currents or angles are no longer measured; check the servo bus")
+    if not observation.torque_enabled:
+        return ServoFailure("the servos lost their torque while electrodes were live; see servo_node's diagnostics")
+    if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
+        return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
+    return None
+
+
+def battery_problem(context: Context) -> DockingError | None:
+    """Return why the charger's own battery must not be connected to the electrodes, if anything."""
+    low, high = context.parameters.battery_voltage_min, context.parameters.battery_voltage_max
+    voltage = context.observation.battery_voltage
+    if not math.isfinite(voltage):
+        return PowerStale(
+            "the voltage of the charger's own battery is not measured, so nothing is energised; check the power "
+            "stage's plug and voltage divider, or set power to none if the electrodes are wired to the battery"
+        )
+    if low <= voltage <= high:
+        return None
+    cure = "charge it" if voltage < low else "check it and its charger"
+    return VoltageOutOfRange(
+        f"the charger's own battery has {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or check the voltage "
+        "divider"
+    )
+
+
+def target_problem(context: Context) -> DockingError | None:
+    """Return why the target's voltage forbids current, if it does."""
+    return voltage_problem(context, context.observation.target_voltage)
+
+
+def voltage_problem(context: Context, voltage: float) -> DockingError | None:
+    """Return why this voltage (V) of a target forbids current, if it does."""
+    low, high = context.parameters.target_voltage_min, context.parameters.target_voltage_max
+    if not math.isfinite(voltage):
+        return PowerStale("the target's voltage is not measured; check the power stage's voltage divider")
+    if voltage < 0.0:
+        return ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
+    if low <= voltage <= high:
+        return None
+    return VoltageOutOfRange(f"the target has {voltage:.1f} V; allowed are {low} to {high} V")
+
+
+def duplicate(names: str) -> DuplicateSource:
+    """Return the error of a second source."""
+    return DuplicateSource(
+        f"energising is refused because there is a second source: {names}; stop the second node, or give it its "
+        "own namespace or ROS_DOMAIN_ID"
+    )
+
+
+def _power_silent() -> PowerStale:
+    return PowerStale("charger_power stopped; check the board's cable and tactile_node")
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One sense in some phases: who notices that it is wrong, in what time, with which codes of docking.
+
+    Attributes:
+        sense: what is watched.
+        phases: in which.
+        who: the node, or the board.
+        within: time until the contactor opens or the arm stops, or when it is looked at.
+        codes: of the goal.
+        look: docking's own look; None = another node's, which docking hears of.
+        halts: whether it ends the way back too.
+    """
+
+    sense: str
+    phases: tuple[State, ...]
+    who: str
+    within: str
+    codes: tuple[Code, ...]
+    look: Callable[[Watches], DockingError | None] | None = None
+    halts: bool = False
+
+
+_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
+_TOUCHING = (State.CONTACT, State.MEASURE, State.ALIGN)
+LIVE = (State.ENERGISE, State.CHARGING, State.IDLE)  # IDLE: docked; live if the electrodes are wired to the battery
+_ALL = (*_BEFORE_MOVING, *_TOUCHING, *LIVE, State.RETRACT)
+_APART = (State.APPROACH, State.RETRACT)
+_UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
+_UNMEASURED = (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT)
+_POWER_CODES = tuple(dict.fromkeys(kind.code for kind, _ in POWER_FAULTS.values()))
+_SERVO, _PADS, _WELDED = (Code.SERVO_FAULT,), (Code.TACTILE_STALE,), (Code.CONTACTOR_WELDED,)
+_VOLTAGE = (Code.VOLTAGE_OUT_OF_RANGE, Code.POWER_STALE)
+
+WATCHES = (
+    Watched("place of the arm", _ALL, "servo_node", "0.1 s", _SERVO),
+    Watched("place of the arm", _ALL, "docking", "a cycle", _SERVO, Watches._astray, halts=True),
+    Watched("charge current", _ALL, "docking", "0.1 s", _WELDED, Watches._unordered, halts=True),
+    Watched("voltages", _APART, "docking", "1.5 s in free air", _WELDED, Watches._live_in_air, halts=True),
+    Watched("docking itself", LIVE, "docking", "1 s", (Code.POWER_STALE,), Watches._paused),
+    Watched("docking itself", LIVE, "tactile_node", "0.25 s, its lease", (Code.POWER_STALE,)),
+    Watched("docking itself", (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT), "docking", "the phase", (Code.TIMEOUT,)),
+    Watched("charge current", LIVE, "board", "2 ms", _POWER_CODES, Watches._fault),
+    Watched("servos", _ALL, "docking", "0.5 s", _SERVO, Watches._servos_silent),
+    Watched("servos", _ALL, "docking", "a cycle", _SERVO, Watches._hardware_error),
+    Watched("servos", LIVE, "docking", "0.2 s", _SERVO, Watches._servos),
+    Watched("push", _ALL, "docking", "0.06 s", (Code.OVERCURRENT,), Watches._pushes_too_hard),
+    Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _SERVO, Watches._does_not_follow),
+    Watched("pads", (State.APPROACH, *_TOUCHING, *LIVE), "docking", "0.5 s", _PADS, Watches._pads_silent),
+    Watched("pads", LIVE, "tactile_node", "0.1 s, no lease", (Code.POWER_STALE,)),
+    Watched("pads", (State.LOCATE,), "docking", "in APPROACH", _PADS),
+    Watched("pads", (State.RETRACT,), "docking", "at home", (Code.TARGET_ROLLS, Code.STUCK)),
+    Watched("servos", _UNDER_TORQUE, "docking", "a cycle", _SERVO, Watches._torque_lost, halts=True),
+    Watched("charge current", LIVE, "docking", "0.1 s", _POWER_CODES, Watches._power),
+    Watched("voltages", LIVE, "board", "0.1 s", _VOLTAGE),
+    Watched("voltages", LIVE, "docking", "0.15 s", _VOLTAGE, Watches._voltages),
+    Watched("voltages", (State.LOCATE, *_TOUCHING), "docking", "by the probe", _VOLTAGE),
+    Watched("pattern on the pads", LIVE, "docking", "a frame", (Code.NO_CONTACT,), Watches._contact),
+    Watched("pattern on the pads", LIVE, "docking", "2 checks", (Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE)),
+    Watched("pattern on the pads", _UNMEASURED, "docking", "in MEASURE", (Code.ESTIMATE_UNSURE,)),
+    Watched("second sources", _ALL, "docking", "before closing", (Code.DUPLICATE_SOURCE,)),
+)
+"""In this order; docs/docking.md prints it."""

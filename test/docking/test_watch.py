@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking watches, in virtual time: where the arm is, what a measurement rests on, and what is live.
+
+The table of watches has no empty cell, and docs/docking.md prints it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import Observation
+from deltacharger_docking.watch import WATCHES
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+from deltacharger_lab.pages.watches import BEGIN, END, PHASES, table
+from deltacharger_sim.parameters import ContactParameters, TargetParameters
+
+from ..marks import rest
+from .dockings import MILLIMETRE, charger, commands, decisions, docked, quick_charger, reach, spoil, until_open
+
+_WELD = {"power_fault": 7}
+_LIVE = {"contactor_closed": True, "charge_current": 8.0}
+SLIPPERY = ContactParameters(friction=0.02)
+MOST = 0.150  # s from an onset to the opening
+
+
+def test_every_sense_is_watched_in_every_phase_and_the_page_prints_it() -> None:
+    for sense in {row.sense for row in WATCHES}:
+        assert {state for row in WATCHES if row.sense == sense for state in row.phases} == {*PHASES}, sense
+    page = (Path(__file__).parents[2] / "docs" / "docking.md").read_text(encoding="utf-8")
+    assert page.partition(BEGIN)[2].partition(END)[0] == table()
+
+
+# Law 1: where the arm is.
+
+
+def outside(run: VirtualCharger) -> float:
+    """Return how far (m) the platform is outside its workspace."""
+    low, high = run.geometry.workspace_min, run.geometry.workspace_max
+    return max(max(a - p, p - b) for a, p, b in zip(low, run.world.snapshot().position, high, strict=True))
+
+
+@pytest.mark.parametrize("index", [rest(0), 1, rest(2)])
+@pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.ALIGN, rest(State.MEASURE), State.RETRACT])
+def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase: State, index: int) -> None:
+    run = quick_charger(8.0, 8.0)
+    if phase is State.RETRACT:
+        reach(run, State.CHARGING)
+        run.machine.start_undock("", run.observe())
+        run.until(lambda: run.machine.status.state is phase, 5.0)
+        run.until(lambda: not run.world.snapshot().contactor_closed, 5.0)
+    else:
+        reach(run, phase)
+    command, held = run.plant.command_servo, run._goal[index]
+
+    def deaf(servo: int, on: bool, goal: float, *more: float) -> None:
+        command(servo, on, held if servo == index else goal, *more)
+
+    run.plant.command_servo = deaf  # type: ignore[method-assign]
+    run.outcome, most = None, -math.inf
+    while run.outcome is None:
+        run.tick()
+        most = max(most, outside(run))
+    assert run.outcome.code is Code.SERVO_FAULT, run.outcome.message
+    assert f"servo {index + 1} is farther from its goal" in run.outcome.message
+    assert most < 5 * MILLIMETRE
+    assert not run.observe().torque_enabled
+
+
+def test_an_arm_outside_its_workspace_goes_limp_where_it_is() -> None:
+    run = quick_charger()
+    reach(run, State.CONTACT)
+    spoil(run, angles=ScalarDelta(run.geometry).inverse(0.0, 0.064, 0.06))
+    run.until(lambda: run.outcome is not None, 5.0)
+    assert run.outcome is not None
+    assert run.outcome.code is Code.SERVO_FAULT
+    assert "its workspace" in run.outcome.message or "beside its line" in run.outcome.message
+
+
+def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below() -> None:
+    run = quick_charger()
+    spoil(run, tactile_contact=True, tared=True)
+    outcome, most = run.undock(), outside(run)
+    assert outcome.code is Code.STUCK
+    assert "pads feel contact at home" in outcome.message
+    assert most < MILLIMETRE
+
+
+@pytest.mark.parametrize("phase", [State.MEASURE, State.ENERGISE, State.RETRACT])
+def test_lost_torque_is_noticed_in_every_phase(phase: State) -> None:
+    run = quick_charger()
+    if phase is State.RETRACT:
+        reach(run, State.CONTACT)
+        run.machine.cancel()
+    else:
+        reach(run, State.CONTACT)
+    run.until(lambda: run.machine.status.state is phase, 30.0)
+    run._torque = False
+    began = run.now
+    run.until(lambda: run.outcome is not None, 10.0)
+    assert "lost their torque" in run.machine.status.message
+    assert run.now - began < 1.0
+
+
+# Law 2: zero is measured in free air, and a push is heard by two senses.
+
+
+@pytest.mark.parametrize("nearer", [10.0, 24.0, rest(40.0), 60.0])
+def test_a_target_nearer_than_told_is_charged_with_the_push_that_is_told(nearer: float) -> None:
+    place = TargetParameters()
+    run = charger(coarse=True, target=replace(place, x=0.003, z=place.z - nearer * MILLIMETRE))
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    assert outcome.contact_force_min <= run.world.snapshot().push <= outcome.contact_force_max
+    assert run.undock().success
+
+
+def test_live_electrodes_do_not_press_on_a_target_nearer_than_told() -> None:
+    place = TargetParameters()
+    run = charger(coarse=True, parameters={"power": "none"}, target=replace(place, z=place.z - 24 * MILLIMETRE))
+    outcome = run.dock()
+    assert outcome.code is Code.NO_CONTACT
+    assert "coordinates" in outcome.message
+
+
+@pytest.mark.parametrize("share", [0.0, rest(0.3)])
+@pytest.mark.parametrize("phase", [rest(State.APPROACH), State.CONTACT])
+def test_currents_that_lie_stop_the_push_that_the_pads_feel(phase: State, share: float) -> None:
+    run = charger(coarse=True)
+    reach(run, phase)
+    frozen = run.observe().currents
+
+    def lie(seen: Observation) -> Observation:
+        return replace(seen, earlier=(), currents=frozen if not share else tuple(share * i for i in seen.currents))
+
+    run.distort, most = lie, 0.0
+    while run.outcome is None:
+        run.tick()
+        most = max(most, run.world.snapshot().push if run.world.mechanics.contact_force else 0.0)
+    assert run.outcome.code is Code.SERVO_FAULT, run.outcome.message
+    assert most < 30.0
+
+
+# Law 3: evidence ends with its contact.
+
+
+def test_a_target_that_shifts_while_docking_awaits_the_probe_is_measured_again() -> None:
+    run = quick_charger(0.0, 0.0, 0.0, contact=SLIPPERY)
+    reach(run, State.ENERGISE)
+    found = commands(run)
+    run.world.move_target(0.0, 6 * MILLIMETRE, 0.0, 0.05)
+    run.until(lambda: run.outcome is not None, 60.0)
+    kinds = [each.kind for each in decisions(found)]
+    assert kinds.index("doubt") < kinds.index("measured") < kinds.index("close")
+    assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
+
+
+def test_a_target_that_never_rests_is_not_energised() -> None:
+    run = quick_charger(0.0, 0.0, 0.0, contact=SLIPPERY)
+    reach(run, State.ENERGISE)
+    ways = itertools.cycle((1, -1))
+    while run.outcome is None:
+        if run.machine.status.state is State.ENERGISE and not run.world.target_moves:
+            run.world.move_target(0.0, 6 * MILLIMETRE * next(ways), 0.0, 0.05)
+        run.tick()
+    assert run.outcome.code is Code.NO_CONTACT, run.outcome.message
+    assert "no measurement lasted" in run.outcome.message
+    assert run.world.record.energised == 0.0
+
+
+# Law 4: live is what is measured live.
+
+
+@pytest.mark.parametrize("shift", [(12.0, 0.0), (-12.0, 0.0), (0.0, 14.0), (0.0, -14.0)])
+def test_a_target_that_moves_on_the_pads_opens_before_a_short(shift: tuple[float, float]) -> None:
+    across, degrees = shift
+    run = docked(0.0, 0.0, 0.0, contact=SLIPPERY)
+    run.run(0.5)
+    run.world.move_target(0.0, across * MILLIMETRE, math.radians(degrees), 0.2)
+    assert until_open(run) < 0.2
+    run.run(0.1)
+    assert run.machine.status.code is Code.NO_CONTACT
+    assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
+
+
+def test_live_electrodes_whose_pads_measure_nothing_are_opened() -> None:
+    run = docked()
+    spoil(run, taxels=np.full((2, 10, 10), math.nan), tactile_contact=False)
+    assert until_open(run) == pytest.approx(0.5, abs=0.03)
+    assert run.machine.status.code is Code.TACTILE_STALE
+
+
+@pytest.mark.parametrize(
+    ("shown", "code", "least", "most"),
+    [
+        ({"battery_voltage": 15.0}, Code.VOLTAGE_OUT_OF_RANGE, 4.9, 5.1),
+        ({"battery_voltage": 35.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
+        ({"battery_voltage": math.nan}, Code.POWER_STALE, 0.1, MOST),
+        ({"target_voltage": 31.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
+        ({"target_voltage": 3.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
+        ({"target_voltage": -5.0}, Code.REVERSE_POLARITY, 0.1, MOST),
+        ({"target_voltage": math.nan}, Code.POWER_STALE, 0.1, MOST),
+    ],
+)
+def test_both_voltages_are_supervised_while_current_flows(
+    shown: dict[str, Any], code: Code, least: float, most: float
+) -> None:
+    run = docked()
+    spoil(run, **shown)
+    assert least <= until_open(run) <= most
+    assert run.machine.status.code is code
+
+
+@pytest.mark.parametrize("shown", [_WELD, _LIVE], ids=["welded", "current"])
+@pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN, rest(State.ENERGISE)])
+def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: State, shown: dict[str, Any]) -> None:
+    run = quick_charger(8.0, 8.0)
+    reach(run, phase)
+    spoil(run, **shown)
+    before = run.world.snapshot().position
+    run.until(lambda: run.outcome is not None, 5.0)
+    assert run.outcome is not None
+    assert run.outcome.code is Code.CONTACTOR_WELDED
+    still = phase in (State.CONTACT, State.MEASURE, State.ENERGISE)  # in ALIGN it pulls off already
+    assert not still or math.dist(before, run.world.snapshot().position) < 6 * MILLIMETRE
+
+
+def test_a_weld_found_while_charging_keeps_the_arm_on_the_target() -> None:
+    run = docked()
+    spoil(run, contactor_closed=False, charge_current=0.0, thermal_reserve=600.0, **_WELD)
+    run.until(lambda: run.machine.status.state is State.IDLE, 5.0)
+    assert run.machine.status.code is Code.CONTACTOR_WELDED
+    assert run.observe().torque_enabled
+    assert run.world.mechanics.contact_force > 0.0
+    assert run.world.record.parted_live == 0
+
+
+def test_a_latched_weld_lets_no_docking_begin() -> None:
+    run = quick_charger()
+    spoil(run, **_WELD)
+    outcome = run.dock()
+    assert outcome.code is Code.CONTACTOR_WELDED
+    assert run.world.record.contacts == 0
+    assert not run.observe().torque_enabled
+
+
+def test_a_voltage_of_electrodes_in_free_air_is_a_weld() -> None:
+    run = quick_charger()
+    spoil(run, target_voltage=25.0)
+    outcome = run.dock()
+    assert outcome.code is Code.CONTACTOR_WELDED
+    assert "touch nothing but have 25.0 V" in outcome.message
+    assert run.world.record.contacts == 0
+    assert not run.observe().torque_enabled
+
+
+def test_a_fault_at_the_start_of_undocking_is_its_outcome() -> None:
+    run = docked()
+    spoil(run, torque_enabled=False)
+    outcome = run.undock()
+    assert outcome.code is Code.SERVO_FAULT, outcome.message
+    assert not run.world.snapshot().contactor_closed
