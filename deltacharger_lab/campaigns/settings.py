@@ -20,7 +20,7 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
-    *("driver/errors.py", "driver/parameters.py"),
+    *("driver/errors.py", "driver/orders.py", "driver/parameters.py"),
     *(f"driver/servos/{name}.py" for name in ("joint_watch", "mx64", "snapshot", "trajectory")),
     *(
         f"lab/campaigns/{name}.py"

@@ -162,7 +162,7 @@ BOARD_ROWS = (
     Row("board_silent", LINK, ("no answer",), opens=0.45, shows="tactile_node"),
     Row("board_deaf", POWER, ("latched fault", "heartbeat lost"), opens=0.1),
     _tolerated("board_delay", LINK, "", 0.03),
-    Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late frames"),
+    Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late power"),
     Row("board_unplugged", LINK, ("/board",), opens=0.15, shows="tactile_node"),
     _tolerated("board_drop", LINK, "lost_tactile", 0.05),
     _tolerated("board_corrupt", LINK, "crc_errors", 0.05),
