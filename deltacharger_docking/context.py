@@ -67,7 +67,7 @@ class Live:
     def __init__(self, time: float) -> None:
         self.was_closed = False
         self.refused, self.refused_at = "", math.inf
-        self.sound = {"battery": time, "low": time, "target": time}  # s, when each was last as it should be
+        self.sound = {"battery": time, "target": time}  # s, when each was last as it should be
 
 
 class Context:

@@ -21,7 +21,7 @@ from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.release import rolls, take_off
 
 _YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
-_DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless dockings 12, on robots that swing
+_DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless 12, once 22 on a robot that swung
 _LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
 
