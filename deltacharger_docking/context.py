@@ -41,6 +41,7 @@ _SLOW = 0.01  # rad within the contact current's window
 _SURELY = 0.25  # of the configured stiffness, which a servo whose own is unknown has at least
 _NEARLY = 0.95  # of a servo's current bound
 REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) pull less than the push bound holds
+YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
 _HELD_MAX = 3.0  # s that the arm waits on its way for fresher data, as long as for nodes that start
 _SHOWN = 0.1  # s in which servo_state shows what servo_node has done
 _QUERIES = (Service.ESTIMATE, Service.DETECT)  # change nothing, however late they are answered
@@ -108,6 +109,7 @@ class Context:
         self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed
         self.lead: Vector = (0.0, 0.0, 0.0)  # m, by which friction and cable keep the platform from its command
         self.touched = self.felt = math.nan  # m, z where the pads began to touch, and where they last did
+        self._touches = False  # the pads touch, since `touched`
         self.lets_go = False  # the arm pulls off the magnets, or flies back from them
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known
         self.started = 0.0  # s, of the goal
@@ -163,9 +165,11 @@ class Context:
             observation = replace(
                 observation, tactile_age=age, tactile_contact=known.tactile_contact, taxels=known.taxels
             )
-        if observation.tactile_contact:
+        if observation.tactile_contact and observation.servo_age <= self.parameters.press_age_max:
             self.felt = self.position[2]
-            self.touched = self.touched if self.observation.tactile_contact else self.felt
+            self.touched = self.touched if self._touches else self.felt
+            self._touches = True
+        self._touches &= observation.tactile_contact
         self.observation = observation
         self._calls.receive(observation.replies)
         self._cross_off(observation.replies)

@@ -234,7 +234,7 @@ class DockingMachine:
         context, desk = self._context, self._desk
         first: DockingError | None = None
         while True:
-            self._interruptible, self._halted = True, False
+            self._interruptible, self._halted, self._watches = True, False, Watches(context)
             try:
                 yield from script()
                 return
@@ -245,7 +245,10 @@ class DockingMachine:
             if self._docking is not None and self._docking.supervising:
                 first = None  # the restart succeeded, so the earlier error no longer counts
             first = self._report(first, last)
-            home = yield from self._retract(last)
+            try:
+                home = yield from self._retract(last)
+            except ContactorWelded as error:  # whatever ended the goal, a person must come
+                first, home = error, False
             if not (home and restarts and last.restart_may_help) or desk.cancel_requested:
                 break
             restarts -= 1
@@ -283,11 +286,12 @@ class DockingMachine:
             return not (isinstance(why, Astray) or context.observation.hardware_error)
         except ContactorWelded as error:
             if status.code is not Code.CONTACTOR_WELDED:
-                status.message = f"{status.message}; then {error}"
+                status.code, status.message = error.code, f"{status.message}; then {error}"
             context.hold()  # moving live electrodes off the target would draw an arc
             self._halted = True
             if context.is_free:
                 yield from go_limp(context)
+            raise
         except DockingError as error:
             status.message = f"{status.message}; then {error}"
             held = status.docked or context.observation.tactile_contact

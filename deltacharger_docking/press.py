@@ -17,10 +17,9 @@ from deltacharger_docking.codes import (
     TactileStale,
     Unreachable,
 )
-from deltacharger_docking.context import Context, KnownContact
+from deltacharger_docking.context import YIELDS, Context, KnownContact
 from deltacharger_docking.release import rolls, take_off
 
-_YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
 _DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless 12, once 22 on a robot that swung
 _LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
@@ -278,7 +277,7 @@ def check_depth(context: Context, depth: float) -> None:
         TargetRolls: the target gives way.
         NoContact: there was no contact up to `depth`.
     """
-    if context.observation.tactile_contact and context.position[2] > context.touched + _YIELDS:
+    if context.observation.tactile_contact and context.position[2] > context.touched + YIELDS:
         way = 1000.0 * (context.position[2] - context.touched)
         raise rolls(context, f"it gives way by {way:.0f} mm to a push of {context.contact.force:.0f} N")
     if context.position[2] > depth:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.codes import DockingError, Stuck, TargetRolls
+from deltacharger_docking.codes import DockingError, Stuck, TactileStale, TargetRolls
 from deltacharger_docking.context import REACH, Context
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
@@ -30,6 +32,7 @@ def take_off(context: Context, z: float) -> Script[None]:
     Raises:
         Stuck: the platform did not move within the allowed time.
         TargetRolls: the target came along.
+        TactileStale: the pads repeat one frame.
         Unreachable: it was released where the arm has no way back; it holds there.
         ServoFailure: the position after release is unknown; it holds there.
     """
@@ -92,18 +95,19 @@ def _release(context: Context) -> Script[None]:
     free = (z if math.isnan(context.touched) else min(z, context.touched)) - _BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
-    begun, pushed = context.time, context.contact.value
+    begun, pushed, pattern = context.time, context.contact.value, context.observation.taxels
     parted = yield from _pull(context, first, parameters.push_current, _SET_BACK, z, rest)
     if context.position[2] > parted - REACH:
         most, seconds = parameters.release_current, parameters.release_time
         parted = yield from _pull(context, last, most, seconds, parted, rest)
     here = context.measured()
     if here[2] > parted - REACH:
-        raise (
-            _stuck(context)
-            if here[2] > z - _FOLLOWS
-            else rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
-        )
+        if here[2] > z - _FOLLOWS:
+            raise _stuck(context)
+        frame = context.observation.taxels
+        if pattern is not None and frame is not None and np.array_equal(pattern, frame, equal_nan=True):
+            raise TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
+        raise rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
     context.decide(
         "released",
         "the electrodes are released",

@@ -32,7 +32,7 @@ from deltacharger_docking.codes import (
     TactileStale,
     VoltageOutOfRange,
 )
-from deltacharger_docking.context import Context, Live
+from deltacharger_docking.context import YIELDS, Context, Live
 
 WELD = 7  # ChargerPower.FAULT_CONTACTOR_WELDED
 _OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
@@ -110,7 +110,7 @@ class Watches:
             return None
         return ContactorWelded(
             f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open, so it is "
-            "welded: switch the charger's battery off and replace the contactor"
+            "welded, or its voltage divider lies: switch the charger's battery off, and replace what is broken"
         )
 
     def _servos_silent(self) -> DockingError | None:
@@ -141,8 +141,16 @@ class Watches:
             f"contact current is {context.contact.value:.2f} A, above {most} A{context.springs.contradiction}"
         )
 
+    def _is_dragged(self) -> DockingError | None:
+        """The magnets of a target that moves away take along an arm that pulls back with its push bound."""
+        context = self._context
+        pulls = not context.lets_go and context.contact.value < -context.parameters.current_min
+        if not (pulls and (way := context.position[2] - context.touched) > YIELDS):
+            return None
+        return NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
+
     def _does_not_follow(self) -> DockingError | None:
-        if not (lead := self._context.unexplained_lead) > _LEAD_MAX:
+        if self._context.is_blind or not (lead := self._context.unexplained_lead) > _LEAD_MAX:
             return None
         return ServoFailure(
             f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
@@ -400,6 +408,7 @@ WATCHES = (
     Watched("servos", _ALL, "docking", "a cycle", _SERVO, Watches._hardware_error),
     Watched("servos", LIVE, "docking", "0.2 s", _SERVO, Watches._servos),
     Watched("push", _ALL, "docking", "0.06 s", (Code.OVERCURRENT,), Watches._pushes_too_hard),
+    Watched("push", _TOUCHING, "docking", "11 mm", (Code.NO_CONTACT,), Watches._is_dragged),
     Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _SERVO, Watches._does_not_follow),
     Watched("pads", (State.APPROACH, *_TOUCHING, *LIVE), "docking", "0.5 s", _PADS, Watches._pads_silent),
     Watched("pads", LIVE, "tactile_node", "0.1 s, no lease", (Code.POWER_STALE,)),

@@ -2,7 +2,8 @@
 """Whether each joint is where its goal is, and whether its goals are where it can follow. No ROS.
 
 A servo in mode 5 is a spring: k (goal − angle) = Kt I + d ω. What torque and speed explain is no error, whatever the
-torque: one that rises to its bound does not excuse a joint that stays behind.
+torque: one that rises to its bound does not excuse a joint that stays behind. An encoder that reads one and the same
+angle has less excuse: a joint that really stands has no lag, and one that runs away unseen must be stopped early.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from deltacharger_driver.servos.trajectory import Trajectory
 STOP_TIME = 0.5
 """s from "goal := present position" to torque off."""
 _SOFTER = 4.0  # times softer than by its gains a servo may be: nobody gives the gains' units in mode 5
-_FREE = 0.08  # rad of an error without torque
+_FREE, _FREE_STANDING = 0.08, 0.03  # rad of an error without torque; where the encoder reads the same as before
 _LATE = 0.03  # s that a goal may be older than the reading
 _LASTS = 0.1  # s that an error must last: docking moves its goals behind the arm for half of it before it pulls off
+_LASTS_STANDING = 0.06  # s
 _FEWEST = 4  # readings that it must last, so that no pause of this computer makes one
 
 
@@ -54,12 +56,16 @@ class JointWatch:
         """Start at these goals, rad."""
         count = len(self._settings.ids)
         self._goals, self._at = tuple(goals), math.nan
+        self._angles = [math.nan] * count  # rad, read before
         self._ahead = [0.0] * count  # rad that the goal has moved beyond what `JOINT_SPEED` allows
         self._since, self._readings, self.strays = [math.inf] * count, [0] * count, [0] * count
 
     def lead(self, torque: float) -> float:
         """Return how far (rad) a goal may lead a joint under `torque`, N·m."""
-        return _SOFTER * abs(torque) / self._stiffness + _FREE
+        return self._yields(torque) + _FREE
+
+    def _yields(self, torque: float) -> float:
+        return _SOFTER * abs(torque) / self._stiffness
 
     def follow(self, now: float, goals: Sequence[float]) -> None:
         """Take the goals (rad) at `now` (s)."""
@@ -125,11 +131,13 @@ class JointWatch:
         if angle < low or angle > high:
             return STRAY_OUTSIDE
         torque, error = self._constant * current + self._damping * rate, goal - angle
-        allowed = self.lead(torque) if error * torque > 0.0 else _FREE
-        if not abs(error) > allowed + _LATE * abs(rate):
+        stands, self._angles[index] = angle == self._angles[index], angle
+        free, seconds = (_FREE_STANDING, _LASTS_STANDING) if stands else (_FREE, _LASTS)
+        allowed = self._yields(torque) if error * torque > 0.0 else 0.0
+        if not abs(error) > free + allowed + _LATE * abs(rate):
             self._since[index], self._readings[index] = math.inf, 0
             return 0
         self._since[index] = min(self._since[index], self._at)
         self._readings[index] += 1
-        lasts = self._at - self._since[index] >= _LASTS and self._readings[index] >= _FEWEST
+        lasts = self._at - self._since[index] >= seconds and self._readings[index] >= _FEWEST
         return STRAY_BEHIND if lasts else 0

@@ -37,7 +37,8 @@ COLUMNS: dict[str, tuple[type, str]] = {
     "acted": (str, "names of those whose onset was reached"),
     "allowed": (str, "codes that it may end with"),
     "last_state": (str, "docking state in which the last outcome or the error came"),
-    "outside": (float, "m, farthest excursion of the platform from the workspace box"),
+    "outside": (float, "m, farthest excursion of the platform from the workspace box while a servo had torque"),
+    "outside_limp": (float, "m, where gravity and the target put a limp arm"),
     "push_over": (float, "s that the servos pushed harder than 1 A (hard_current) of each does there"),
     "closed_unmeasured": (int, "times that the contactor was ordered to close on a contact that was not measured"),
     "live_unsafe": (float, "s live while a bar lay on a wrong bar, later than a grace time after each onset"),
@@ -62,7 +63,7 @@ LAWS = {
     "outcome": "a goal had no outcome, or two",
     "code": "a code that its faults do not explain",
     "next": "with the faults gone the next goal failed, and no code asked for a person",
-    "box": "the platform was more than 5 mm outside its box",
+    "box": "the platform was more than 5 mm outside its box while a servo had torque",
     "push": "the servos pushed above their bound for more than 0.1 s",
     "unmeasured": "the contactor was ordered to close on a contact that was not measured",
     "clearance": "live without clearance, later than 0.15 s after the onset",
@@ -86,7 +87,7 @@ class WorldJudge:
     """
 
     def __init__(self) -> None:
-        numbers = ("outside", "push_over", "live_unsafe", "live_short", "live_apart")
+        numbers = ("outside", "outside_limp", "push_over", "live_unsafe", "live_short", "live_apart")
         self.found: dict[str, float] = dict.fromkeys((*numbers, "live_unsafe_all", "live_apart_all"), 0.0)
         self.found |= dict.fromkeys(("closed_unmeasured", "touched_live", "left_live", "probed_live"), 0)
         self.excuses: list[tuple[float, float]] = []
@@ -96,11 +97,12 @@ class WorldJudge:
         self._current = 0.0
         self._lies: tuple[Pose, bool, bool] | None = None
 
-    def look(self, world: World, dt: float) -> None:
-        """Take a step of `dt` s that has just ended."""
+    def look(self, world: World, dt: float, torque: bool = True) -> None:
+        """Take a step of `dt` s that has just ended; `torque`: whether a servo was ordered to have it."""
         mechanics, found = world.mechanics, self.found
+        where = "outside" if torque else "outside_limp"
         for value, (low, high) in zip(mechanics.position, _BOX, strict=True):
-            found["outside"] = max(found["outside"], low - value, value - high)
+            found[where] = max(found[where], low - value, value - high)
         touches = mechanics.contact_force > 0.0
         if touches and isinstance(mechanics, Mechanics):
             bound = mechanics.push_of(_HARD * world.parameters.servo.torque_constant)

@@ -133,7 +133,7 @@ class FaultyWorld(World):
         if self._trial.has("target"):
             self._displace()
         super().step(dt)
-        self._trial.judge.look(self, dt)
+        self._trial.judge.look(self, dt, any(order.enabled for order in self._orders))
 
     def _order(self, index: int) -> None:
         order = self._orders[index]

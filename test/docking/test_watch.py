@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Observation
+from deltacharger_docking.observation import DockGoal, Observation
 from deltacharger_docking.watch import WATCHES
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_lab.pages.watches import BEGIN, END, PHASES, table
-from deltacharger_sim.parameters import ContactParameters, TargetParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters
 
 from ..marks import rest
 from .dockings import MILLIMETRE, charger, commands, decisions, docked, quick_charger, reach, spoil, until_open
@@ -83,6 +83,66 @@ def test_an_arm_outside_its_workspace_goes_limp_where_it_is() -> None:
     assert run.outcome is not None
     assert run.outcome.code is Code.SERVO_FAULT
     assert "its workspace" in run.outcome.message or "beside its line" in run.outcome.message
+
+
+def test_a_servo_whose_encoder_freezes_in_the_search_is_named_before_the_arm_docks() -> None:
+    run = charger(coarse=True)
+    reach(run, State.CONTACT)
+    run.run(0.2)
+    read, command, frozen = run.plant.read_servo, run.plant.command_servo, run.plant.read_servo(1)[0]
+
+    def blind(servo: int) -> Any:
+        return read(servo) if servo != 1 else (frozen, 0.0, *read(servo)[2:])
+
+    def drive(servo: int, on: bool, goal: float, *more: float) -> None:
+        command(servo, on, goal if servo != 1 else read(servo)[0] + goal - frozen, *more)
+
+    run.plant.read_servo, run.plant.command_servo = blind, drive  # type: ignore[method-assign]
+    run.until(lambda: not run.observe().torque_enabled, 1.0)
+    assert "servo 2 is farther from its goal" in run.machine.status.message
+    assert outside(run) < 0.0
+
+
+def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
+    run = quick_charger()
+    reach(run, State.MEASURE)
+    for _ in range(100):
+        run.world.mechanics.move_along(0.5 * MILLIMETRE)
+        run.tick()
+        assert outside(run) < 0.0
+    assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
+    assert "moves away" in run.machine.status.message
+
+
+def test_an_arm_that_hung_outside_its_workspace_before_the_goal_is_taken_back() -> None:
+    run = docked()
+    assert run.undock().success
+    spoil(run, angles=ScalarDelta(run.geometry).inverse(0.0, 0.0, -0.004))
+    run._torque = True
+    run.begin(DockGoal(GOAL))
+    run.run(0.1)
+    assert run.machine.status.code is Code.NONE, run.machine.status.message
+
+
+def test_late_angles_do_not_tell_where_the_pads_touched() -> None:
+    run = charger(coarse=True)
+    reach(run, State.CONTACT)
+    old = run.observe().angles
+    run.until(lambda: run.world.mechanics.gap < 2 * MILLIMETRE, 10.0)
+    spoil(run, angles=old, servo_age=0.2)
+    run.run(0.1)
+    spoil(run)
+    run.until(lambda: run.outcome is not None, 30.0)
+    assert run.outcome is not None
+    assert run.outcome.success, run.outcome.message
+
+
+def test_pads_that_repeat_one_frame_are_not_a_target_that_rolls() -> None:
+    run = docked()
+    spoil(run, taxels=np.array(run.observe().taxels), tactile_contact=True)
+    outcome = run.undock()
+    assert outcome.code is Code.TACTILE_STALE
+    assert "repeat one frame" in outcome.message
 
 
 def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below() -> None:
@@ -241,6 +301,14 @@ def test_a_weld_found_while_charging_keeps_the_arm_on_the_target() -> None:
     assert run.observe().torque_enabled
     assert run.world.mechanics.contact_force > 0.0
     assert run.world.record.parted_live == 0
+
+
+def test_a_weld_is_told_whatever_ended_the_goal() -> None:
+    run = docked(circuit=CircuitParameters(welded=True))
+    spoil(run, battery_voltage=35.0)
+    run.until(lambda: run.machine.status.state is State.IDLE, 10.0)
+    assert run.machine.status.code is Code.CONTACTOR_WELDED
+    assert "35.0 V" in run.machine.status.message
 
 
 def test_a_latched_weld_lets_no_docking_begin() -> None:

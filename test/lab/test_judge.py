@@ -97,6 +97,12 @@ def test_the_box_is_the_published_one(place: tuple[float, float, float], outside
     assert judged(world(place=place))["outside"] == pytest.approx(outside)
 
 
+def test_where_a_limp_arm_falls_is_told_apart() -> None:
+    judge = WorldJudge()
+    judge.look(world(place=(0.07, 0.0, 0.08)), 0.01, torque=False)
+    assert (judge.found["outside"], judge.found["outside_limp"]) == (0.0, pytest.approx(0.01))
+
+
 @pytest.mark.parametrize(("limit", "over"), [(0.9, False), (1.5, True)])
 def test_the_push_counts_above_its_bound(limit: float, over: bool) -> None:
     real, judge = World(WorldParameters(target=TargetParameters(z=0.0))), WorldJudge()
