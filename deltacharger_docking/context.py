@@ -28,7 +28,6 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.senses import TwoSenses
 from deltacharger_docking.yielding import RemainingShare
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
@@ -103,7 +102,6 @@ class Context:
         self.angles: Vector = NAN3  # rad, the last measured ones
         self.commanded: Vector = NAN3
         self.share = RemainingShare(parameters)
-        self.senses = TwoSenses(parameters)
         self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
         self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed

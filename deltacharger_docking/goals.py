@@ -136,8 +136,7 @@ class GoalDesk:
 
     def succeed(self, message: str, notice: str = "") -> None:
         """End the goal with success, if there is one; `notice` is further information for its client."""
-        notes = "; ".join(filter(None, (notice, self._context.status.senses)))
-        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notes))
+        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notice))
 
     def fail(self, error: DockingError) -> None:
         """End the goal with the code of `error` and the message of the status, if there is one."""

@@ -270,6 +270,5 @@ class DockingStatus:
     redockings: int = 0
     waiting_for: str = ""
     contact_force: float = math.nan
-    senses: str = ""  # what pads and currents contradict each other in
     dampings: Vector = NAN3
     friction_force: float = math.nan

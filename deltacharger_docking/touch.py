@@ -51,10 +51,6 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     context.status.estimate = estimate = with_pitch(context, estimate)
     text = "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range"
     context.decide("measured", text, **estimate.numbers)
-    told = context.senses.compare(estimate, context.contact.force, bool(context.springs.contradiction))
-    if told:
-        context.decide("senses", told)
-    context.status.senses = told
     keep_evidence(context, estimate)
     if not estimate.contact:
         raise NoTactileContact("the pads lost contact before the misalignment was measured")

@@ -123,7 +123,6 @@ class Reports:
             "contact_current": quantity(status.contact_current, ".3f", "A"),
             "servo_damping": ", ".join(quantity(value, ".2f", "N·m·s/rad") for value in status.dampings),
             "friction_force": quantity(status.friction_force, ".1f", "N"),
-            "senses": status.senses,
             "servo_age": _age(observation.servo_age),
             "tactile_age": _age(observation.tactile_age),
             "power_age": _age(observation.power_age),
