@@ -25,7 +25,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.ease import ease
-from deltacharger_docking.energy import check_battery, de_energise, prove_dead
+from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.press import Look, contact, move_aside
@@ -51,20 +51,16 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
     target.foresee(electrodes)
-    yield from _prepare(context, charges)
-    z = yield from approach(context, electrodes.position)  # 2
-    target.depth = z + parameters.search_depth
-    if parameters.always_live:
-        yield from wired.stay_away(context)
-    estimate = yield from contact(context, target.depth, _look(context, target))  # 4
-    yield from align(context, target, estimate=estimate)  # 5 and 6
-
-
-def _prepare(context: Context, charges: bool) -> Script[None]:
     yield from prepare(context)
     yield from prove_dead(context)
-    if charges and not context.parameters.always_live:
+    if charges and not parameters.always_live:
         check_battery(context)
+    z = yield from approach(context, electrodes.position)  # 2
+    target.depth = z + parameters.search_depth
+    if parameters.always_live and context.observation.duplicate_sources:
+        yield from wait_for_single_sources(context, context.time, State.APPROACH)
+    estimate = yield from contact(context, target.depth, _look(context, target))  # 4
+    yield from align(context, target, estimate=estimate)  # 5 and 6
 
 
 def _look(context: Context, target: Target) -> Look | None:
@@ -184,8 +180,6 @@ def prepare(context: Context) -> Script[None]:
     yield from de_energise(context)  # never pull off a contactor that welded in an earlier goal
     if not context.observation.torque_enabled:
         yield from context.torque_on()
-        while not context.observation.torque_enabled:
-            yield NEXT
     context.commanded = context.position
     # A restarted node does not know that it is docked; the pads show it.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):

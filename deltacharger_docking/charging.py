@@ -9,13 +9,7 @@ from enum import Enum
 
 from deltacharger_core.script import Script
 from deltacharger_docking.clearance import judge
-from deltacharger_docking.codes import (
-    CriticalAngle,
-    DockingError,
-    EstimateUnsure,
-    NoChargeCurrent,
-    TactileStale,
-)
+from deltacharger_docking.codes import CriticalAngle, DockingError, EstimateUnsure, NoChargeCurrent, TactileStale
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service

@@ -355,10 +355,6 @@ class Context:
         """Record a decision and the numbers behind it, for logs and recordings; names of numbers end in the unit."""
         self._decisions.append(Decision(self.observation.time, self.status.state, kind, text, tuple(values.items())))
 
-    def send_piece(self, piece: Piece) -> None:
-        """Send this piece in this tick, in place of the line under way."""
-        self._override = piece
-
     @property
     def unexplained_lead(self) -> float:
         """Distance (m) along z by which the command leads the platform beyond what push, friction and speed explain."""

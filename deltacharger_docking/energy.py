@@ -57,10 +57,9 @@ def check_battery(context: Context) -> None:
     Raises:
         DockingError: as `energise`.
     """
-    if context.observation.power_age <= context.parameters.power_age_max:
-        unfit = battery_problem(context)
-        if unfit is not None:
-            raise unfit
+    fresh = context.observation.power_age <= context.parameters.power_age_max
+    if fresh and (unfit := battery_problem(context)) is not None:
+        raise unfit
 
 
 def energise(context: Context) -> Script[bool]:
@@ -89,8 +88,7 @@ def energise(context: Context) -> Script[bool]:
     if not reply.success:
         yield from _await_cause(context)
     _check_probe(context, reply)
-    problem = reason_not_to_close(context)
-    if problem is not None:
+    if (problem := reason_not_to_close(context)) is not None:
         raise problem
     context.decide("close", "all checks passed: the contactor is ordered to close")
     context.energise = context.live = True

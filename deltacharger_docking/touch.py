@@ -7,12 +7,7 @@ import math
 from dataclasses import replace
 
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import (
-    MisalignmentEstimate,
-    Verdict,
-    judge,
-    least_clearance,
-)
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge, least_clearance
 from deltacharger_docking.codes import (
     CriticalAngle,
     EstimateUnsure,

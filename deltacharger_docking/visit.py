@@ -9,7 +9,7 @@ from deltacharger_core.script import NEXT, Script
 from deltacharger_docking import wired
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.charging import Order, charge
-from deltacharger_docking.clearance import MisalignmentEstimate, judge
+from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import CriticalAngle, DockingError, NoContact, ServoFailure, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
@@ -43,15 +43,15 @@ class TargetVisit:
 
         The lowest critical angle of all goals on this target applies, and supervision continues.
         """
-        context, order, desk = self._context, self._order, self._desk
+        context, order, desk, parameters = self._context, self._order, self._desk, self._context.parameters
         order.goal, order.since = goal, context.time
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
-            live = context.status.charging or context.parameters.always_live
+            live = context.status.charging or parameters.always_live
             known = context.status.estimate if live else None
-            if known and self._forbids_current(known, goal.critical_angle):
+            if known and known.usable and not judge(known, parameters, goal.critical_angle).leaves_clearance:
                 return CriticalAngle("the goal's critical_angle is below what was measured on this target")
-        if context.parameters.always_live:
+        if parameters.always_live:
             if not goal.hold:
                 desk.succeed(wired.DOCKED, wired.DOCKED)
         elif context.status.charging and goal.start_charging:
@@ -60,10 +60,6 @@ class TargetVisit:
         else:
             self._is_new = True
         return None
-
-    def _forbids_current(self, known: MisalignmentEstimate, limit: float) -> bool:
-        """Return whether the last estimate forbids current with this critical angle, rad."""
-        return known.usable and not judge(known, self._context.parameters, limit).leaves_clearance
 
     def run(self) -> Script[None]:
         """Dock, then serve every goal on this target until contact is lost or the torque is off."""

@@ -15,7 +15,6 @@ from deltacharger_docking.charging import Order, clearance_checks
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, State, TactileStale
 from deltacharger_docking.context import Context, Live
-from deltacharger_docking.energy import wait_for_single_sources
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
 from deltacharger_docking.touch import Target, record_verdict, rolled_too_far, with_pitch
@@ -25,16 +24,6 @@ DOCKED = (
     f"docked; power: none: the electrodes are wired to the battery, so current may flow now; {_UNKNOWN}; undock ends it"
 )
 PARTED = f"the electrodes were taken off although current may still have flowed (power: none): {_UNKNOWN}"
-
-
-def stay_away(context: Context) -> Script[None]:
-    """Wait before the first touch until there is no second source.
-
-    Raises:
-        DuplicateSource: there is still one after duplicate_source_timeout.
-    """
-    if context.observation.duplicate_sources:
-        yield from wait_for_single_sources(context, context.time, State.APPROACH)
 
 
 def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
