@@ -56,7 +56,6 @@ class MockArm:
         target: to press on.
         stiffness: N·m/rad of a servo's position loop.
         damping: N·m·s/rad of a servo.
-        position: m, start of the platform, charger_base.
 
     Attributes:
         angles: rad, measured.
@@ -66,18 +65,12 @@ class MockArm:
         jammed: nothing moves, as if the magnets did not release.
     """
 
-    def __init__(
-        self,
-        target: MockTarget,
-        stiffness: float = SERVO_STIFFNESS,
-        damping: float = SERVO_DAMPING,
-        position: Vector = (0.0, 0.0, 0.0),
-    ) -> None:
+    def __init__(self, target: MockTarget, stiffness: float = SERVO_STIFFNESS, damping: float = SERVO_DAMPING) -> None:
         self.target = target
         self._delta = ScalarDelta()
         self._stiffness = stiffness
         self._damping = damping
-        self.angles = list(self._delta.inverse(*position))
+        self.angles = list(self._delta.inverse(0.0, 0.0, 0.0))
         self.goals = list(self.angles)
         self.bounds = [CURRENT_BOUND] * 3
         self.torque_enabled = [False, False, False]
