@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from deltacharger_lab.reports.tactile.fusion import groups, together
+from deltacharger_lab.reports.tactile.splits import by_frame, leave_one_out
 from deltacharger_tactile.classifiers import familiarity, labels, packaged, reliability, splits
 from deltacharger_tactile.classifiers.classifier import DEFAULT, NAMES, Classifier
 from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
-from deltacharger_tactile.classifiers.fusion import groups, together
 from deltacharger_tactile.classifiers.judgement import evaluate
 from deltacharger_tactile.classifiers.labels import Examples, examples
 from deltacharger_tactile.classifiers.reliability import Reliability
@@ -113,13 +114,13 @@ def test_a_split_never_separates_a_docking_and_leaves_each_rig_out_once(angle: E
     judged = [set(double.groups[rows]) for _, rows in splits.thirds(double, seed=3)]
     assert set.union(*judged) == set(double.groups)
     assert sum(map(len, judged)) == len(angle)
-    mixed, others = splits.by_frame(double, seed=3)
+    mixed, others = by_frame(double, 3, 0.67)
     assert set(double.groups[mixed]) & set(double.groups[others])
     rigs = examples(small_paper((1, 2), angles=1, positions=1), "vertical")
-    parts = splits.leave_one_out(rigs, "rigs")
+    parts = leave_one_out(rigs, "rigs")
     assert [set(rigs.rigs[judges]) for _, judges in parts] == [{1}, {2}]
     with pytest.raises(DatasetError, match="only one"):
-        splits.leave_one_out(rigs.part(rigs.rigs == 1), "rigs")
+        leave_one_out(rigs.part(rigs.rigs == 1), "rigs")
 
 
 def test_unknown_names_classes_without_examples_and_references_to_a_tree_are_refused(angle: Examples) -> None:

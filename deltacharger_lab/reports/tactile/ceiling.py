@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.reports.tactile import fusion
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
 from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, title
 from deltacharger_lab.reports.tactile.shifts import changed
-from deltacharger_tactile.classifiers import fusion, labels, splits
+from deltacharger_tactile.classifiers import labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import Dataset

@@ -9,6 +9,9 @@ import numpy as np
 
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted
 from deltacharger_tactile.classifiers import labels, splits
+from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.classifiers.splits import Rows
+from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.generator import generate_paper
 
 ROWS = 3
@@ -32,12 +35,36 @@ def compare(name: str, target: str, rigs: tuple[int, ...], seed: int) -> list[di
     rows = every.part(splits.by_docking(every, seed, _DOCKINGS)[0])
     parts = {
         BY_DOCKING: [splits.by_docking(rows, seed, _SHARE)],
-        BY_FRAME: [splits.by_frame(rows, seed, _SHARE)],
-        RIG_OUT: splits.leave_one_out(rows, "rigs"),
-        SESSION_OUT: splits.leave_one_out(rows, "sessions")[:: len(rigs)],
+        BY_FRAME: [by_frame(rows, seed, _SHARE)],
+        RIG_OUT: leave_one_out(rows, "rigs"),
+        SESSION_OUT: leave_one_out(rows, "sessions")[:: len(rigs)],
     }
     found = []
     for split, pairs in parts.items():
         right = [accuracy(fitted(name, target, rows.part(learns), seed), rows.part(judges)) for learns, judges in pairs]
         found.append({"model": name, "target": target, "split": split, "accuracy": float(np.mean(right))})
     return found
+
+
+def by_frame(examples: Examples, seed: int, share: float) -> tuple[Rows, Rows]:
+    """Split frames at random, ignoring dockings; optimistic if a docking has several frames."""
+    order = np.random.default_rng([0xF4A3E, seed]).permutation(len(examples))
+    count = round(share * len(order))
+    return np.sort(order[:count]), np.sort(order[count:])
+
+
+def leave_one_out(examples: Examples, what: str) -> list[tuple[Rows, Rows]]:
+    """Return one split for each rig or session, which alone is the test set.
+
+    Args:
+        examples: to split.
+        what: `rigs` or `sessions`.
+
+    Raises:
+        DatasetError: there is only one.
+    """
+    owners = getattr(examples, what)
+    every = np.unique(owners)
+    if len(every) < 2:
+        raise DatasetError(what, "there is only one; generate or record more of them")
+    return [(np.flatnonzero(owners != owner), np.flatnonzero(owners == owner)) for owner in every]

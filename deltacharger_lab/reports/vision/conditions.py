@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from deltacharger_lab.reports.vision import views
+from deltacharger_lab.reports.vision.obstructions import KINDS
 from deltacharger_lab.reports.vision.views import APPROACH, DOCK, DrawnView
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.rendering.obstructions import KINDS
 
 RANGES = (0.15, 0.17, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 1.00)
 """m."""
