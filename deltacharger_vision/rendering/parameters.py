@@ -62,10 +62,6 @@ class CameraParameters(Bounded):
             whole_millimetres=False,
         )
 
-    def depth_noise(self, depth: float) -> float:
-        """Return the standard deviation of depth at `depth` m: z² σ_d / (f b), m."""
-        return depth * depth * self.disparity_noise / (self.stereo_focal * self.baseline)
-
 
 @dataclass(frozen=True)
 class SceneParameters(Bounded):

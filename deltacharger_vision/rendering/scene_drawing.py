@@ -18,7 +18,7 @@ from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, shifted
-from deltacharger_vision.terminal import UPPER, Terminal
+from deltacharger_vision.terminal import Terminal
 
 Random = np.random.Generator
 
@@ -78,20 +78,6 @@ def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:
     kinds: tuple[Callable[[Random, Terminal], list[Box]], ...] = (_stripe, _pipe, _bar, _pair, _grille, _scaled)
     boxes = kinds[random.integers(len(kinds))](random, terminal)
     return [dataclasses.replace(box, pose=pose @ box.pose) for box in boxes]
-
-
-def cover(terminal: Terminal, share: float, bar: int = UPPER, side: int = 1, color: Color = _DARK) -> Box:
-    """Return a box 1 mm in front of the bars that hides `share` of one bar's length from its end at `side` · x on.
-
-    Raises:
-        RenderingError: the share is outside 0…1.
-    """
-    if not 0.0 <= share <= 1.0:
-        raise RenderingError("cover", f"a share of {share}; give 0…1")
-    length, height = share * terminal.bar_length, terminal.bar_height + terminal.gap
-    x = side * (terminal.bar_length - length) / 2
-    y = (1 if bar == UPPER else -1) * terminal.spacing / 2
-    return Box(shifted((x, y, -0.002)), (length, height, 0.002), color)
 
 
 def charger_parts(

@@ -24,11 +24,11 @@ from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import cover, draw_scene
+from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 from ..marks import night, rest
-from .views import DISTORTIONS
+from .views import DISTORTIONS, cover
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -241,7 +241,7 @@ def test_bars_of_another_size_are_refused_by_depth(scale: float, count: int) -> 
 @few_and(5, 1)
 @pytest.mark.parametrize(("bar", "end"), [*itertools.product((UPPER, LOWER), (1, -1))])
 def test_half_of_a_bar_may_be_hidden(bar: int, end: int, count: int) -> None:
-    hidden = (cover(Terminal(), 0.5, bar, end),)
+    hidden = (cover(0.5, bar, end),)
     seen = looks(
         range(20_600, 20_600 + count), 0.25, 0.55, lambda scene, _: dataclasses.replace(scene, foreground=hidden)
     )

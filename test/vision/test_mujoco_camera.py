@@ -20,11 +20,11 @@ from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import cover, draw_scene
+from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import UPPER, Terminal
 
 from ..marks import rest
-from .views import EVEN, FACES, VIEWS, edge_errors, linear, shown, view
+from .views import EVEN, FACES, VIEWS, cover, edge_errors, linear, shown, view
 
 IDEAL = dataclasses.replace(CameraParameters.ideal(), disparities=1e4)
 """Sees depth at any distance."""
@@ -125,7 +125,7 @@ def test_edges_are_as_wide_as_asked(width: float, sizes: tuple[float, float]) ->
     ("lens", "pose"), [(OAK_D, VIEWS[2]), (OTHER, view(0.25, 0.3, 0.2, 0.4)), *(rest(OAK_D, pose) for pose in VIEWS)]
 )
 def test_edges_depth_and_silhouettes_match_the_ray_caster(lens: Intrinsics, pose: np.ndarray) -> None:
-    covered = RenderedScene(parameters=EVEN, foreground=(cover(Terminal(), 0.4),))
+    covered = RenderedScene(parameters=EVEN, foreground=(cover(0.4),))
     with opened(lens, IDEAL) as other:
         errors, ours = np.abs(edge_errors(ideal(FACES, pose, other), pose)), ideal(covered, pose, other).depth
     assert errors.max() < 0.5

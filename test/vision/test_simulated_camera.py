@@ -19,10 +19,10 @@ from deltacharger_vision.projection import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
+from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_decoy, draw_scene
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
-from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, view
+from .views import DISTORTIONS, EVEN, FACES, VIEWS, cover, edge_errors, linear, view
 
 IDEAL, DEFAULT = CameraParameters.ideal(), CameraParameters()
 PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
@@ -128,8 +128,9 @@ def test_a_seed_determines_the_image_also_colour_alone() -> None:
 @pytest.mark.parametrize("distance", [0.3, 0.8])
 def test_depth_noise_grows_with_the_square_of_the_distance(distance: float) -> None:
     depth = taken(WALL, wall_at(distance), disparity_noise=0.15, disparity_step=0.125).depth
-    assert depth.std() == pytest.approx(DEFAULT.depth_noise(distance), rel=0.15)
-    assert depth.mean() == pytest.approx(distance, abs=0.1 * DEFAULT.depth_noise(distance))
+    noise = distance**2 * DEFAULT.disparity_noise / PER_INVERSE
+    assert depth.std() == pytest.approx(noise, rel=0.15)
+    assert depth.mean() == pytest.approx(distance, abs=0.1 * noise)
 
 
 def test_depth_noise_correlates_over_its_width_only() -> None:
@@ -292,8 +293,6 @@ def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: cover(Terminal(), 1.2),
-        lambda: cover(Terminal(), float("nan")),
         lambda: draw_scene(np.random.default_rng(0), clutter=-1),
         lambda: RenderedScene(light=(0.0, 0.0, 0.0)),
         *(
@@ -340,7 +339,7 @@ def test_a_seed_determines_an_obstruction_visible_at_the_bars(kind: str) -> None
     [(0.25, UPPER, -1, False), (1.0, LOWER, 1, False), (0.5, LOWER, 1, False), (1.0, UPPER, 1, True)],
 )
 def test_a_cover_hides_its_share_of_its_bar_if_in_front(share: float, bar: int, side: int, behind: bool) -> None:
-    box = cover(Terminal(), share, bar, side)
+    box = cover(share, bar, side)
     end, height = Terminal().corners()[bar, :, 0].max(), Terminal().corners()[bar, :, 1].mean()
     assert box.pose[0, 3] + side * box.size[0] / 2 == pytest.approx(side * end)
     assert box.pose[1, 3] == pytest.approx(height)

@@ -10,8 +10,8 @@ import numpy as np
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.projection import distort
 from deltacharger_vision.rendering.parameters import SceneParameters
-from deltacharger_vision.rendering.scene import RenderedScene
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
+from deltacharger_vision.terminal import UPPER, Terminal
 
 EVEN = SceneParameters.even()
 # Light from straight ahead alone leaves the bars' sides black: only the touched faces are bright.
@@ -81,3 +81,12 @@ def edge_errors(image: RgbdImage, pose: np.ndarray) -> np.ndarray:
                 profile = sampled(light, place + reach[:, None] * outward)
                 found.append(reach[np.flatnonzero(profile > profile[0] / 2)[-1]])
     return np.array(found)
+
+
+def cover(share: float, bar: int = UPPER, side: int = 1) -> Box:
+    """Return a box 1 mm in front of the bars that hides `share` of one bar's length from its end at `side` · x on."""
+    terminal = Terminal()
+    length, height = share * terminal.bar_length, terminal.bar_height + terminal.gap
+    x = side * (terminal.bar_length - length) / 2
+    y = (1 if bar == UPPER else -1) * terminal.spacing / 2
+    return Box(shifted((x, y, -0.002)), (length, height, 0.002), (0.05, 0.05, 0.055))
