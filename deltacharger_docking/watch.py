@@ -201,11 +201,8 @@ class Watches:
         context, live = self._context, self._context.closing
         if live is None or context.parameters.always_live:
             return None
-        observation, parameters, refusal = (
-            context.observation,
-            context.parameters,
-            context.observation.contactor_refusal,
-        )
+        observation, parameters = context.observation, context.parameters
+        refusal = observation.contactor_refusal
         if observation.power_age > parameters.power_age_max:
             return _power_silent()
         if refusal and not live.was_closed:

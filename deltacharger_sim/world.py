@@ -238,12 +238,8 @@ class World:
 
     def _offset(self) -> tuple[float, float]:
         """Return the target's centre in end_effector, m along x and y."""
-        target, position, shift, jitter = (
-            self.parameters.target,
-            self.mechanics.position,
-            self.mechanics.target_shift,
-            self._jitter,
-        )
+        target, jitter = self.parameters.target, self._jitter
+        position, shift = self.mechanics.position, self.mechanics.target_shift
         return target.x + shift[0] - position[0] + jitter[0], target.y + shift[1] - position[1] + jitter[1]
 
     def _relative(self) -> Pose:

@@ -79,19 +79,12 @@ class TactileNode(Node):
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
         # One callback group each: a client that calls one service without end does not block the others.
-        self.create_service(
-            Trigger, "tare", self._on_tare, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE
-        )
-        self.create_service(
-            Probe, "probe", self._on_probe, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE
-        )
-        self.create_service(
-            SetContactor,
-            "set_contactor",
-            self._on_contactor,
-            callback_group=ReentrantCallbackGroup(),
-            qos_profile=SERVICE,
-        )
+        for kind, name, serve in (
+            (Trigger, "tare", self._on_tare),
+            (Probe, "probe", self._on_probe),
+            (SetContactor, "set_contactor", self._on_contactor),
+        ):
+            self.create_service(kind, name, serve, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE)
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
         steady_timer(self, PERIOD, self._publish_batteries)
         self._keeper = BoardKeeper(

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MAPS = 4  # measurements whose tactile frames are shown
-_SPARE = 0.3  # s before the docking
 _MARKED = {
     "contact": ("contact", FAINT),
     "overshoot": ("overshoot", ORANGE),

@@ -22,7 +22,7 @@ from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 
-_LONG, _ENDS = (0, 2), (1, 3)
+_LONG = 0, 2
 _ROWS = np.array([-0.25, 0.0, 0.25])  # of a bar's height
 _BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears the bar's depth
 _WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
