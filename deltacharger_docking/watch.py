@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_docking.codes import (
     POWER_FAULTS,
     SILENT_SERVOS,
@@ -179,7 +180,7 @@ class Watches:
         context, pause = self._context, self._context.pause
         if context.closing is None:
             return None
-        context.closing.was_closed |= context.observation.contactor_closed
+        context.closing.was_closed |= context.observation.contactor_closed or pause > LONGEST_LEASE  # which has lapsed
         if not pause > context.parameters.pause_max:
             return None
         return PowerStale(

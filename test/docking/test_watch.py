@@ -279,6 +279,16 @@ def test_both_voltages_are_supervised_while_current_flows(
     assert run.machine.status.code is code
 
 
+def test_a_lease_that_lapsed_while_docking_was_suspended_is_told_as_such() -> None:
+    run = quick_charger()
+    reach(run, State.ENERGISE)
+    run.until(lambda: run._energised, 5.0)
+    run.plant.open_contactor(False)
+    run.now += 0.3
+    run.until(lambda: run.outcome is not None, 5.0)
+    assert run.machine.status.code is Code.POWER_STALE, run.machine.status.message
+
+
 @pytest.mark.parametrize("shown", [_WELD, _LIVE], ids=["welded", "current"])
 @pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN, rest(State.ENERGISE)])
 def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: State, shown: dict[str, Any]) -> None:
