@@ -14,25 +14,32 @@ from deltacharger_core.machine import JOINT_MAX, JOINT_MIN, JOINT_SPEED, TICKS_P
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import ServoFault, TrajectoryRefused
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.mx64 import TICK
+from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.report import ServoPhase
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 from ..marks import night
 from .servo_rig import DEFAULT, NAMES
-from .virtual_line import Clock, Line
+from .virtual_line import Clock, Line, RealClock
 
 _BEYOND = 0.09 + 0.03  # rad: what servo_node allows, and what a shaft turns until it has stopped
 _BURST = 0.81  # rad that a goal may jump: twice what a spring of 15 N·m/rad, four times softer, yields under 0.83 A
 LIMITS = JointLimits(NAMES, JOINT_MIN, JOINT_MAX, 4.4)
 
 
-def play(seed: int) -> tuple[bool, int]:
-    """Power up an arm and send it trajectories; return whether it got torque, and how many were refused."""
+def play(seed: int, port: bool) -> tuple[bool, int]:
+    """Power up an arm and send it trajectories; return whether it got torque, and how many were refused.
+
+    Args:
+        seed: of everything that is drawn.
+        port: use a pseudo-terminal in real time.
+    """
     dice = random.Random(seed)
-    clock = Clock()
+    clock: Any = RealClock() if port else Clock()
     arm = BenchArm(
         tuple(dice.uniform(-math.pi, math.pi) for _ in range(3)) if dice.random() < 0.3 else (0.1,) * 3, clock
     )
@@ -40,7 +47,6 @@ def play(seed: int) -> tuple[bool, int]:
     zeros = tuple(
         2048 + TICKS_PER_TURN * dice.randint(-2, 2) + dice.choice((0, dice.randint(-300, 300))) for _ in range(3)
     )
-    settings = BusSettings(Line.path, zero_ticks=zeros, direction=signs)
 
     def shafts() -> list[float]:
         """Return the joints' angles (rad) by how the servos are mounted, without whole turns."""
@@ -48,15 +54,17 @@ def play(seed: int) -> tuple[bool, int]:
         return [math.remainder(s * (t - z) * TICK, math.tau) for s, t, z in zip(signs, ticks, zeros, strict=True)]
 
     refused = 0
-    with Line(ServoBusEmulator(arm), clock) as line:
-        controller = ServoController(settings, DEFAULT, 1.463, lambda *_: None, None, line.handler)
+    emulator = ServoBusEmulator(arm)
+    with PseudoTerminal(emulator) if port else Line(emulator, clock) as line:
+        settings = BusSettings(line.path, zero_ticks=zeros, direction=signs)
+        controller = ServoController(settings, DEFAULT, 1.463, handler=getattr(line, "handler", ServoPort))
         controller.open()
         request = controller.request("torque_on")
         for _ in range(20):
             controller.cycle()
             if request.wait(0.0):
                 break
-        before, goals, ahead = shafts(), [math.nan] * 3, [0.0] * 3
+        before, goals, ahead, at = shafts(), [math.nan] * 3, [0.0] * 3, clock()
         if not request.success:
             assert "stands at" in request.message, request.message
             assert any(not JOINT_MIN - 0.09 <= angle <= JOINT_MAX + 0.09 for angle in before)
@@ -76,20 +84,21 @@ def play(seed: int) -> tuple[bool, int]:
                 clock.sleep(0.005)
                 for index, angle in enumerate(shafts()):
                     assert JOINT_MIN - _BEYOND <= angle <= JOINT_MAX + _BEYOND, (index, angle)
+                passed, at = max(clock() - at, 0.01), clock()
                 sent = [command[1] if command and command[0] else math.nan for command in arm.commands]
                 for index, (new, old) in enumerate(zip(sent, goals, strict=True)):
                     if (
                         math.isfinite(new) and math.isfinite(old) and report.phase is ServoPhase.ON
                     ):  # a stop holds at once
-                        ahead[index] = max(ahead[index] + abs(new - old) - JOINT_SPEED * 0.01, 0.0)
+                        ahead[index] = max(ahead[index] + abs(new - old) - JOINT_SPEED * passed, 0.0)
                         assert ahead[index] <= _BURST + 0.05, (index, new, old, report.phase)
                 goals = sent
         controller.close()
     return True, refused
 
 
-@pytest.mark.parametrize("count", [6, night(400)])
-def test_no_shaft_leaves_its_bounds_or_is_sent_faster_than_declared(count: int) -> None:
-    played = [play(seed) for seed in range(count)]
+@pytest.mark.parametrize(("count", "port"), [(6, False), night(400, False), night(50, True)])
+def test_no_shaft_leaves_its_bounds_or_is_sent_faster_than_declared(count: int, port: bool) -> None:
+    played = [play(seed, port) for seed in range(count)]
     assert 0 < sum(torque for torque, _ in played) < count
     assert any(refused for _, refused in played)

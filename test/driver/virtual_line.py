@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos in virtual time: whatever waits for them advances their clock. At night the same tests use ports."""
+"""Emulated servos in virtual time: whatever waits for them advances their clock. `RealClock` is for tests on ports."""
 
 from __future__ import annotations
 
