@@ -132,6 +132,7 @@ def test_nudges_count_opened_and_unsafe_dockings() -> None:
 
 def test_hostile_figures_count_laws_and_codes_by_fault() -> None:
     given = {"broken": "", "acted": "servo_stays", "next_code": "NONE", "outside": 0.0, "live_unsafe_all": 0.0}
+    given |= {"outside_limp": 0.0, "scene": "random", "drawn_faults": "from TIME + 1.00 s"}
     every = rows(4, peak_force=60.0, **given)
     every["broken"] = np.array(["", "code box", "box", ""])
     every["acted"] = np.array(["servo_stays", "servo_stays probe_late", "", "probe_late"])
@@ -163,6 +164,11 @@ def test_hostile_figures_count_laws_and_codes_by_fault() -> None:
         },
     ]
     assert found["next"] == {"NONE": 2, "TIMEOUT": 1}
+    drawn = every["drawn_faults"]
+    every["drawn_faults"] = np.array([f"{each} for 0.50 s" if index == 0 else each for index, each in enumerate(drawn)])
+    assert (found["single"], hostile.figures(every)["single"]) == ({"n": 1, "named": 1}, {"n": 1, "named": 1})
+    every["drawn_faults"] = np.array([f"{each} at 3.0 Hz" for each in drawn])
+    assert hostile.figures(every)["single"] == {"n": 0, "named": 0}
     unmet = {each["name"] for each in hostile.targets({"hostile": found}) if each["met"] is False}
     assert unmet == {"hostile: code", "hostile: box"}
     assert {each["met"] for each in hostile.targets({})} == {None}

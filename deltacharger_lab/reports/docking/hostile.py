@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_lab.campaigns.hostile import FAULTS
+from deltacharger_lab.campaigns.hostile import SCENES as BASE_CODES
 from deltacharger_lab.campaigns.judge import LAWS, PERSON
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.docking.summary import Columns, Figures, quantiles
-from deltacharger_lab.reports.report import none
+from deltacharger_lab.reports.report import at_least, none
 
 SCENES = ("hostile", "hostile_exact")
 """Campaigns of the section, if they were run."""
@@ -28,6 +29,8 @@ def figures(rows: Columns) -> Figures:
         "clean": sum(not each for each in broken),
         "laws": [_law(name, rows, broken) for name in LAWS],
         "outside": quantiles(rows["outside"]),
+        "outside_limp": quantiles(rows["outside_limp"]),
+        "single": _single(rows, broken, codes),
         "force": quantiles(rows["peak_force"]),
         "unsafe": quantiles(rows["live_unsafe_all"]),
         "faults": [each for fault in FAULTS if (each := _fault(fault.name, rows, broken, codes))["n"]],
@@ -55,6 +58,18 @@ def _fault(name: str, rows: Columns, broken: list[set[str]], codes: list[list[st
     }
 
 
+def _single(rows: Columns, broken: list[set[str]], codes: list[list[str]]) -> dict[str, int]:
+    """Return how many goals one lasting fault ended, and in how many of them the code named its cause."""
+    ended = [
+        broken[index]
+        for index, (names, drawn) in enumerate(zip(rows["acted"], rows["drawn_faults"], strict=True))
+        if len(str(names).split()) == 1
+        and not any(word in str(drawn) for word in (" for ", " Hz"))
+        and set(codes[index]) - set(BASE_CODES[str(rows["scene"][index])].split())
+    ]
+    return {"n": len(ended), "named": sum(not each & {"code", "crashed", "outcome"} for each in ended)}
+
+
 def _next(rows: Columns, codes: list[list[str]]) -> dict[str, int]:
     """Return the codes of the goals after the faults were removed, of dockings whose codes asked for no person."""
     free = [index for index, each in enumerate(codes) if not set(each) & set(PERSON)]
@@ -67,3 +82,6 @@ def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
     for index, name in enumerate(LAWS):
         hits = sum(each["laws"][index]["hits"] for each in found.values()) if found else None
         yield none(f"hostile: {name}", hits, count)
+    singles = [each["single"] for each in found.values()]
+    share = sum(each["named"] for each in singles) / max(sum(each["n"] for each in singles), 1) if found else None
+    yield at_least("hostile: code names the cause of a single lasting fault", share, 0.97, "of them")
