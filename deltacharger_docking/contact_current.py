@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from statistics import pstdev
+from collections.abc import Iterator
 
 from deltacharger_docking.observation import NAN3
 from deltacharger_docking.parameters import DockingParameters
@@ -120,8 +120,12 @@ class ContactCurrent:
         count = len(self._window)
         if not count:
             return NAN3
-        a, b, c = (sum(reading[2][index] for reading in self._window) / count for index in range(3))
-        return a, b, c
+        a, b, c = map(sum, self._by_servo())
+        return a / count, b / count, c / count
+
+    def _by_servo(self) -> Iterator[tuple[float, ...]]:
+        """Return the currents (A) of each servo in the window."""
+        return zip(*(currents for _, _, currents in self._window), strict=True)
 
     @property
     def currents_error(self) -> float:
@@ -129,7 +133,9 @@ class ContactCurrent:
         count = len(self._window)
         if count < 2:
             return 0.0
-        return max(pstdev(reading[2][index] for reading in self._window) for index in range(3)) / math.sqrt(count)
+        servos = zip(self._by_servo(), self.currents, strict=True)
+        squares = [sum([(value - mean) ** 2 for value in values]) for values, mean in servos]
+        return math.sqrt(max(squares)) / count  # `statistics.pstdev` takes 50 times as long
 
     @property
     def repeats_itself(self) -> bool:
