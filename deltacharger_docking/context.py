@@ -156,7 +156,7 @@ class Context:
             self.contact.update(self.time, observation.angles, observation.currents)
         else:  # invalid data does not renew the age of the last valid data
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._last_valid))
-        if observation.taxels is None or not np.isnan(observation.taxels).all():
+        if observation.taxels is None or not np.isnan(np.fmax.reduce(observation.taxels, axis=None)):
             self._last_felt = self.time - observation.tactile_age
         else:  # a frame without a measured taxel is none
             age, known = max(observation.tactile_age, self.time - self._last_felt), self.observation
@@ -246,6 +246,8 @@ class Context:
     @property
     def evidence_lost(self) -> str:
         """Why the last measurement no longer holds; '' = it does."""
+        if not self.evidence.is_kept:
+            return ""
         largest = self.contact.value + self.contact.currents_error
         return self.evidence.lost(self.parameters, self.position, largest, self.observation)
 
@@ -529,6 +531,6 @@ class Context:
             yield NEXT
 
 
-def _measured(*readings: Vector) -> bool:
+def _measured(angles: Vector, currents: Vector) -> bool:
     """Return whether all numbers of the servos' readings are finite."""
-    return all(math.isfinite(value) for reading in readings for value in reading)
+    return all(map(math.isfinite, angles)) and all(map(math.isfinite, currents))

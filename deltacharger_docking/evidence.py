@@ -38,6 +38,11 @@ class Evidence:
         """Forget the last measurement: the arm moves."""
         self._frames = self._place = self._pattern = self._last = None
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is a measurement."""
+        return self._place is not None
+
     def begin(self) -> None:
         """Begin a measurement: the frames that follow belong to it. The last one counts until it ends."""
         self._frames = []
@@ -84,7 +89,7 @@ class Evidence:
         if pattern is None or frame is None:
             return 0.0
         if frame is not self._last:
-            felt, total = np.nan_to_num(frame), float(pattern.sum())
+            felt, total = np.where(np.isfinite(frame), frame, 0.0), float(pattern.sum())
             scale = total / max(float(felt.sum()), 1e-9)
             self._last, self._change = frame, float(np.abs(felt * scale - pattern).sum()) / total
         return self._change
