@@ -46,7 +46,7 @@ class JointWatch:
     """
 
     def __init__(self, settings: BusSettings, torque_constant: float) -> None:
-        self._settings = settings
+        self._settings, self._reach = settings, settings.reach
         self._constant = torque_constant
         self._stiffness = STIFFNESS_PER_GAIN * settings.gains[0]
         self._damping = DAMPING_PER_GAIN * settings.gains[2]
@@ -121,23 +121,29 @@ class JointWatch:
         self.follow(now, goals)
         for index, row in enumerate(zip(goals, angles, rates, currents, strict=True)):
             self.strays[index] = self.strays[index] or self._stray(index, *row)
+        if not any(self.strays):
+            return ""
         found = (
             f"servo {servo} {STRAYS[why]}" for servo, why in zip(self._settings.ids, self.strays, strict=True) if why
         )
         return "; ".join(found)
 
     def _stray(self, index: int, goal: float, angle: float, rate: float, current: float) -> int:
-        low, high = self._settings.reach
+        low, high = self._reach
         if angle < low or angle > high:
             return STRAY_OUTSIDE
-        torque, error = self._constant * current + self._damping * rate, goal - angle
+        error = goal - angle
         stands, self._angles[index] = angle == self._angles[index], angle
         free, seconds = (_FREE_STANDING, _LASTS_STANDING) if stands else (_FREE, _LASTS)
-        allowed = self._yields(torque) if error * torque > 0.0 else 0.0
-        if not abs(error) > free + allowed + _LATE * abs(rate):
+        if not (abs(error) > free and abs(error) > free + self._explained(error, rate, current)):
             self._since[index], self._readings[index] = math.inf, 0
             return 0
         self._since[index] = min(self._since[index], self._at)
         self._readings[index] += 1
         lasts = self._at - self._since[index] >= seconds and self._readings[index] >= _FEWEST
         return STRAY_BEHIND if lasts else 0
+
+    def _explained(self, error: float, rate: float, current: float) -> float:
+        """Return the error (rad) that torque and speed explain."""
+        torque = self._constant * current + self._damping * rate
+        return (self._yields(torque) if error * torque > 0.0 else 0.0) + _LATE * abs(rate)

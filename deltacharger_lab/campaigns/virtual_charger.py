@@ -231,7 +231,7 @@ class VirtualCharger:
     def observe(self) -> Observation:
         """Return the observation that the topics would carry."""
         angles, currents = self._reading()
-        battery, target, current, closed, fault = self.plant.read_power()
+        battery, target, current, closed, fault = self.world.circuit.measured()
         return Observation(
             time=self.now,
             angles=angles,
@@ -287,11 +287,12 @@ class VirtualCharger:
         """Stop the arm as servo_node does if a joint strays: hold, open the contactor, torque off after `STOP_TIME`."""
         if not self._torque:
             return
-        angles, rates, currents, _, _ = zip(*(self.plant.read_servo(index) for index in range(3)), strict=True)
-        fault = self._watch.fault(self.now, self._goal, angles, rates, currents)
+        servo = self.world.servo  # the plant has advanced it to the orders that have just been given
+        (a, u, i, _, _), (b, v, j, _, _), (c, w, k, _, _) = servo(0), servo(1), servo(2)
+        fault = self._watch.fault(self.now, self._goal, (a, b, c), (u, v, w), (i, j, k))
         if fault and not self._stopped:
             self._stopped, self._stop_at = fault, self.now + STOP_TIME
-            self._trajectory, self._goal = (), list(angles)
+            self._trajectory, self._goal = (), [a, b, c]
             self.plant.open_contactor(True)
         if self.now >= self._stop_at:
             self._torque, self._stop_at = False, math.inf
