@@ -169,7 +169,8 @@ class Mechanics(Motion):
 
     def push_of(self, torque: float) -> float:
         """Return the force (N) on the platform along z of `torque` N·m in each servo."""
-        return torque * sum(row[2] for row in self._rows)
+        (_, _, a), (_, _, b), (_, _, c) = self._rows
+        return torque * (a + b + c)
 
     def carry(self, dx: float, dy: float) -> None:
         """Stretch the electrodes' bristle by the target's move (m); the platform's own moves relax it."""
@@ -282,7 +283,7 @@ class Mechanics(Motion):
 
     def _evaluate(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> _Balance:
         """Return imbalance (N) and tangent (N/m) at a displacement (m), and store the parts' forces in `_found`."""
-        mass, inertia, play, drag = self._mass_rate, self._inertia, self._play, self._drag
+        mass, play, braked, at = self._mass_rate, self._play, self._inertia + self._drag, self._at
         share = self._parameters.servo.friction_share
         vx, vy, vz = self.velocity
         gravity_x, gravity_y, gravity_z = self._gravity
@@ -299,10 +300,15 @@ class Mechanics(Motion):
         gears: list[float] = []
         for gx, gy, gz, lead, slope, limit, gear, friction, low, high, carried in joints:
             turn = gx * dx + gy * dy + gz * dz
-            if play:
-                lead, slope = self._through_play(lead, slope, turn, self._servos[len(motors)][0])
+            if play and slope != 0.0:  # within the play only the damper acts on the arm
+                sprung = at * self._servos[len(motors)][0]
+                error, most = lead - sprung * turn, sprung / at * play
+                if -most < error < most:
+                    lead, slope = 0.0, slope - sprung
+                else:
+                    lead -= most if error > 0.0 else -most
             drive = lead - slope * turn
-            stiffness = inertia + drag
+            stiffness = braked
             sprung = slope
             if drive > limit:
                 drive, sprung = limit, 0.0
@@ -318,7 +324,7 @@ class Mechanics(Motion):
                 stiffness += sprung * (1.0 - share if drive > 0.0 else 1.0 + share)
             else:
                 stiffness += sprung + GEAR_BRISTLE
-            torque = drive + gear + carried - (inertia + drag) * turn
+            torque = drive + gear + carried - braked * turn
             if turn < low:
                 torque += END_STOP * (low - turn)
                 stiffness += END_STOP
@@ -359,16 +365,6 @@ class Mechanics(Motion):
         self._found = motors, gears, magnet, normal, rx, ry
         return fx, fy, fz, xx + side, xy, xz, yy + side, yz, zz
 
-    def _through_play(self, lead: float, slope: float, turn: float, stiffness: float) -> tuple[float, float]:
-        """Return spring torque and slope with play: within it only the damper acts on the arm."""
-        if slope == 0.0:
-            return lead, slope
-        stiffness *= self._at
-        error, play = lead - stiffness * turn, stiffness / self._at * self._play
-        if abs(error) < play:
-            return 0.0, slope - stiffness
-        return lead - math.copysign(play, error), slope
-
     def _accept(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> None:
         """Apply the displacement (m), or as much of it as the arm reaches."""
         before, before_rows = self.position, self._rows
@@ -386,8 +382,8 @@ class Mechanics(Motion):
         if moved == (0.0, 0.0, 0.0):
             self.velocity = moved
         else:
-            vx, vy, vz = (now + (way / dt - now) / at for now, way in zip(self.velocity, moved, strict=True))
-            self.velocity = vx, vy, vz
+            (vx, vy, vz), (mx, my, mz) = self.velocity, moved
+            self.velocity = vx + (mx / dt - vx) / at, vy + (my / dt - vy) / at, vz + (mz / dt - vz) / at
         self._spin = self._turning(before_rows)
         self.rates = rates = self._turning(self._rows)
         if at < _END:  # the rows change by half as much up to the middle of the step
@@ -398,7 +394,7 @@ class Mechanics(Motion):
         motors, gears, self.magnet_force, self.contact_force, rx, ry = self._found
         if at < _END:
             motors = [self._motor(index, joint[5], dt) for index, joint in enumerate(joints)]
-        self.torques = (motors[0], motors[1], motors[2])
+        self._drive(*motors)
         self.gear = (gears[0], gears[1], gears[2])
         self.rub = (rx, ry)
         if self._cable is not None:
@@ -426,7 +422,8 @@ class Mechanics(Motion):
     def _take_up_play(self) -> None:
         """Let each powered encoder run ahead of its arm toward its goal, within the play."""
         play, ahead = self._play, list(self.slack)
-        for index, (drive, angle) in enumerate(zip(self._servos, self.angles, strict=True)):
-            if drive[0] > 0.0:
-                ahead[index] = max(-play, min(play, drive[4] - angle))
+        for index, ((spring, _, _, _, goal), angle) in enumerate(zip(self._servos, self.angles)):  # noqa: B905
+            if spring > 0.0:
+                lag = goal - angle
+                ahead[index] = -play if lag < -play else play if lag > play else lag
         self.slack = (ahead[0], ahead[1], ahead[2])

@@ -35,7 +35,8 @@ class Cable:
     def forces(self, position: Vector, dx: float, dy: float, dz: float) -> tuple[Vector, float]:
         """Return the force (N) on a platform that moves from `position` by (dx, dy, dz) m, and its stiffness (N/m)."""
         bristle, k = self._bristle, self._stiffness
-        rx, ry, rz = (now - bristle * way for now, way in zip(self._force, (dx, dy, dz), strict=True))
+        fx, fy, fz = self._force
+        rx, ry, rz = fx - bristle * dx, fy - bristle * dy, fz - bristle * dz
         size, stiff = math.sqrt(rx * rx + ry * ry + rz * rz), bristle
         if size > self._drag:
             share = self._drag / size
