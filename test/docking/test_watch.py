@@ -89,7 +89,7 @@ def test_a_servo_whose_encoder_freezes_in_the_search_is_named_before_the_arm_doc
     run = charger(coarse=True)
     reach(run, State.CONTACT)
     run.run(0.2)
-    read, command, frozen = run.plant.read_servo, run.plant.command_servo, run.plant.read_servo(1)[0]
+    read, command, frozen = run.world.servo, run.plant.command_servo, run.world.servo(1)[0]
 
     def blind(servo: int) -> Any:
         return read(servo) if servo != 1 else (frozen, 0.0, *read(servo)[2:])
@@ -97,8 +97,8 @@ def test_a_servo_whose_encoder_freezes_in_the_search_is_named_before_the_arm_doc
     def drive(servo: int, on: bool, goal: float, *more: float) -> None:
         command(servo, on, goal if servo != 1 else read(servo)[0] + goal - frozen, *more)
 
-    run.plant.read_servo, run.plant.command_servo = blind, drive  # type: ignore[method-assign]
-    run.until(lambda: not run.observe().torque_enabled, 1.0)
+    run.world.servo, run.plant.command_servo = blind, drive  # type: ignore[method-assign]
+    run.until(lambda: not run.observe().torque_enabled, 2.0)
     assert "servo 2 is farther from its goal" in run.machine.status.message
     assert outside(run) < 0.0
 
