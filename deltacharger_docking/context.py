@@ -163,7 +163,8 @@ class Context:
             observation = replace(
                 observation, tactile_age=age, tactile_contact=known.tactile_contact, taxels=known.taxels
             )
-        if observation.tactile_contact and observation.servo_age <= self.parameters.press_age_max:
+        oldest = max(observation.servo_age, observation.tactile_age)
+        if observation.tactile_contact and oldest <= self.parameters.press_age_max:
             self.felt = self.position[2]
             self.touched = self.touched if self._touches else self.felt
             self._touches = True
