@@ -30,7 +30,7 @@ from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, 
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.retract import go_limp, retract
 from deltacharger_docking.visit import TargetVisit
-from deltacharger_docking.watch import Watches
+from deltacharger_docking.watch import Watches, is_closed
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
@@ -285,13 +285,16 @@ class DockingMachine:
                 yield from retract(context)
             return not (isinstance(why, Astray) or context.observation.hardware_error)
         except ContactorWelded as error:
+            seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.power_age_max
             if status.code is not Code.CONTACTOR_WELDED:
-                status.code, status.message = error.code, f"{status.message}; then {error}"
+                status.message = f"{status.message}; then {error}"
             context.hold()  # moving live electrodes off the target would draw an arc
             self._halted = True
             if context.is_free:
                 yield from go_limp(context)
-            raise
+            if seen_closed:
+                status.code = error.code
+                raise
         except DockingError as error:
             status.message = f"{status.message}; then {error}"
             held = status.docked or context.observation.tactile_contact

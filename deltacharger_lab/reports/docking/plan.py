@@ -113,8 +113,8 @@ PARTS = (
     CampaignPart("worn_arm_exact", "worn_arm", 500, "`worn_arm`, every tick and frame computed", exact=True),
     CampaignPart("yielding_exact", "yielding", 500, "`yielding`, every tick and frame computed", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
-    CampaignPart("hostile", "hostile", 4_000, "four scenes under one or two drawn faults"),
-    CampaignPart("hostile_exact", "hostile", 500, "the same, every tick and frame computed", exact=True),
+    CampaignPart("hostile", "hostile", 20_000, "four scenes under one or two drawn faults"),
+    CampaignPart("hostile_exact", "hostile", 1_000, "the same, every tick and frame computed", exact=True),
 )
 
 
