@@ -30,7 +30,7 @@ _SOFTER = 4.0  # times softer than by its gains a servo may be: nobody gives the
 _FREE, _FREE_STANDING = 0.08, 0.03  # rad of an error without torque; where the encoder reads the same as before
 _LATE = 0.03  # s that a goal may be older than the reading
 _LASTS = 0.1  # s that an error must last: docking moves its goals behind the arm for half of it before it pulls off
-_LASTS_STANDING = 0.06  # s
+_LASTS_STANDING, _DOUBT = 0.06, 1.1  # s; what a noisy current explains, more there: it lasts too
 _FEWEST = 4  # readings that it must last, so that no pause of this computer makes one
 
 
@@ -134,8 +134,8 @@ class JointWatch:
             return STRAY_OUTSIDE
         error = goal - angle
         stands, self._angles[index] = angle == self._angles[index], angle
-        free, seconds = (_FREE_STANDING, _LASTS_STANDING) if stands else (_FREE, _LASTS)
-        if not (abs(error) > free and abs(error) > free + self._explained(error, rate, current)):
+        free, seconds, share = (_FREE_STANDING, _LASTS_STANDING, _DOUBT) if stands else (_FREE, _LASTS, 1.0)
+        if not (abs(error) > free and abs(error) > free + share * self._explained(error, rate, current)):
             self._since[index], self._readings[index] = math.inf, 0
             return 0
         self._since[index] = min(self._since[index], self._at)
