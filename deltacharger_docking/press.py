@@ -17,8 +17,8 @@ from deltacharger_docking.codes import (
     TactileStale,
     Unreachable,
 )
-from deltacharger_docking.context import YIELDS, Context, KnownContact
-from deltacharger_docking.release import rolls, take_off
+from deltacharger_docking.context import Context, KnownContact
+from deltacharger_docking.release import take_off
 
 _DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless 12, once 22 on a robot that swung
 _LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
@@ -166,6 +166,7 @@ def _search(context: Context, depth: float, look: Look | None = None) -> Script[
     expected = depth - parameters.search_depth
     free = expected - parameters.search_from
     legs = [(free, parameters.travel_speed)] if z < free else []
+    depth = _deepest(context, depth)
     # The first line of the search starts faster than the long one.
     legs += [(end, parameters.search_speed) for end in (expected + _PROBABLY, depth) if z < end]
     for end, speed in legs:
@@ -270,17 +271,18 @@ def _contradiction(context: Context, before: tuple[float, float], told: float) -
     )
 
 
+def _deepest(context: Context, depth: float) -> float:
+    """Return how far (m, charger_base) contact is searched: up to `depth` within the workspace."""
+    return min(depth, context.kinematics.geometry.workspace_max[2])
+
+
 def check_depth(context: Context, depth: float) -> None:
     """Check that the platform may go on, up to `depth` (m, charger_base).
 
     Raises:
-        TargetRolls: the target gives way.
         NoContact: there was no contact up to `depth`.
     """
-    if context.observation.tactile_contact and context.position[2] > context.touched + YIELDS:
-        way = 1000.0 * (context.position[2] - context.touched)
-        raise rolls(context, f"it gives way by {way:.0f} mm to a push of {context.contact.force:.0f} N")
-    if context.position[2] > depth:
+    if context.position[2] > (depth := _deepest(context, depth)):
         raise NoContact(
             f"no contact up to z = {1000 * depth:.0f} mm (charger_base); check that the target is there and that its "
             "coordinates are right"

@@ -30,12 +30,14 @@ def take_off(context: Context, z: float) -> Script[None]:
     """Pull the electrodes off the magnets, and stay where they came to rest, or go on to `z` (m, charger_base).
 
     Raises:
-        Stuck: the platform did not move within the allowed time.
+        Stuck: the platform did not move within the allowed time, or is at home, where there is no way back.
         TargetRolls: the target came along.
         TactileStale: the pads repeat one frame.
         Unreachable: it was released where the arm has no way back; it holds there.
         ServoFailure: the position after release is unknown; it holds there.
     """
+    if _is_home(context):
+        raise Stuck("the pads feel contact at home, so nothing was moved: move away what touches them, or check them")
     for _ in range(_PULLS):
         context.lets_go = True
         try:
@@ -59,21 +61,23 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
     """Pull off the magnets if there is contact or `pull` is set, then go straight back, to allow sideways moves.
 
     Raises:
-        Stuck: the pads feel contact at home, where there is no way back; or as `take_off`.
+        DockingError: as for `take_off`.
     """
     parameters = context.parameters
     x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
-    at_home = z < max(parameters.home_z, context.kinematics.geometry.workspace_min[2]) + _BACK
-    if at_home and touches(context):
-        raise Stuck("the pads feel contact at home, so nothing was moved: move away what touches them, or check them")
     pushes = context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current
-    if not at_home and (pull or pushes):
+    if touches(context) or ((pull or pushes) and not _is_home(context)):
         yield from take_off(context, clear)
     else:
         context.commanded = x, y, z
         yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
     context.status.docked = False
+
+
+def _is_home(context: Context) -> bool:
+    lowest = max(context.parameters.home_z, context.kinematics.geometry.workspace_min[2])
+    return context.position[2] < lowest + _BACK
 
 
 def _release(context: Context) -> Script[None]:
@@ -95,18 +99,18 @@ def _release(context: Context) -> Script[None]:
     free = (z if math.isnan(context.touched) else min(z, context.touched)) - _BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
-    begun, pushed, pattern = context.time, context.contact.value, context.observation.taxels
+    begun, pushed = context.time, context.contact.value
     parted = yield from _pull(context, first, parameters.push_current, _SET_BACK, z, rest)
+    pattern = context.observation.taxels
     if context.position[2] > parted - REACH:
         most, seconds = parameters.release_current, parameters.release_time
         parted = yield from _pull(context, last, most, seconds, parted, rest)
-    here = context.measured()
-    if here[2] > parted - REACH:
-        if here[2] > z - _FOLLOWS:
-            raise _stuck(context)
-        frame = context.observation.taxels
-        if pattern is not None and frame is not None and np.array_equal(pattern, frame, equal_nan=True):
-            raise TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
+    here, frame = context.measured(), context.observation.taxels
+    came = here[2] > parted - REACH
+    frozen = came and pattern is not None and frame is not None and np.array_equal(pattern, frame, equal_nan=True)
+    if came and here[2] > z - _FOLLOWS:
+        raise _stuck(context)
+    if came and not frozen:
         raise rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
     context.decide(
         "released",
@@ -124,6 +128,8 @@ def _release(context: Context) -> Script[None]:
         raise
     most = parameters.release_current * parameters.torque_constant
     yield from _come_to_rest(context, goal.angles, (most, most, most), back)
+    if frozen:
+        raise TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
 
 
 def _behind(context: Context, current: float) -> Vector:
@@ -171,7 +177,7 @@ def _pull(
                 break
         elif sampled > newest + _SAME_FRAME:  # an earlier frame does not show that the target came along until now
             newest, parted = sampled, min(parted, z)
-            if z < start - _FARTHEST:
+            if z < start - _FARTHEST or _is_home(context):
                 break
         known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
         if known:

@@ -34,6 +34,7 @@ from deltacharger_docking.codes import (
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import YIELDS, Context, Live
+from deltacharger_docking.release import rolls
 
 WELD = 7  # ChargerPower.FAULT_CONTACTOR_WELDED
 _OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
@@ -142,17 +143,22 @@ class Watches:
             f"contact current is {context.contact.value:.2f} A, above {most} A{context.springs.contradiction}"
         )
 
-    def _is_dragged(self) -> DockingError | None:
-        """The magnets of a target that moves away take along an arm that pulls back with its push bound."""
+    def _gives_way(self) -> DockingError | None:
+        """The target rolls before the push, or takes the arm along by its magnets, which the push bound cannot stop."""
         context = self._context
-        pulls = not context.lets_go and context.contact.value < -context.parameters.current_min
-        if not (pulls and (way := context.position[2] - context.touched) > YIELDS):
+        way, touching = context.position[2] - context.touched, context.observation.tactile_contact
+        if context.lets_go or not (touching and way > YIELDS):
             return None
-        return NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
+        if context.contact.value < -context.parameters.current_min:
+            return NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
+        return rolls(context, f"it gives way by {1000 * way:.0f} mm to a push of {context.contact.force:.0f} N")
 
     def _does_not_follow(self) -> DockingError | None:
         if self._context.is_blind or not (lead := self._context.unexplained_lead) > _LEAD_MAX:
             return None
+        back = self._context.touched - self._context.position[2]
+        if self._context.observation.tactile_contact and back > _LEAD_MAX:
+            return NoContact(f"the target moves: it pushed the arm back by {1000 * back:.0f} mm")
         return ServoFailure(
             f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
             "look for an obstacle, a cable that drags, or a servo that slips"
@@ -391,6 +397,7 @@ _UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
 _UNMEASURED = (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT)
 _POWER_CODES = tuple(dict.fromkeys(kind.code for kind, _ in POWER_FAULTS.values()))
 _SERVO, _PADS, _WELDED = (Code.SERVO_FAULT,), (Code.TACTILE_STALE,), (Code.CONTACTOR_WELDED,)
+_GIVES_WAY, _BEHIND = (Code.TARGET_ROLLS, Code.NO_CONTACT), (Code.SERVO_FAULT, Code.NO_CONTACT)
 _VOLTAGE = (Code.VOLTAGE_OUT_OF_RANGE, Code.POWER_STALE)
 
 WATCHES = (
@@ -406,8 +413,8 @@ WATCHES = (
     Watched("servos", _ALL, "docking", "a cycle", _SERVO, Watches._hardware_error),
     Watched("servos", LIVE, "docking", "0.2 s", _SERVO, Watches._servos),
     Watched("push", _ALL, "docking", "0.06 s", (Code.OVERCURRENT,), Watches._pushes_too_hard),
-    Watched("push", _TOUCHING, "docking", "11 mm", (Code.NO_CONTACT,), Watches._is_dragged),
-    Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _SERVO, Watches._does_not_follow),
+    Watched("push", _TOUCHING, "docking", "11 mm", _GIVES_WAY, Watches._gives_way),
+    Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _BEHIND, Watches._does_not_follow),
     Watched("pads", (State.APPROACH, *_TOUCHING, *LIVE), "docking", "0.5 s", _PADS, Watches._pads_silent),
     Watched("pads", LIVE, "tactile_node", "0.1 s, no lease", (Code.POWER_STALE,)),
     Watched("pads", (State.LOCATE,), "docking", "in APPROACH", _PADS),

@@ -389,6 +389,7 @@ class Trial:
     def remove(self) -> None:
         """End all faults; targets come back."""
         self._removed = True
+        self.judge.excuses += [(acting.now, acting.now + GRACE) for acting in self.faults]
         for acting in self.faults:
             if acting.now < acting.since:
                 acting.since = math.inf

@@ -21,7 +21,7 @@ from deltacharger_docking.watch import WATCHES
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_lab.pages.watches import BEGIN, END, PHASES, table
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters, StandParameters, TargetParameters
 
 from ..marks import rest
 from .dockings import MILLIMETRE, charger, commands, decisions, docked, quick_charger, reach, spoil, until_open
@@ -137,6 +137,26 @@ def test_late_angles_do_not_tell_where_the_pads_touched() -> None:
     assert run.outcome.success, run.outcome.message
 
 
+def test_a_target_that_is_gone_is_searched_within_the_workspace() -> None:
+    run = charger(coarse=True, target=replace(TargetParameters(), z=0.4))
+    run.begin(DockGoal(replace(GOAL, position=(0.0, 0.0, 0.1))))
+    run.until(lambda: run.outcome is not None, 60.0)
+    assert run.outcome is not None
+    assert run.outcome.code is Code.NO_CONTACT, run.outcome.message
+    assert "z = 110 mm" in run.outcome.message
+
+
+def test_a_target_that_comes_back_is_not_an_arm_that_does_not_follow() -> None:
+    run = quick_charger()
+    reach(run, State.CONTACT)
+    run.until(lambda: run.observe().tactile_contact, 10.0)
+    while run.machine.status.code is Code.NONE:
+        run.world.mechanics.move_along(-0.5 * MILLIMETRE)
+        run.tick()
+    assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
+    assert "pushed the arm back" in run.machine.status.message
+
+
 def test_pads_that_repeat_one_frame_are_not_a_target_that_rolls() -> None:
     run = docked()
     spoil(run, taxels=np.array(run.observe().taxels), tactile_contact=True)
@@ -145,13 +165,31 @@ def test_pads_that_repeat_one_frame_are_not_a_target_that_rolls() -> None:
     assert "repeat one frame" in outcome.message
 
 
-def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below() -> None:
-    run = quick_charger()
+@pytest.mark.parametrize("docks", [False, True])
+def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below(docks: bool) -> None:
+    run, most = quick_charger(), -math.inf
+    if docks:
+        reach(run, State.APPROACH)
+        run.run(0.3)
+    else:
+        run.outcome = None
+        run.machine.start_undock("", run.observe())
     spoil(run, tactile_contact=True, tared=True)
-    outcome, most = run.undock(), outside(run)
-    assert outcome.code is Code.STUCK
-    assert "pads feel contact at home" in outcome.message
+    while run.outcome is None:
+        run.tick()
+        most = max(most, outside(run))
+    assert run.outcome.code is Code.STUCK, run.outcome.message
+    assert "pads feel contact at home" in run.outcome.message
     assert most < MILLIMETRE
+
+
+def test_a_target_that_rolls_while_it_is_measured_is_named() -> None:
+    run = quick_charger(stand=StandParameters(stiffness=20e3))
+    reach(run, State.MEASURE)
+    run.world.mechanics.set_brakes(0.1)
+    run.until(lambda: run.machine.status.code is not Code.NONE, 10.0)
+    assert run.machine.status.code is Code.TARGET_ROLLS, run.machine.status.message
+    assert outside(run) < 0.0
 
 
 @pytest.mark.parametrize("phase", [State.MEASURE, State.ENERGISE, State.RETRACT])
