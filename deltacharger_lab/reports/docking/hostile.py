@@ -82,6 +82,6 @@ def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
     for index, name in enumerate(LAWS):
         hits = sum(each["laws"][index]["hits"] for each in found.values()) if found else None
         yield none(f"hostile: {name}", hits, count)
-    singles = [each["single"] for each in found.values()]
-    share = sum(each["named"] for each in singles) / max(sum(each["n"] for each in singles), 1) if found else None
+    ended, named = (sum(each["single"][key] for each in found.values()) for key in ("n", "named"))
+    share = named / ended if ended else None
     yield at_least("hostile: code names the cause of a single lasting fault", share, 0.97, "of them")
