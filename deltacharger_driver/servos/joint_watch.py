@@ -30,7 +30,7 @@ _SOFTER = 4.0  # times softer than by its gains a servo may be: nobody gives the
 _FREE, _FREE_STANDING = 0.08, 0.03  # rad of an error without torque; where the encoder reads the same as before
 _LATE = 0.03  # s that a goal may be older than the reading
 _LASTS = 0.1  # s that an error must last: docking moves its goals behind the arm for half of it before it pulls off
-_LASTS_STANDING, _DOUBT = 0.06, 1.1  # s; what a noisy current explains, more there: it lasts too
+_LASTS_STANDING, _DOUBT = 0.06, 1.15  # s; what a noisy current explains, more there: it lasts too
 _FEWEST = 4  # readings that it must last, so that no pause of this computer makes one
 
 
