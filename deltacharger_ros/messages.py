@@ -91,7 +91,8 @@ def to_outcome(action: str, result: Any) -> Outcome:
 
 
 def _dock_details(result: Any) -> dict[str, Any]:
-    numbers = ("contact_current", "contact_force", "contact_force_min", "contact_force_max", "charge_current", "energy")
+    forces = ("contact_current", "contact_force", "contact_force_min", "contact_force_max")
+    numbers = (*forces, "charge_current", "energy", "charge_voltage")
     estimates = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
     return {
         "aligned": result.aligned,
@@ -99,6 +100,7 @@ def _dock_details(result: Any) -> dict[str, Any]:
         **({"redockings": result.redockings} if hasattr(result, "redockings") else {}),
         "misalignment": {name: getattr(result.misalignment, name) for name in (*estimates, "sure", "in_range")},
         **{name: getattr(result, name) for name in numbers},
+        "charge_end": result.charge_end,
         "suggested_base_pose": _base(result.suggested_base_pose),
     }
 

@@ -42,6 +42,7 @@ class DockRequest:
         stop_energy: J to deliver, 0 = no limit.
         stop_after: s of charging, 0 = no limit.
         request_id: returned in docking_state.
+        target_profile: name of the target's profile; '' = the charger's first one.
     """
 
     electrodes: Pose | None = None
@@ -51,6 +52,7 @@ class DockRequest:
     stop_energy: float = 0.0
     stop_after: float = 0.0
     request_id: str = ""
+    target_profile: str = ""
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,12 @@ class Outcome:
         angle = figure(math.degrees(rest["angle"]), "", 1)
         least, most = (figure(details.get(f"contact_force_{end}", math.nan), "", 0) for end in ("min", "max"))
         span = "" if "–" in (least, most) else f" ({least} to {most})"
+        end, volts = details.get("charge_end", ""), details.get("charge_voltage", math.nan)
+        end = f", {end}" if end else ""
+        end += f" at {volts:.1f} V" if math.isfinite(volts) else ""
         counts = ", ".join(f"{name} {details[name]}" for name in ("alignments", "redockings") if name in details)
         return (
-            f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}; "
+            f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}{end}; "
             f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}{span}; "
             f"{counts}; rest ({x}, {y}) mm, {angle}°"
         )
