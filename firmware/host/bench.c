@@ -48,12 +48,20 @@ bool bench_closed(struct bench *bench)
     return bench->closed;
 }
 
+/* V of the stage without a load. */
+static float stage_voltage(const struct bench *bench)
+{
+    const dc_config *config = bench->config;
+    const float voltage = isnan(config->stage_voltage) ? bench->outputs.voltage : config->stage_voltage;
+    return !config->steps_up && bench->battery < voltage ? bench->battery : voltage;
+}
+
 float bench_current(const struct bench *bench)
 {
     const float limit = bench->outputs.current_limit;
     if (!bench->closed)
         return 0.0f;
-    const float driven = (bench->battery - bench->target) / bench->resistance;
+    const float driven = (stage_voltage(bench) - bench->target) / bench->resistance;
     return driven > limit ? limit : driven > 0.0f ? driven : 0.0f;
 }
 
@@ -124,14 +132,17 @@ static void read_power(void *context, dc_power_reading *reading)
     struct bench *bench = context;
     reading->contactor_closed = bench_closed(bench);
     reading->battery = bench->battery;
-    reading->target = isinf(bench->resistance) ? NAN : bench->target;
+    const float alone = bench->closed ? stage_voltage(bench) : NAN;
+    reading->target = isinf(bench->resistance) ? alone : bench->target;
     reading->output = output_voltage(bench);
     reading->current = bench_current(bench);
     reading->fault = bench->detected;
     float *const readings[] = {&reading->current, &reading->target, &reading->output, &reading->battery};
-    for (size_t i = 0; i < 4; i++)
+    for (size_t i = 0; i < sizeof readings / sizeof *readings; i++)
         if (bench->is_forced[i])
             *readings[i] = bench->forced[i];
+    if (bench->is_forced[BENCH_READINGS - 1u])
+        reading->contactor_closed = bench->forced[BENCH_READINGS - 1u] > 0.0f;
 }
 
 static void set_outputs(void *context, const dc_power_outputs *outputs)
@@ -166,8 +177,13 @@ static bool poll_probe(void *context, float *resistance, float *target)
     struct bench *bench = context;
     if (!bench->probing || bench->now < bench->probe_due)
         return false;
-    *resistance = bench->resistance;
-    *target = isinf(bench->resistance) ? 0.0f : bench->target;
+    const bool nothing = isinf(bench->resistance);
+    *target = nothing ? 0.0f : bench->target;
+    *resistance = !nothing && fabsf(bench->target) >= DC_LIVE_VOLTAGE ? NAN : bench->resistance;
+    if (bench->answers) {
+        *resistance = bench->ohm;
+        *target = bench->volt;
+    }
     return true;
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* A bench instead of the hardware: two pads with settable forces and a battery that charges a target through a
- * resistor, on a settable clock. */
+/* A bench instead of the hardware: two pads with settable forces and a stage that charges a live battery through a
+ * resistor, on a settable clock. Every reading of the power stage can be replaced. */
 #ifndef BENCH_H
 #define BENCH_H
 
@@ -9,6 +9,7 @@
 #define BENCH_INPUT 65536u
 #define BENCH_OUTPUT (1u << 22)
 #define BENCH_BUS 4096u
+#define BENCH_READINGS 5u
 
 struct bench {
     uint64_t now;           /* us; the low 32 bits are the board's counter */
@@ -21,14 +22,17 @@ struct bench {
     uint8_t detected;       /* fault reported by the stage's own detectors, 0 = none */
     bool welded, stuck;     /* contacts that do not open; that do not close */
     bool dropped;           /* the coil has lost its supply */
-    bool is_forced[4];      /* whether current, target, output and battery are replaced by `forced` */
-    float forced[4];        /* A, V, V, V */
+    bool is_forced[BENCH_READINGS]; /* whether current, target, output, battery and feedback are replaced by `forced` */
+    float forced[BENCH_READINGS];   /* A, V, V, V, 1 = closed */
+    bool answers;           /* the probe's answer is replaced by the two below */
+    float ohm, volt;
     uint8_t stored;         /* the byte that outlives a boot */
     uint64_t switched_off;  /* us, when the contactor's coil last was */
     uint32_t scan_time;     /* us, duration of read_taxels */
     uint32_t probe_time;    /* us, duration of a probe; UINT32_MAX = never ends */
     bool probing;
     uint64_t probe_due;
+    const dc_config *config; /* of the board, which declares the stage */
     dc_power_outputs outputs;
     uint64_t precharged, pulled_in, released; /* us, when output and contacts reach their state */
     uint32_t release_time;  /* us, opening time of the contacts */

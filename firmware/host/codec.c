@@ -7,8 +7,10 @@
  *   c  nothing                                          counters            -> u32 x 6, i16
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
  *   s  u8 format, 200 f32                               samples             -> payload
- *   p  3 f32, u8 closed, u8 fault                       POWER               -> payload
- *   h  u32 boot id, f32 rate, u8 minor                  HELLO               -> payload
+ *   p  4 f32, u8 closed, u8 fault                       POWER               -> payload
+ *   h  u32 boot id, 2 f32, u8 minor, u8 steps up        HELLO               -> payload
+ *   l  20 bytes of CONTACTOR                            limits of a closing -> u8 good, u8 dead, 2 f32, 2 u32
+ *   i  5 bytes of CONTACTOR                             largest current     -> u8 good, f32
  *   a  u8 type, u8 error, u16 sequence                  ACK                 -> payload
  *   u  COBS without delimiters                          unstuff             -> u8 good, bytes
  */
@@ -104,8 +106,21 @@ static size_t unstuff(size_t size)
     return 1 + length;
 }
 
+static size_t limits(void)
+{
+    dc_limits limits = {0};
+    answer[0] = dc_get_close(body, &limits);
+    answer[1] = limits.dead;
+    dc_put_f32(answer + 2, limits.current);
+    dc_put_f32(answer + 6, limits.voltage);
+    dc_put_u32(answer + 10, limits.start_us);
+    dc_put_u32(answer + 14, limits.gap_us);
+    return 18;
+}
+
 static size_t serve(int operation, size_t size)
 {
+    float current = 0.0f;
     switch (operation) {
     case 'r':
         new_decoder(dc_get_u16(body));
@@ -119,10 +134,17 @@ static size_t serve(int operation, size_t size)
     case 's':
         return samples();
     case 'p':
-        return dc_put_power(answer, dc_get_f32(body), dc_get_f32(body + 4), dc_get_f32(body + 8), body[12] != 0,
-                            body[13]);
+        return dc_put_power(answer, dc_get_f32(body), dc_get_f32(body + 4), dc_get_f32(body + 8), dc_get_f32(body + 12),
+                            body[16] != 0, body[17]);
     case 'h':
-        return dc_put_hello(answer, body[8], dc_get_u32(body), dc_get_f32(body + 4));
+        return dc_put_hello(answer, body[12], dc_get_u32(body), dc_get_f32(body + 4), body[13] != 0,
+                            dc_get_f32(body + 8));
+    case 'l':
+        return limits();
+    case 'i':
+        answer[0] = dc_get_limit(body, &current);
+        dc_put_f32(answer + 1, current);
+        return 5;
     case 'a':
         return dc_put_ack(answer, body[0], body[1], dc_get_u16(body + 2));
     case 'u':

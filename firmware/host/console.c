@@ -20,6 +20,7 @@ void console_init(struct console *console, uint64_t now, uint64_t seed, bool ste
 {
     const dc_config config = DC_DEFAULT_CONFIG;
     bench_init(&console->bench, now, seed);
+    console->bench.config = &console->board.config;
     console->hardware = bench_hardware(&console->bench, servos);
     console->config = config;
     console->stepped = stepped;
@@ -114,15 +115,15 @@ static bool set_dead(struct bench *bench, const char *text)
     return true;
 }
 
-/* `current -2`, `output nan` or `target none` (measure again). */
+/* `current -2`, `output nan`, `feedback 1` or `target none` (measure again). */
 static bool force(struct bench *bench, char *text)
 {
-    static const char *const NAMES[] = {"current", "target", "output", "battery"};
+    static const char *const NAMES[] = {"current", "target", "output", "battery", "feedback"};
     char *value = strchr(text, ' ');
     if (value == NULL)
         return false;
     *value++ = '\0';
-    for (size_t i = 0; i < 4; i++) {
+    for (size_t i = 0; i < BENCH_READINGS; i++) {
         if (strcmp(text, NAMES[i]) == 0) {
             bench->is_forced[i] = strcmp(value, "none") != 0;
             bench->forced[i] = bench->is_forced[i] ? strtof(value, NULL) : NAN;
@@ -130,6 +131,18 @@ static bool force(struct bench *bench, char *text)
         }
     }
     return false;
+}
+
+/* `50 0`, `nan 24`, `inf 0`: ohm and V that every probe finds, or `none` (measure again). */
+static bool set_answer(struct bench *bench, const char *text)
+{
+    char *volt, *end;
+    bench->answers = strcmp(text, "none") != 0;
+    if (!bench->answers)
+        return true;
+    bench->ohm = strtof(text, &volt);
+    bench->volt = strtof(volt, &end);
+    return volt != text && end != volt && *end == '\0';
 }
 
 static void put_hex(FILE *answer, const uint8_t *bytes, size_t size)
@@ -163,6 +176,7 @@ static bool set_number(struct console *console, const char *name, double value)
     const struct { const char *name; float *number; } NUMBERS[] = {
         {"offset", &bench->offset}, {"noise", &bench->noise}, {"battery", &bench->battery},
         {"target", &bench->target}, {"resistance", &bench->resistance},
+        {"stage_voltage", &console->config.stage_voltage}, {"input_fuse", &console->config.input_fuse},
     };
     const struct { const char *name; uint32_t *number; } WHOLE[] = {
         {"probe_time", &bench->probe_time}, {"scan_time", &bench->scan_time}, {"baud", &bench->baud},
@@ -171,6 +185,7 @@ static bool set_number(struct console *console, const char *name, double value)
     };
     const struct { const char *name; bool *set; } SWITCHES[] = {
         {"welded", &bench->welded}, {"stuck", &bench->stuck}, {"drop", &bench->dropped},
+        {"steps_up", &console->config.steps_up},
     };
     for (size_t i = 0; i < sizeof NUMBERS / sizeof *NUMBERS; i++) {
         if (strcmp(name, NUMBERS[i].name) == 0) {
@@ -228,8 +243,9 @@ static void tell_state(struct console *console, FILE *answer)
     fprintf(answer, "state commanded=%d fault=%d state=%d contactor=%d precharge=%d probe=%d refused=%d",
             board->contactor.closed, board->contactor.fault, (int)board->contactor.stage.state, bench_closed(bench),
             bench->outputs.precharge, bench->probing, decoder->refused_version);
-    fprintf(answer, " limit=%.9g current=%.9g broken=%.9g", (double)bench->outputs.current_limit,
-            (double)bench_current(bench), (double)bench->broken);
+    fprintf(answer, " coil=%d limit=%.9g voltage=%.9g current=%.9g broken=%.9g", bench->outputs.contactor,
+            (double)bench->outputs.current_limit, (double)bench->outputs.voltage, (double)bench_current(bench),
+            (double)bench->broken);
     fprintf(answer, " now=%" PRIu64 " switched_off=%" PRIu64, bench->now, bench->switched_off);
     const struct { const char *name; uint32_t count; } COUNTS[] = {
         {"packets", decoder->packets}, {"cobs", decoder->cobs_errors}, {"crc", decoder->crc_errors},
@@ -302,6 +318,8 @@ void console_command(struct console *console, char *line, FILE *answer)
             good = set_dead(&console->bench, text);
         } else if (strcmp(line, "force") == 0) {
             good = force(&console->bench, text);
+        } else if (strcmp(line, "probe") == 0) {
+            good = set_answer(&console->bench, text);
         } else {
             good = set_value(console, line, text);
         }

@@ -4,8 +4,8 @@
  *     fuzz [PACKETS] [SEED]
  *
  * Decoder: every accepted packet must have been sent. Board: whatever the host does, the contactor is commanded only
- * while a heartbeat is fresh, never together with the probe, never with a latched fault, and never above the current
- * limit; a weld stays until a host clears it; the servos get no byte that the host did not send. */
+ * while a heartbeat is fresh, never together with the probe, never with a latched fault, and never above the limits of
+ * board and closing; a weld stays until a host clears it; the servos get no byte that the host did not send. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -127,6 +127,12 @@ static void check_board(const struct console *console, uint64_t heartbeat)
         fail("probe and battery on the electrodes");
     if (bench->outputs.current_limit > console->config.current_limit || bench->outputs.current_limit < 0.0f)
         fail("current limit out of range");
+    const dc_stage *stage = &contactor->stage;
+    if (bench->outputs.contactor && (bench->outputs.current_limit > stage->limits.current ||
+                                     bench->outputs.voltage > stage->limits.voltage))
+        fail("more current or voltage than the closing allows");
+    if (!stage->started && bench->outputs.current_limit > DC_START_CURRENT)
+        fail("a dead port gets more than its first current");
     if (contactor->closed && bench->now - heartbeat >= DC_HEARTBEAT_TIMEOUT_US)
         fail("closed without a heartbeat");
     if (contactor->closed && contactor->fault != DC_NO_FAULT)
@@ -166,6 +172,29 @@ static void vary_bus(struct console *console, const dc_packet *packet)
         bench->from_servos[bench->from_servos_used++] = (uint8_t)any(256);
 }
 
+/* A payload of CONTACTOR: mostly a close, whose limits are sometimes out of their bounds. */
+static uint16_t draw_contactor(uint8_t *payload)
+{
+    static const float LIMITS[4][4] = {
+        {18.0f, 2.0f, 0.05f, 31.0f}, {29.4f, 25.2f, 60.0f, 0.5f}, {3.0f, 0.1f, 70.0f, NAN}, {0.2f, 0.05f, 130.0f, -1.0f},
+    };
+    const uint32_t kind = any(32);
+    memset(payload, 0, DC_CLOSE_SIZE);
+    payload[0] = kind < 6 ? DC_COMMAND_OPEN : DC_COMMAND_CLEAR_WELD;
+    if (kind < 10)
+        return 1;
+    if (kind < 12) {
+        payload[0] = DC_COMMAND_LIMIT;
+        dc_put_f32(payload + 1, LIMITS[0][any(4)]);
+        return DC_LIMIT_SIZE;
+    }
+    payload[0] = DC_COMMAND_CLOSE;
+    payload[1] = any(4) == 0;
+    for (size_t i = 0; i < 4; i++)
+        dc_put_f32(payload + 4 + 4 * i, LIMITS[i][any(any(8) ? 2 : 4)]);
+    return DC_CLOSE_SIZE;
+}
+
 /* A packet that a host could send, sometimes with random content. */
 static dc_packet draw_command(uint8_t *payload)
 {
@@ -176,14 +205,13 @@ static dc_packet draw_command(uint8_t *payload)
     packet.type = TYPES[any(sizeof TYPES)];
     packet.sequence = (uint16_t)any(65536);
     packet.payload = payload;
-    payload[0] = any(8) ? (uint8_t)(any(4) != 0) : 2u;
     if (packet.type == DC_CONTACTOR)
-        packet.size = 1;
+        packet.size = draw_contactor(payload);
     else if (packet.type == DC_RATE || packet.type == DC_PING || packet.type == DC_SERVO_SPEED)
         packet.size = 4;
     else if (packet.type == DC_SERVO)
         packet.size = (uint16_t)any(140);
-    for (size_t i = packet.type == DC_CONTACTOR ? 1u : 0u; i < packet.size; i++)
+    for (size_t i = packet.type == DC_CONTACTOR ? packet.size : 0u; i < packet.size; i++)
         payload[i] = (uint8_t)any(256);
     if (packet.type == DC_SERVO_SPEED)
         dc_put_u32(payload, any(5) ? 9600u << any(9) : any(UINT32_MAX));
@@ -194,9 +222,9 @@ static void vary_bench(struct bench *bench)
 {
     static const float RESISTANCES[] = {0.5f, 2.0f, 2.0f, 2.0f, 50.0f, INFINITY};
     bench->resistance = RESISTANCES[any(6)];
-    bench->target = any(10) ? 24.0f : (float)any(80) - 40.0f;
+    bench->target = any(10) ? 24.0f : any(2) ? 0.0f : (float)any(80) - 40.0f;
     bench->dropped = any(20) == 0;
-    for (size_t i = 0; i < 4; i++) {
+    for (size_t i = 0; i < BENCH_READINGS; i++) {
         bench->is_forced[i] = any(60) == 0;
         bench->forced[i] = any(2) ? NAN : (float)any(60) - 30.0f;
     }

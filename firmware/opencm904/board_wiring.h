@@ -56,11 +56,29 @@ const uint8_t PIN_OVERCURRENT = UNWIRED; /* comparator: high = trip */
 const uint8_t PIN_LIMIT = UNWIRED;      /* PWM into the current limiter */
 const float LIMIT_FULL_SCALE = NAN;     /* A at 100 % */
 
-/* The probe: a source of at most 5 V and 50 mA that PIN_PROBE connects to the electrodes, and the current it drives. */
+/* The stage: a converter with constant current and constant voltage. Its constant voltage ends every charge, so the host
+ * compares it with the target before it touches. A trimmer sets it: turn it with nothing connected, measure at the
+ * electrodes' leads and write it down here, V. Or this board sets it for every target: PWM through a filter into the
+ * converter's feedback; then leave NAN and name the pin. Give one of the two: with none or both, no probe succeeds and
+ * nothing closes. */
+const bool STAGE_STEPS_UP = true;   /* false: it charges only targets below its battery's voltage less 0.5 V */
+const float STAGE_VOLTAGE = NAN;
+const uint8_t PIN_VOLTAGE = UNWIRED;
+const float VOLTAGE_AT_ZERO = 0.0f;   /* V at 0 %, less than any target's full voltage */
+const float VOLTAGE_FULL_SCALE = NAN; /* V at 100 % */
+
+/* A, of the fuse between battery and stage. A stage that steps up draws more than it gives: 18 A into 29 V take 25 A
+ * from 22.7 V. The board lowers the current instead of blowing the fuse. */
+const float INPUT_FUSE = 20.0f;
+
+/* The probe: a source of at most 5 V and 50 mA that PIN_PROBE connects to the electrodes, and the current it drives. A
+ * live battery may connect while it is on, so a diode or the like must keep that out of the source. It looks first
+ * without driving: a port with a voltage of its own is not driven at all. */
 const uint8_t PIN_PROBE = UNWIRED;
 const AnalogInput PROBE_VOLTAGE = {UNWIRED, 0.0f, NAN};
 const AnalogInput PROBE_CURRENT = {UNWIRED, 0.0f, NAN};
-const uint32_t PROBE_SETTLE_US = 100000; /* from switching on to measuring; at most 200 000 */
+const uint32_t PROBE_LOOK_US = 20000;    /* from the start to the voltage of the port alone */
+const uint32_t PROBE_SETTLE_US = 100000; /* from switching on to measuring; together at most 200 000 */
 const float PROBE_OPEN_CURRENT = 1e-4f;  /* A; below it the circuit is open */
 
 /* Limits of this installation; the electrodes carry 18 A. */

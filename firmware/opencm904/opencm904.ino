@@ -79,7 +79,8 @@ static const dc_hardware HARDWARE = {
 };
 
 static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET,
-                                 LOWEST_BATTERY, HIGHEST_BATTERY, POLL_PERIOD_US};
+                                 LOWEST_BATTERY, HIGHEST_BATTERY, POLL_PERIOD_US,
+                                 STAGE_STEPS_UP, STAGE_VOLTAGE, INPUT_FUSE};
 
 /* A number that differs at each boot: a counter that survives a reset, and, for a lost supply, the noise of the analog
  * inputs. */

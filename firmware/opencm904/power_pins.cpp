@@ -2,12 +2,15 @@
 #include "power_pins.h"
 
 #include <Arduino.h>
+#include <dc_contactor.h>
 #include <dc_packet.h>
 
 #include "board_wiring.h"
 
-static uint32_t probe_began;
-static bool probing;
+static const float PROBE_SOURCE = 5.5f; /* V; more cannot come from the probe */
+
+static uint32_t probe_began; /* us, the present look */
+static bool probing, driving;
 
 static bool wired(uint8_t pin)
 {
@@ -36,13 +39,20 @@ static void begin_output(uint8_t pin)
   digitalWrite(pin, LOW);
 }
 
+/* Write a PWM; 0 for a NaN, while the scale is unknown. */
+static void write_share(uint8_t pin, float share)
+{
+  if (wired(pin))
+    analogWrite(pin, share > 0.0f ? (uint32_t)(255.0f * (share < 1.0f ? share : 1.0f)) : 0);
+}
+
 void power_begin()
 {
   begin_output(PIN_CONTACTOR);
   begin_output(PIN_PRECHARGE);
   begin_output(PIN_PROBE);
-  if (wired(PIN_LIMIT))
-    analogWrite(PIN_LIMIT, 0);
+  write_share(PIN_LIMIT, 0.0f);
+  write_share(PIN_VOLTAGE, 0.0f);
   if (wired(PIN_FEEDBACK))
     pinMode(PIN_FEEDBACK, INPUT);
   if (wired(PIN_OVERCURRENT))
@@ -67,39 +77,73 @@ void power_drive(void *, const dc_power_outputs *outputs)
     switch_pin(PIN_CONTACTOR, false);
   if (!outputs->precharge)
     switch_pin(PIN_PRECHARGE, false);
-  if (wired(PIN_LIMIT)) {
-    const float share = outputs->current_limit / LIMIT_FULL_SCALE; /* NaN, and then 0, while the scale is unknown */
-    analogWrite(PIN_LIMIT, share > 0.0f ? (uint32_t)(255.0f * (share < 1.0f ? share : 1.0f)) : 0);
-  }
+  write_share(PIN_LIMIT, outputs->current_limit / LIMIT_FULL_SCALE);
+  write_share(PIN_VOLTAGE, (outputs->voltage - VOLTAGE_AT_ZERO) / (VOLTAGE_FULL_SCALE - VOLTAGE_AT_ZERO));
   if (outputs->precharge)
     switch_pin(PIN_PRECHARGE, true);
   if (outputs->contactor)
     switch_pin(PIN_CONTACTOR, true);
 }
 
+static void begin_look(bool drive)
+{
+  switch_pin(PIN_PROBE, drive);
+  driving = drive;
+  probe_began = micros();
+}
+
 void probe_start(void *)
 {
-  switch_pin(PIN_PROBE, true);
-  probe_began = micros();
+  begin_look(false);
   probing = true;
 }
 
-bool probe_poll(void *, float *resistance, float *target)
+/* Return whether exactly one of trimmer and PWM is named: what limits the voltage must be known. */
+static bool stage_is_declared()
 {
-  /* Signed, because micros() can step back by a millisecond, which must not end a wait that has just begun. */
-  if (!probing || (int32_t)(micros() - probe_began) < (int32_t)PROBE_SETTLE_US)
+  return wired(PIN_VOLTAGE) != (STAGE_VOLTAGE > 0.0f);
+}
+
+/* The first look: whether the port has a voltage of its own. */
+static bool look(float *resistance, float *target)
+{
+  *target = stage_is_declared() ? value_of(TARGET) : NAN;
+  *resistance = NAN;
+  if (fabsf(*target) < DC_LIVE_VOLTAGE) { /* not for NaN */
+    begin_look(true);
     return false;
+  }
+  return true;
+}
+
+/* The driven look, at the end of its curve. */
+static void measure(float *resistance, float *target)
+{
   const float current = value_of(PROBE_CURRENT);
   const float voltage = value_of(PROBE_VOLTAGE);
   switch_pin(PIN_PROBE, false);
   *target = value_of(TARGET);
   *resistance = current < PROBE_OPEN_CURRENT ? INFINITY : voltage / current; /* NaN if one is unknown */
-  probing = false;
+  if (*target > PROBE_SOURCE || *target <= -DC_LIVE_VOLTAGE)
+    *resistance = NAN; /* a battery has connected since the first look */
+}
+
+bool probe_poll(void *, float *resistance, float *target)
+{
+  /* Signed, because micros() can step back by a millisecond, which must not end a wait that has just begun. */
+  const int32_t waits = (int32_t)(driving ? PROBE_SETTLE_US : PROBE_LOOK_US);
+  if (!probing || (int32_t)(micros() - probe_began) < waits)
+    return false;
+  if (driving)
+    measure(resistance, target);
+  else if (!look(resistance, target))
+    return false;
+  probe_stop(NULL);
   return true;
 }
 
 void probe_stop(void *)
 {
   switch_pin(PIN_PROBE, false);
-  probing = false;
+  probing = driving = false;
 }

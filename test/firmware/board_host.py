@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
 
 from ..borrowed import anew, borrowed_tests
+
+READINGS = ("battery", "target", "output", "current", "feedback")
+"""What `measured` replaces."""
 
 
 class BoardHost:
@@ -65,8 +68,23 @@ class BoardHost:
         assert (self._process.returncode, errors) == (0, "")
 
 
+class StageReading(NamedTuple):
+    """The power stage's readings; NaN = not measured."""
+
+    battery: float
+    target: float
+    output: float
+    current: float
+    closed: bool
+    fault: int
+
+
 class FirmwarePlant:
     """The interface of `BenchPlant` for the bench of the host program.
+
+    Attributes:
+        port: "live" is the bench's own target, a battery of `target` V behind `resistance`. A `TargetPort` replaces it.
+        probe_result: ohm and V that every probe finds, None = what the target has.
 
     Args:
         offset: N added to every taxel, as before a tare.
@@ -83,12 +101,31 @@ class FirmwarePlant:
         self.battery = 26.0
         self.target = 24.0
         self.resistance = 2.0
+        self.port: Any = "live"
+        self.probe_result: tuple[float, float] | None = None
         self.detected = 0
         self.welded = self.dropped = False
         self.measured: dict[str, float] = {}
         self.offset = offset
         self.noise = noise
         self.board: FirmwareBoard | None = None
+        self._current, self._seen = 0.0, math.nan
+        self._probing = False
+
+    @property
+    def modelled(self) -> bool:
+        """Whether Python computes the target."""
+        return not isinstance(self.port, str)
+
+    def step(self, dt: float, state: dict[str, float], stage_voltage: float) -> None:
+        """Advance the modelled target by `dt` s with the board's outputs."""
+        touches, closed = not math.isinf(self.resistance), bool(state["contactor"])
+        contact = self.resistance if closed else math.inf
+        self._current, shown = self.port.step(dt, stage_voltage or state["voltage"], state["limit"], contact)
+        self._seen = math.nan if not touches else shown if closed else self.port.undriven
+        if state["probe"] and not self._probing and touches:
+            self.probe_result = self.port.probe(self.resistance)
+        self._probing = bool(state["probe"])
 
     def press(self, force: float) -> None:
         """Press both pads with `force` N each on the four taxels in the middle."""
@@ -103,15 +140,27 @@ class FirmwarePlant:
             name: repr(float(getattr(self, name)))
             for name in ("offset", "noise", "battery", "target", "resistance", "detected")
         }
-        forced = {f"force {name}": str(self.measured.get(name, "none")) for name in ("battery", "target", "current")}
-        return {"pads": pads, **numbers, **forced, "welded": f"{self.welded:d}", "drop": f"{self.dropped:d}"}
+        measured = self.measured
+        if self.modelled:
+            numbers["target"] = repr(self._seen)
+            measured = {"current": self._current} | measured
+        forced = {f"force {name}": str(measured.get(name, "none")) for name in READINGS}
+        probe = "none" if self.probe_result is None else "{} {}".format(*self.probe_result)
+        return {
+            "pads": pads,
+            **numbers,
+            **forced,
+            "probe": probe,
+            "welded": f"{self.welded:d}",
+            "drop": f"{self.dropped:d}",
+        }
 
-    def read_power(self) -> tuple[float, float, float, bool, int]:
-        """Return battery V, target V, charge A, contactor closed and the detected fault at the board's present time."""
+    def read_power(self) -> StageReading:
+        """Return the readings at the board's present time; the output's voltage is not told."""
         assert self.board is not None
         state = self.board.host.state()
         target = math.nan if math.isinf(self.resistance) else self.target
-        return self.battery, target, state["current"], bool(state["contactor"]), self.detected
+        return StageReading(self.battery, target, math.nan, state["current"], bool(state["contactor"]), self.detected)
 
 
 class FirmwareBoard:
@@ -129,6 +178,7 @@ class FirmwareBoard:
         sample_format: SampleFormat = SampleFormat.U12,
         probe_time: float = 0.150,
         seed: int | None = None,
+        stage: Any = None,
     ) -> None:
         plant.board = self
         self.host = BoardHost(self.program, seed=1 if seed is None else seed)
@@ -141,6 +191,11 @@ class FirmwareBoard:
         self._polled = 0
         self.host.command(f"format {int(sample_format)}")
         self.host.command(f"probe_time {round(probe_time * 1e6)}")
+        self._stage_voltage = 0.0 if stage is None else stage.stage_voltage
+        if stage is not None:
+            self.host.command(f"steps_up {stage.steps_up:d}")
+            self.host.command(f"stage_voltage {stage.stage_voltage or math.nan}")
+            self.host.command(f"input_fuse {stage.input_fuse}")
 
     @property
     def contactor_commanded(self) -> bool:
@@ -188,11 +243,12 @@ class FirmwareBoard:
     def poll(self, now: float) -> bytes:
         """Return what the board sends on its own at `now`."""
         with self._lock:
+            sent = b"" if self._boot_wanted or not self._plant.modelled else self._step_plant(round(now * 1e6))
             self._tell_plant()
             self._polled = round(now * 1e6)
             line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
             self._boot_wanted = False
-            return self._damaged(self.host.sent(line))
+            return sent + self._damaged(self.host.sent(line))
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `poll` is due."""
@@ -200,6 +256,18 @@ class FirmwareBoard:
             if self._boot_wanted:
                 return 0.0
             return max((self._polled + self.host.idle) * 1e-6 - now, 0.0)
+
+    def _step_plant(self, until: int) -> bytes:
+        """Advance board and modelled target, 1 ms a step while it is driven; return what the board sends."""
+        sent = b""
+        while self._polled < until:
+            state = self.host.state()
+            step = min(1000, until - self._polled) if state["coil"] or state["precharge"] else until - self._polled
+            self._plant.step(1e-6 * step, state, self._stage_voltage)
+            self._tell_plant()
+            self._polled += step
+            sent += self._damaged(self.host.sent(f"advance {self._polled}"))
+        return sent
 
     def _tell_plant(self) -> None:
         for name, value in self._plant.settings().items():

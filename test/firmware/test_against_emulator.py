@@ -12,7 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.board.payloads import decode_ack, decode_hello, decode_power, decode_samples
+from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_driver.board.payloads import (
+    decode_ack,
+    decode_hello,
+    decode_power,
+    decode_samples,
+    encode_close,
+    encode_limit,
+)
 from deltacharger_driver.board.protocol import FLAG_TARED, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
@@ -24,16 +32,19 @@ pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 STEP = 0.005
 PROBE_TIME = 0.152  # ends between two steps, whatever the rounding
+LIMITS = ChargeLimits(18.0, 29.4)
+CLOSE, CLOSE_DEAD = encode_close(LIMITS), encode_close(LIMITS._replace(dead=True))
 RATE, CONTACTOR, PING = PacketType.RATE, PacketType.CONTACTOR, PacketType.PING
 COMMANDS = [
-    *[(CONTACTOR, b"\1"), (PacketType.PROBE, b"")] * 6,
+    *[(CONTACTOR, CLOSE), (PacketType.PROBE, b"")] * 6,
     *[(CONTACTOR, b"\0")] * 2,
     *[(PacketType.TARE, b"")] * 3,
     *((PacketType[name], b"") for name in ("HELLO", "START", "STOP", "TACTILE", "ACK")),
     *((RATE, payload) for payload in (struct.pack("<f", 60.0), struct.pack("<f", 0.05), b"")),
     *((PING, payload) for payload in (b"ping", bytes(65))),
     *[(CONTACTOR, b"\2")] * 2,
-    *((CONTACTOR, b"\3"), (PacketType.PROBE, b"x"), (PacketType.POWER, bytes(16)), (200, bytes(230))),
+    *((CONTACTOR, payload) for payload in (encode_limit(5.0), encode_limit(0.0), CLOSE_DEAD, b"\1")),
+    *((PacketType.PROBE, b"x"), (PacketType.POWER, bytes(16)), (200, bytes(230))),
     *((PacketType.SERVO, b"servo"), (PacketType.SERVO_SPEED, struct.pack("<I", 57600))),  # neither board has a bus
 ]
 NAN = math.nan
@@ -41,13 +52,14 @@ TROUBLES: list[tuple[dict[str, Any], float, int]] = [  # of a closed contactor; 
     ({"welded": True, "detected": 9}, 0.3, BoardFault.CONTACTOR_WELDED),
     ({"dropped": True}, 0.1, BoardFault.NONE),
     ({"measured": {"current": 20.1}}, 0.05, BoardFault.OVER_CURRENT),
-    ({"measured": {"current": -0.6}}, 0.05, BoardFault.REVERSE_CURRENT),
-    ({"measured": {"current": 0.04}}, 0.1, BoardFault.NO_CHARGE_CURRENT),
+    ({"measured": {"current": -5.1}}, 0.05, BoardFault.REVERSE_CURRENT),
+    ({"measured": {"current": -0.6}}, 0.13, BoardFault.REVERSE_CURRENT),
+    ({"measured": {"current": 0.04}}, 0.25, BoardFault.NO_CHARGE_CURRENT),
     ({"measured": {"current": NAN}}, 0.15, BoardFault.STALE),
     ({"measured": {"target": -1.0}}, 0.05, BoardFault.REVERSE_POLARITY),
     ({"measured": {"target": 1.9, "current": 5.0}}, 0.05, BoardFault.SHORT_CIRCUIT),
     ({"measured": {"target": 9.9}}, 0.15, BoardFault.VOLTAGE_OUT_OF_RANGE),
-    ({"measured": {"target": 30.1}}, 0.15, BoardFault.VOLTAGE_OUT_OF_RANGE),
+    ({"measured": {"target": 29.8}}, 0.15, BoardFault.VOLTAGE_OUT_OF_RANGE),
     ({"measured": {"target": NAN}}, 0.15, BoardFault.STALE),
     ({"measured": {"battery": 29.9}}, 0.15, BoardFault.VOLTAGE_OUT_OF_RANGE),
     ({"measured": {"battery": 22.6}}, 5.05, BoardFault.VOLTAGE_OUT_OF_RANGE),
@@ -144,7 +156,8 @@ class Day:
     def set(self, **values: Any) -> None:
         """Change both plants."""
         for side in self.sides:
-            vars(side.plant).update(values)
+            for name, value in values.items():
+                setattr(side.plant, name, value)
 
     def charge(self) -> None:
         """Probe and close a healthy circuit, and let current flow."""
@@ -154,7 +167,7 @@ class Day:
         self.run(0.1)
         self.send((PacketType.PROBE, b""))
         self.run(0.2)
-        self.send((CONTACTOR, b"\1"))
+        self.send((CONTACTOR, CLOSE))
         self.run(0.3)
 
     def trouble(self) -> None:
@@ -219,7 +232,7 @@ def test_both_boards_open_on_the_same_troubles_and_not_before(
 def test_a_reading_that_is_wrong_and_unknown_in_turn_is_never_good(name: str, wrong: float, faults: set[int]) -> None:
     day = Day(0)
     day.charge()
-    for value in (wrong, NAN) * 3:
+    for value in (wrong, NAN) * 6:
         day.set(measured={name: value})
         day.run(0.02)
     assert not any(side.board.contactor_commanded for side in day.sides)

@@ -16,9 +16,12 @@ from hypothesis import strategies as st
 
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.payloads import (
+    LIMITS,
     Ack,
     Hello,
     Power,
+    decode_close,
+    decode_limit,
     decode_samples,
     encode_ack,
     encode_hello,
@@ -29,6 +32,7 @@ from deltacharger_driver.board.protocol import (
     FULL_SCALE,
     Packet,
     PacketDecoder,
+    PacketError,
     PacketType,
     SampleFormat,
     encode_packet,
@@ -106,16 +110,42 @@ def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess, sample
 
 
 @settings(max_examples=60)
-@given(*[st.floats(width=32)] * 3, st.booleans(), *[st.integers(0, 255)] * 2, st.integers(0, 2**32 - 1))
+@given(st.tuples(*[st.floats(width=32)] * 4), st.booleans(), *[st.integers(0, 255)] * 2, st.integers(0, 2**32 - 1))
 def test_power_hello_and_ack_are_encoded_identically(
-    codec: CodecProcess, battery: float, target: float, current: float, closed: bool, fault: int, type: int, boot: int
+    codec: CodecProcess, numbers: tuple[float, ...], closed: bool, fault: int, type: int, boot: int
 ) -> None:
-    body = struct.pack("<fffBB", battery, target, current, closed, fault)
-    assert codec.ask("p", body) == encode_power(Power(battery, target, current, closed, fault))
-    written = codec.ask("h", struct.pack("<IfB", boot, battery, boot % 2))
-    assert written == encode_hello(Hello(1, boot % 2, 10, 10, boot, battery))
+    battery, target, current, least = numbers
+    body = struct.pack("<ffffBB", *numbers, closed, fault)
+    assert codec.ask("p", body) == encode_power(Power(battery, target, current, closed, fault, least))
+    written = codec.ask("h", struct.pack("<IffBB", boot, battery, target, type, closed))
+    assert written == encode_hello(Hello(1, type, 10, 10, boot, battery, closed, target))
     error, sequence = fault % 5, boot % 65536
     assert codec.ask("a", struct.pack("<BBH", type, error, sequence)) == encode_ack(Ack(type, error, sequence))
+
+
+BOUNDS = [struct.unpack("<f", struct.pack("<f", each))[0] for pair in LIMITS.values() for each in pair]
+LIMIT = st.one_of(st.floats(width=32), st.sampled_from(BOUNDS), st.floats(0.125, 25.0, width=32))
+
+
+@settings(max_examples=300)
+@given(st.sampled_from([0, 1, 1, 1, 2, 3]), st.sampled_from([0, 1, 2]), st.tuples(*[LIMIT] * 4))
+def test_limits_are_decoded_and_refused_identically(
+    codec: CodecProcess, kind: int, dead: int, numbers: tuple[float, ...]
+) -> None:
+    payload = struct.pack("<BBHffff", kind, dead, 0, *numbers)
+    good, is_dead, current, voltage, start, gap = struct.unpack("<??ffII", codec.ask("l", payload))
+    try:
+        limits = decode_close(payload)
+    except PacketError:
+        assert not good
+    else:
+        assert (good, is_dead, current, voltage) == (True, limits.dead, limits.current, limits.voltage)
+        assert (1e-6 * start, 1e-6 * gap) == pytest.approx((limits.start_time, limits.gap_time), rel=1e-5)
+    good, current = struct.unpack("<?f", codec.ask("i", payload := struct.pack("<Bf", 3, numbers[0])))
+    try:
+        assert decode_limit(payload) == current
+    except PacketError:
+        assert not good
 
 
 @settings(max_examples=100)

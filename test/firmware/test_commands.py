@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
-from deltacharger_driver.board.payloads import decode_samples
-from deltacharger_driver.board.protocol import FLAG_TARED, PacketType
+from deltacharger_driver.board import payloads
+from deltacharger_driver.board.payloads import decode_hello, decode_samples, encode_close, encode_limit
+from deltacharger_driver.board.protocol import FLAG_TARED, AckError, PacketType
 
 from ..marks import night
-from .bench import MS, Bench, acks, tactile
+from .bench import LIMITS, MS, Bench, acks, tactile
 
 NewBench = Callable[..., Bench]
 
@@ -83,3 +84,53 @@ def test_the_heartbeat_still_counts_in_a_flood_of_garbage(bench: Bench) -> None:
         bench.run(20 * MS)
     bench.check(commanded=1)
     assert bench.ask(PacketType.STOP).error == 0
+
+
+def bad_contactor() -> Iterator[bytes]:
+    """Payloads of CONTACTOR that are not in its table."""
+    good = encode_close(LIMITS)
+    yield from (b"", b"\1", b"\3", b"\4", b"\0\0", good[:-1], good + b"\0", b"\0" + good[1:], b"\3" + good[1:])
+    yield from (b"\1\2" + good[2:], b"\1\0\1" + good[3:], b"\1\0\0\1" + good[4:], b"\2" + encode_limit(5.0)[1:])
+    for name, (low, high) in payloads.LIMITS.items():
+        for value in (math.nan, math.inf, -1.0, 0.99 * low, 1.01 * high):
+            yield encode_close(LIMITS._replace(**{name: value}))
+    for current in (math.nan, math.inf, -1.0, 0.0, 30.1):
+        yield encode_limit(current)
+
+
+def test_a_bad_contactor_command_changes_nothing(bench: Bench) -> None:
+    bench.probe()
+    bench.beat()
+    for payload in bad_contactor():
+        assert bench.ask(PacketType.CONTACTOR, payload).error == AckError.BAD_PAYLOAD, payload.hex()
+    bench.check(commanded=0, fault=0)
+    assert bench.close_contactor() == 0
+    for payload in bad_contactor():
+        assert bench.ask(PacketType.CONTACTOR, payload).error == AckError.BAD_PAYLOAD, payload.hex()
+    bench.check(commanded=1, fault=0)
+
+
+def test_power_carries_mean_and_least_current_since_the_last(bench: Bench) -> None:
+    bench.charge()
+    bench.run(-bench.now % (50 * MS))
+    for current, duration in (("2", 10), ("-0.4", 2), ("nan", 10), ("5", 28)):
+        bench.set(f"force current {current}")
+        bench.run(duration * MS)
+    mean = (10 * 2.0 - 2 * 0.4 + 28 * 5.0) / 40.0
+    assert bench.power().charge_current == pytest.approx(mean, abs=0.15)
+    assert bench.power().least_current == pytest.approx(-0.4)
+    bench.set("force current nan")
+    bench.run(50 * MS)
+    assert math.isnan(bench.power().charge_current)
+    assert math.isnan(bench.power().least_current)
+    bench.set("force current 3")
+    bench.run(50 * MS)
+    assert bench.power()[2::3] == (3.0, 3.0)
+
+
+@pytest.mark.parametrize(("up", "voltage"), [(1, math.nan), (0, 25.25)])
+def test_hello_declares_the_stage(new_bench: NewBench, up: int, voltage: float) -> None:
+    packets = new_bench(steps_up=up, stage_voltage=voltage).packets
+    (hello,) = [decode_hello(packet.payload) for packet in packets if packet.type == PacketType.HELLO]
+    assert (hello.minor, hello.steps_up) == (2, bool(up))
+    assert hello.stage_voltage == pytest.approx(voltage, nan_ok=True)

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Callable
 
 import pytest
 
+from deltacharger_core.charge_port import Port, port_of
+from deltacharger_driver.board.payloads import encode_close, probe_problem
 from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType
 
-from .bench import MS, STRONG, Bench, S, acks
+from .bench import LIMITS, MS, STRONG, Bench, S, acks
 
 NewBench = Callable[..., Bench]
-CLOSE, PROBE = (PacketType.CONTACTOR, b"\1"), (PacketType.PROBE, b"")
+CLOSE, PROBE = (PacketType.CONTACTOR, encode_close(LIMITS)), (PacketType.PROBE, b"")
 
 
 def test_nothing_is_driven_after_a_boot(bench: Bench) -> None:
@@ -115,18 +118,23 @@ def test_a_probe_allows_a_close_for_two_seconds(bench: Bench, age: int, error: i
     assert bench.close_contactor() == error
 
 
-ALLOWED = [(1.0, 24), (1e30, 24), (5.0, 0.0)]
-REFUSED = [(0.999, 24), (-2.0, 24), (5.0, -0.01), (math.inf, 24), (-math.inf, 24), (math.nan, 24), (5.0, math.nan)]
-
-
-@pytest.mark.parametrize("circuit", [*ALLOWED, *REFUSED])
-def test_a_close_needs_a_good_last_probe(bench: Bench, circuit: tuple[float, float]) -> None:
-    bench.probe()  # good, and revoked by a bad one
-    bench.set(f"resistance {circuit[0]}", f"target {circuit[1]}")
-    assert bench.probe().error == 0
-    bench.beat()
-    assert bench.close_contactor() == (AckError.DONE if circuit in ALLOWED else AckError.INTERLOCK)
-    bench.check(fault=0)
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_close_needs_a_last_probe_that_the_host_would_accept(bench: Bench, dead: bool) -> None:
+    allowed = set()
+    numbers = (math.nan, math.inf, -2.0, -1.0, -0.9, 0.0, 0.999, 1.0, 24.0, 1e30)
+    for ohm, volt in itertools.product(numbers, numbers):
+        bench.open()
+        bench.set("probe none")
+        bench.probe()  # good, and revoked by a bad one
+        bench.set(f"probe {ohm} {volt}")
+        assert bench.probe().error == 0
+        bench.beat()
+        good = not probe_problem(ohm, volt, dead)
+        assert bench.close_contactor(LIMITS._replace(dead=dead)) == (AckError.DONE if good else AckError.INTERLOCK)
+        bench.check(fault=0)
+        if good:
+            allowed.add(port_of(ohm, volt))
+    assert allowed == ({Port.LIVE, Port.OPEN, Port.DEAD} if dead else {Port.LIVE})
 
 
 def test_a_probe_that_never_ends_is_answered_in_time_and_allows_nothing(bench: Bench) -> None:

@@ -58,7 +58,7 @@ def set_speed(bench: Bench, speed: int) -> int:
 def test_hello_reports_the_bus_and_a_board_without_it_refuses_its_packets(new_bench: NewBench, servos: int) -> None:
     bench = new_bench(servos=servos)
     hellos = [p for p in bench.packets + bench.send((PacketType.HELLO, b"")) if p.type == PacketType.HELLO]
-    assert {decode_hello(hello.payload).minor for hello in hellos} == {servos}
+    assert {decode_hello(hello.payload).minor for hello in hellos} == {2 + servos}
     if servos:
         assert bench.send((SERVO, QUESTION)) == []
         assert from_servos(bench.run(50 * MS)) == []

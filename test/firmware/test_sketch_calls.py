@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
@@ -11,15 +12,33 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core.charge_port import Port, port_of
+
 from .build import FIRMWARE, make, once
 
 FORM = "arm/wired-servos1-usb0"
 LOW, HIGH, OUTPUT = 0, 1, 1
+LOOK, SETTLE = 20_000, 100_000  # us
+SCALES = {"TARGET": ("2048", "0.02"), "PROBE_VOLTAGE": ("0", "0.00125"), "PROBE_CURRENT": ("100", "2e-5")}
+"""Zero, counts, and V or A per count of the inputs that the probe reads."""
+OUTPUT_SCALE = r"VOLTAGE_AT_ZERO = 10.0f;\1VOLTAGE_FULL_SCALE = 30.0f;"
 
 
-def compile_sketch(build: Path) -> None:
+def scale_inputs(wiring: Path, stage_voltage: str) -> None:
+    """Fill in the scales of the probe's inputs, of which the form only has pins, and a trimmed voltage."""
+    text = wiring.read_text().replace("STAGE_VOLTAGE = NAN", f"STAGE_VOLTAGE = {stage_voltage}")
+    for name, (zero, scale) in SCALES.items():
+        text, count = re.subn(rf"({name} = {{\d+), .*?}}", rf"\1, {zero}.0f, {float(scale)}f}}", text)
+        assert count == 1
+    text, count = re.subn(r"VOLTAGE_AT_ZERO = [^;]+;(.*\n.*)VOLTAGE_FULL_SCALE = [^;]+;", OUTPUT_SCALE, text)
+    assert count == 1
+    wiring.write_text(text)
+
+
+def compile_sketch(build: Path, stage_voltage: str = "NAN") -> None:
     """Compile the core in C, and the sketch with everything wired in C++ with a core that records every call."""
     make(build, f"{build}/{FORM}/opencm904.ino")
+    scale_inputs(build / FORM / "board_wiring.h", stage_voltage)
     folder, source = build / FORM, FIRMWARE / "deltacharger_board" / "src"
     flags = ["-g", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     subprocess.run([os.environ.get("CC", "cc"), "-std=c99", *flags, "-c", *source.glob("*.c")], cwd=build, check=True)
@@ -71,7 +90,8 @@ def test_every_output_is_off_before_it_is_enabled_and_stays_off(sketch: Sketch) 
         pin = sketch.pins[name]
         assert calls.index(f"pin {pin} {LOW}") < calls.index(f"mode {pin} {OUTPUT}")
         assert f"pin {pin} {HIGH}" not in calls
-    assert {call for call in calls if call.startswith("pwm")} == {f"pwm {sketch.pins['LIMIT']} 0"}
+    outputs = {f"pwm {sketch.pins[name]} 0" for name in ("LIMIT", "VOLTAGE")}
+    assert {call for call in calls if call.startswith("pwm")} == outputs
     assert calls[0] == f"pin {sketch.pins['CONTACTOR']} {LOW}"
     assert not [call for _ in range(50) for call in sketch.calls("loop") if call.endswith(f" {HIGH}") and "pin" in call]
 
@@ -84,17 +104,90 @@ def test_outputs_go_off_first_and_the_contactor_on_last(sketch: Sketch) -> None:
     assert f"pin {contactor} {HIGH}" not in calls
 
 
+def probe(sketch: Sketch, port: str, began: int = 5000) -> tuple[float, float, list[str]]:
+    """Probe a port, polling every millisecond, and return ohm, V, and the calls without the result."""
+    sketch.calls(f"now {began}")
+    sketch.calls(f"port {port}")
+    calls = sketch.calls("probe")
+    for now in range(began, began + 200_001, 1000):
+        sketch.calls(f"now {now}")
+        ended, more = sketch.ask("probed")
+        calls += [call for call in more if not call.startswith("found")]
+        if ended:
+            ohm, volt = (float(number) for number in more[-1].split()[1:])
+            return ohm, volt, calls
+    raise AssertionError("the probe did not end in 200 ms")
+
+
+def test_no_probe_succeeds_on_a_stage_declared_in_two_ways() -> None:
+    both = Sketch(once("calls-both", "c++", lambda build: compile_sketch(build, "25.2f")))
+    ohm, volt, calls = probe(both, "live 24 0")
+    both.process.communicate(timeout=10.0)
+    assert math.isnan(ohm)
+    assert math.isnan(volt)
+    assert f"pin {both.pins['PROBE']} {HIGH}" not in calls
+
+
+@pytest.mark.parametrize(("voltage", "port"), [(24.0, Port.LIVE), (-24.0, Port.REVERSED), (1.1, Port.LIVE)])
+def test_a_port_with_its_own_voltage_is_never_driven(sketch: Sketch, voltage: float, port: Port) -> None:
+    ohm, volt, calls = probe(sketch, f"live {voltage} 0")
+    assert f"pin {sketch.pins['PROBE']} {HIGH}" not in calls
+    assert math.isnan(ohm)
+    assert volt == pytest.approx(voltage, abs=0.02)
+    assert port_of(ohm, volt) is port
+
+
+PORTS = [  # as measured by 5 V through 100 ohm for 100 ms
+    ("capacitor 470e-6 0", Port.DEAD, 738.0, 4.4),
+    ("capacitor 2200e-6 0", Port.DEAD, 57.5, 1.83),
+    ("capacitor 10000e-6 0", Port.DEAD, 10.5, 0.48),
+    ("resistor 47000 0", Port.DEAD, 47_000.0, 0.0),
+    ("resistor 0.05 0", Port.SHORT, 0.05, 0.0),
+    ("resistor 100000 0", Port.OPEN, math.inf, 0.0),  # 0.05 mA
+    ("resistor inf 0", Port.OPEN, math.inf, 0.0),
+    ("diode 24 0", Port.OPEN, math.inf, 0.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "port", "ohm", "volt"), PORTS)
+def test_a_dead_port_is_driven_and_judged_at_the_end_of_its_curve(
+    sketch: Sketch, kind: str, port: Port, ohm: float, volt: float
+) -> None:
+    found = probe(sketch, kind)
+    assert found[0] == pytest.approx(ohm, rel=0.2)
+    assert found[1] == pytest.approx(volt, abs=0.02)
+    assert port_of(*found[:2]) is port
+    pin = sketch.pins["PROBE"]
+    assert found[2].index(f"pin {pin} {HIGH}") < len(found[2]) - 1
+    assert found[2][-1] == f"pin {pin} {LOW}"
+
+
+@pytest.mark.parametrize(("voltage", "port"), [(24.0, Port.LIVE), (-24.0, Port.REVERSED)])
+def test_a_battery_that_connects_during_the_driven_look_is_live(sketch: Sketch, voltage: float, port: Port) -> None:
+    """A bounce of the contacts, or a target that wakes up by the probe's voltage."""
+    ohm, volt, _ = probe(sketch, f"live {voltage} {5000 + LOOK + 50_000}")
+    assert volt == pytest.approx(voltage, abs=0.02)
+    assert port_of(ohm, volt) is port
+
+
 def test_the_probe_waits_even_if_the_clock_steps_back(sketch: Sketch) -> None:
     """micros() can step back by a millisecond if a tick interrupts it."""
-    settle = 100_000
-    sketch.calls("counts 100")
+    pin = sketch.pins["PROBE"]
     sketch.calls("now 5000")
-    assert sketch.calls("probe") == [f"pin {sketch.pins['PROBE']} {HIGH}"]
-    for now in (5000, 4000, 4999, 5000 + settle - 1):
-        sketch.calls(f"now {now}")
-        assert sketch.ask("probed") == (0, [])
-    sketch.calls(f"now {5000 + settle}")
-    assert sketch.ask("probed") == (1, [f"pin {sketch.pins['PROBE']} {LOW}"])
+    assert sketch.calls("probe") == [f"pin {pin} {LOW}"]
+    for began, wait, then in ((5000, LOOK, [f"pin {pin} {HIGH}"]), (5000 + LOOK, SETTLE, [f"pin {pin} {LOW}"])):
+        for now in (began, began - 1000, began - 1, began + wait - 1):
+            sketch.calls(f"now {now}")
+            assert sketch.ask("probed") == (0, [])
+        sketch.calls(f"now {began + wait}")
+        assert sketch.calls("probed")[0] == then[0]
+
+
+def test_limit_and_voltage_are_shares_of_their_full_scale(sketch: Sketch) -> None:
+    limit, voltage = (sketch.pins[name] for name in ("LIMIT", "VOLTAGE"))
+    for volt, share in ((9, 0), (20, 127), (29, 242), (30, 255), (60, 255)):  # never more than asked for
+        assert sketch.calls(f"drive 0 0 {volt}")[2:] == [f"pwm {limit} 255", f"pwm {voltage} {share}"]
+    assert sketch.calls("drive 0 0 0")[2:] == [f"pwm {limit} 0", f"pwm {voltage} 0"]
 
 
 def test_the_servos_line_is_released_after_the_last_bit(sketch: Sketch) -> None:

@@ -76,7 +76,8 @@ void dc_board_introduce(dc_board *board)
 {
     uint8_t payload[DC_HELLO_SIZE];
     const uint8_t minor = dc_servos_are_there(board->hardware) ? DC_SERVO_MINOR : DC_MINOR;
-    const size_t size = dc_put_hello(payload, minor, board->boot_id, board->rate);
+    const size_t size = dc_put_hello(payload, minor, board->boot_id, board->rate, board->config.steps_up,
+                                     board->config.stage_voltage);
     (void)dc_board_send(board, DC_HELLO, payload, (uint16_t)size);
 }
 
@@ -144,8 +145,10 @@ static void report_power(dc_board *board)
     board->next_power += (1u + (now - board->next_power) / DC_POWER_PERIOD_US) * DC_POWER_PERIOD_US;
     const dc_power_reading *reading = &board->contactor.reading; /* not older than 10 ms */
     uint8_t payload[DC_POWER_SIZE];
-    const size_t size = dc_put_power(payload, reading->battery, reading->target, reading->current,
-                                     reading->contactor_closed, board->contactor.fault);
+    float mean, least, target;
+    dc_contactor_report(&board->contactor, &mean, &least, &target);
+    const size_t size = dc_put_power(payload, reading->battery, target, mean, least, reading->contactor_closed,
+                                     board->contactor.fault);
     (void)dc_board_send(board, DC_POWER, payload, (uint16_t)size);
 }
 

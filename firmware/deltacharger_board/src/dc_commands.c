@@ -50,14 +50,26 @@ static void send_to_servos(dc_board *board, const dc_packet *packet)
 
 static uint8_t switch_contactor(dc_board *board, const dc_packet *packet)
 {
-    if (packet->size != 1 || packet->payload[0] > 2)
+    dc_contactor *contactor = &board->contactor;
+    dc_limits limits;
+    float current;
+    switch (packet->size) {
+    case 1:
+        if (packet->payload[0] == DC_COMMAND_CLEAR_WELD)
+            return dc_contactor_clear_weld(contactor);
+        if (packet->payload[0] != DC_COMMAND_OPEN)
+            return DC_BAD_PAYLOAD;
+        dc_contactor_open(contactor, board->clock.now);
+        return DC_DONE;
+    case DC_LIMIT_SIZE:
+        return dc_get_limit(packet->payload, &current) ? dc_contactor_limit(contactor, current) : DC_BAD_PAYLOAD;
+    case DC_CLOSE_SIZE:
+        if (dc_get_close(packet->payload, &limits))
+            return dc_contactor_close(contactor, board->clock.now, &limits);
         return DC_BAD_PAYLOAD;
-    if (packet->payload[0] == 2)
-        return dc_contactor_clear_weld(&board->contactor);
-    if (packet->payload[0] == 1)
-        return dc_contactor_close(&board->contactor, board->clock.now);
-    dc_contactor_open(&board->contactor, board->clock.now);
-    return DC_DONE;
+    default:
+        return DC_BAD_PAYLOAD;
+    }
 }
 
 /* Commands without a value. */

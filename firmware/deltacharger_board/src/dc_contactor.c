@@ -41,7 +41,10 @@ void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, co
     contactor->closed = false;
     contactor->fault = hardware->load(hardware->context) == DC_CONTACTOR_WELDED ? DC_CONTACTOR_WELDED : DC_NO_FAULT;
     contactor->probe_answer_due = contactor->probe_valid_until = contactor->heartbeat_deadline = 0;
+    contactor->port = DC_PORT_UNKNOWN;
     contactor->next_check = now;
+    contactor->sum = contactor->least = contactor->voltages = 0.0f;
+    contactor->measured = contactor->flowing = 0;
     read_power(contactor);
 }
 
@@ -52,16 +55,37 @@ void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now)
         now + DC_HEARTBEAT_TIMEOUT_US - (period < DC_HEARTBEAT_MARGIN_US ? period : DC_HEARTBEAT_MARGIN_US);
 }
 
-uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now)
+/* Return whether the last probe allows a close. */
+static bool probe_allows(const dc_contactor *contactor, uint64_t now, bool dead)
+{
+    if (now >= contactor->probe_valid_until)
+        return false;
+    if (contactor->port == DC_PORT_LIVE)
+        return true;
+    return dead && (contactor->port == DC_PORT_OPEN || contactor->port == DC_PORT_DEAD);
+}
+
+uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now, const dc_limits *limits)
 {
     if (contactor->closed)
         return DC_NOT_NOW;
-    if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT || now >= contactor->probe_valid_until)
+    if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT ||
+        !probe_allows(contactor, now, limits->dead) ||
+        contactor->stage.config->stage_voltage > limits->voltage + DC_STAGE_TOLERANCE)
         return DC_INTERLOCK;
     abort_probe(contactor); /* the probe's circuit must leave the electrodes before the battery is connected */
     contactor->closed = true;
     contactor->next_check = now + DC_CHECK_PERIOD_US;
-    dc_stage_close(&contactor->stage, now);
+    dc_stage_close(&contactor->stage, now, limits);
+    return DC_DONE;
+}
+
+uint8_t dc_contactor_limit(dc_contactor *contactor, float current)
+{
+    if (!contactor->closed)
+        return DC_NOT_NOW;
+    contactor->stage.limits.current = current;
+    contactor->next_check = 0; /* a lower limit counts now */
     return DC_DONE;
 }
 
@@ -129,9 +153,18 @@ uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now)
     return DC_DONE;
 }
 
-static bool probe_allows(float resistance, float target)
+static dc_port port_of(float resistance, float voltage)
 {
-    return dc_is_finite(resistance) && resistance >= DC_SHORT_RESISTANCE && target >= 0.0f;
+    if (dc_is_nan(resistance)) {
+        if (!(dc_absolute(voltage) >= DC_LIVE_VOLTAGE))
+            return DC_PORT_UNKNOWN;
+        return voltage > 0.0f ? DC_PORT_LIVE : DC_PORT_REVERSED;
+    }
+    if (!dc_is_finite(resistance))
+        return DC_PORT_OPEN;
+    if (dc_is_nan(voltage))
+        return DC_PORT_UNKNOWN;
+    return resistance < DC_SHORT_RESISTANCE ? DC_PORT_SHORT : DC_PORT_DEAD;
 }
 
 dc_probe_event dc_contactor_poll_probe(dc_contactor *contactor, uint64_t now, float *resistance, float *target)
@@ -149,13 +182,40 @@ dc_probe_event dc_contactor_poll_probe(dc_contactor *contactor, uint64_t now, fl
         *resistance = *target = DC_NAN; /* not measured in time */
     }
     end_probe(contactor);
-    contactor->probe_valid_until = probe_allows(*resistance, *target) ? now + DC_PROBE_LIFETIME_US : 0;
+    contactor->port = port_of(*resistance, *target);
+    contactor->probe_valid_until = now + DC_PROBE_LIFETIME_US;
     return DC_PROBE_DONE;
+}
+
+static void add_reading(dc_contactor *contactor)
+{
+    const float current = contactor->reading.current, target = contactor->reading.target;
+    if (!dc_is_finite(current))
+        return;
+    if (current >= DC_IDLE_CURRENT && dc_is_finite(target)) {
+        contactor->voltages += target;
+        contactor->flowing++;
+    }
+    if (contactor->measured == 0 || current < contactor->least)
+        contactor->least = current;
+    contactor->sum += current;
+    contactor->measured++;
+}
+
+void dc_contactor_report(dc_contactor *contactor, float *mean, float *least, float *target)
+{
+    const bool none = contactor->measured == 0;
+    *mean = none ? DC_NAN : contactor->sum / (float)contactor->measured;
+    *least = none ? DC_NAN : contactor->least;
+    *target = contactor->flowing == 0 ? contactor->reading.target : contactor->voltages / (float)contactor->flowing;
+    contactor->sum = contactor->voltages = 0.0f;
+    contactor->measured = contactor->flowing = 0;
 }
 
 static void check(dc_contactor *contactor, uint64_t now)
 {
     read_power(contactor);
+    add_reading(contactor);
     const uint8_t shown = dc_stage_step(&contactor->stage, now, &contactor->reading);
     const bool told = contactor->reading.fault != DC_NO_FAULT && shown != DC_CONTACTOR_WELDED;
     uint8_t fault = told ? contactor->reading.fault : shown;

@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "dc_float.h"
 #include "dc_payload.h"
 
 #ifdef __cplusplus
@@ -18,7 +19,7 @@ extern "C" {
 /* The power stage as measured now; NaN where not measured. */
 typedef struct {
     float battery;         /* V */
-    float target;          /* V at the electrodes, negative = reversed, NaN = nothing connected */
+    float target;          /* V at the electrodes, negative = reversed */
     float output;          /* V between the stage and the contactor, which pre-charge brings to `target` */
     float current;         /* A, positive into the target */
     bool contactor_closed; /* the contactor's own feedback, not the command */
@@ -30,6 +31,7 @@ typedef struct {
     bool precharge;      /* bring the stage's output to the target's voltage, without current */
     bool contactor;      /* energise the contactor's coil */
     float current_limit; /* A, largest current of the stage */
+    float voltage;       /* V, constant voltage of a stage whose voltage the board sets, else 0 */
 } dc_power_outputs;
 
 typedef struct {
@@ -53,11 +55,13 @@ typedef struct {
     /* Called at every change, and at boot with everything off. */
     void (*set_outputs)(void *context, const dc_power_outputs *outputs);
 
-    /* Start measuring between the electrodes with at most 5 V and 50 mA; the contactor is open. */
+    /* Start a probe: look at the electrodes without driving them, about 20 ms; only if they have less than 1 V either way,
+     * drive them with at most 5 V and 50 mA. The contactor is open. */
     void (*start_probe)(void *context);
 
-    /* True once the result is available: ohm (inf = open circuit) and V of the target (negative = reversed). At most
-     * 200 ms after start_probe. */
+    /* True once the result is available, at most 200 ms after start_probe. A port with a voltage of its own: NaN ohm and V
+     * (negative = reversed). Else ohm at the end of the driven look (inf = open circuit) and V that the port keeps then.
+     * NaN and NaN: not measured. */
     bool (*poll_probe)(void *context, float *resistance, float *target);
 
     /* Disconnect the probe's voltage from the electrodes, whether it has ended or not. */
@@ -94,6 +98,9 @@ typedef struct {
     /* Longest time between two polls, read_taxels included, us; limited to 20 000. Every deadline of the contactor is
      * shortened by it, so that the contract's limits hold at the pins; the heartbeat's by 10 ms at most. */
     uint32_t poll_period;
+    bool steps_up;       /* the stage charges above its battery's voltage */
+    float stage_voltage; /* V, constant voltage to which the stage is trimmed; NaN = the board sets it */
+    float input_fuse;    /* A, between the battery and the stage */
 } dc_config;
 
 static inline uint32_t dc_poll_period(const dc_config *config)
@@ -101,7 +108,7 @@ static inline uint32_t dc_poll_period(const dc_config *config)
     return config->poll_period < 20000u ? config->poll_period : 20000u;
 }
 
-#define DC_DEFAULT_CONFIG {DC_U12, 18.0f, 10.0f, 30.0f, 22.7f, 29.8f, 0u}
+#define DC_DEFAULT_CONFIG {DC_U12, 18.0f, 10.0f, 30.0f, 22.7f, 29.8f, 0u, true, DC_NAN, 20.0f}
 
 #ifdef __cplusplus
 }

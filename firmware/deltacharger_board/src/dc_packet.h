@@ -14,8 +14,8 @@ extern "C" {
 #endif
 
 #define DC_VERSION 1u
-#define DC_MINOR 0u
-#define DC_SERVO_MINOR 1u /* of a board that passes the bytes of the servos' bus */
+#define DC_MINOR 2u       /* from which a close carries limits */
+#define DC_SERVO_MINOR 3u /* of a board that passes the bytes of the servos' bus */
 #define DC_HEADER_SIZE 16u
 #define DC_CRC_SIZE 4u
 #define DC_LONGEST_PING 64u     /* bytes */

@@ -59,7 +59,7 @@ size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format
     }
 }
 
-size_t dc_put_power(uint8_t *to, float battery, float target, float current, bool closed, uint8_t fault)
+size_t dc_put_power(uint8_t *to, float battery, float target, float current, float least, bool closed, uint8_t fault)
 {
     dc_put_f32(to, battery);
     dc_put_f32(to + 4, target);
@@ -67,10 +67,11 @@ size_t dc_put_power(uint8_t *to, float battery, float target, float current, boo
     to[12] = closed ? 1u : 0u;
     to[13] = fault;
     dc_put_u16(to + 14, 0);
+    dc_put_f32(to + 16, least);
     return DC_POWER_SIZE;
 }
 
-size_t dc_put_hello(uint8_t *to, uint8_t minor, uint32_t boot_id, float rate)
+size_t dc_put_hello(uint8_t *to, uint8_t minor, uint32_t boot_id, float rate, bool steps_up, float stage_voltage)
 {
     to[0] = DC_VERSION;
     to[1] = minor;
@@ -78,6 +79,10 @@ size_t dc_put_hello(uint8_t *to, uint8_t minor, uint32_t boot_id, float rate)
     to[3] = DC_COLUMNS;
     dc_put_u32(to + 4, boot_id);
     dc_put_f32(to + 8, rate);
+    to[12] = steps_up ? 1u : 0u;
+    to[13] = 0;
+    dc_put_u16(to + 14, 0);
+    dc_put_f32(to + 16, stage_voltage);
     return DC_HELLO_SIZE;
 }
 
@@ -87,4 +92,35 @@ size_t dc_put_ack(uint8_t *to, uint8_t type, uint8_t error, uint16_t sequence)
     to[1] = error;
     dc_put_u16(to + 2, sequence);
     return DC_ACK_SIZE;
+}
+
+/* Read a f32 within its bounds; false for NaN too. */
+static bool get_within(const uint8_t *from, float low, float high, float *value)
+{
+    *value = dc_get_f32(from);
+    return *value >= low && *value <= high;
+}
+
+static bool get_current(const uint8_t *from, float *current)
+{
+    return get_within(from, 0.05f, 30.0f, current);
+}
+
+bool dc_get_close(const uint8_t *from, dc_limits *limits)
+{
+    float start, gap;
+    if (from[0] != DC_COMMAND_CLOSE || from[1] > 1 || dc_get_u16(from + 2) != 0)
+        return false;
+    if (!get_current(from + 4, &limits->current) || !get_within(from + 8, 1.0f, 60.0f, &limits->voltage) ||
+        !get_within(from + 12, 0.1f, 70.0f, &start) || !get_within(from + 16, 0.05f, 130.0f, &gap))
+        return false;
+    limits->dead = from[1] == 1;
+    limits->start_us = (uint32_t)(start * 1e6f);
+    limits->gap_us = (uint32_t)(gap * 1e6f);
+    return true;
+}
+
+bool dc_get_limit(const uint8_t *from, float *current)
+{
+    return from[0] == DC_COMMAND_LIMIT && get_current(from + 1, current);
 }
