@@ -26,6 +26,8 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, flag, number
+from deltacharger_driver.emulators.stage import StageParameters
+from deltacharger_driver.emulators.target_port import PortParameters
 
 SOFT = 1e4  # N/m per electrode; with softer springs, the magnets pull the electrodes in by more than their travel
 DEEPEST_SOFT_STOP = 0.002  # m, largest travel of soft springs before their stop
@@ -142,32 +144,17 @@ class TargetParameters(Bounded):
 
 @dataclass(frozen=True)
 class CircuitParameters(Bounded):
-    """Charger's battery and power stage, target's battery."""
+    """Charger's battery, contactor and contacts."""
 
     wired: bool = flag(False, "true = no power stage: the electrodes are wired to the battery (power: none)")
     battery_voltage: float = number(
         26.0, BATTERY_MIN, BATTERY_MAX, "V", "voltage of the charger's battery (paper: 22.7–29.8 V)"
     )
     battery_resistance: float = number(0.13, 0.001, 10.0, "Ω", "resistance of that battery and its wires")
-    current_limit: float = number(10.0, 0.5, 18.0, "A", "constant-current limit of the stage (electrodes: 18 A)")
-    voltage_limit: float = number(29.0, 10.0, 60.0, "V", "constant-voltage limit of the stage")
-    ramp_up: float = number(40.0, 1.0, 1000.0, "A/s", "rise of the current after closing")
-    ramp_down: float = number(500.0, 50.0, 5000.0, "A/s", "fall of the current before a wanted opening")
     precharge_time: float = number(0.1, 0.0, 1.0, "s", "pre-charge until both sides match within 1 V")
-    target_voltage: float = number(24.0, -60.0, 60.0, "V", "open-circuit voltage of the target; negative = swapped")
-    target_capacity: float = number(
-        0.0, 0.0, 1e9, "C/V", "charge that raises that voltage by 1 V; 0 = it stays constant"
-    )
-    target_resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the target")
-    target_leakage: float = number(
-        2000.0, 0.0, 1e6, "Ω", "resistance that the probe measures at a healthy target; < 1 is a short"
-    )
-    target_accepts: bool = flag(True, "false = the target takes no current")
     contact_resistance: float = number(
         0.01, 0.0, 10.0, "Ω", "resistance of both contacts in series, fully overlapped, at 80 N"
     )
-    voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest target voltage that the stage feeds")
-    voltage_max: float = number(30.0, 1.0, 80.0, "V", "highest target voltage that the stage feeds")
     welded: bool = flag(False, "true = the contactor stays closed once it has closed")
 
 
@@ -184,6 +171,8 @@ class WorldParameters(Bounded):
     cable: CableParameters = field(default_factory=CableParameters)
     stand: StandParameters = field(default_factory=StandParameters)
     circuit: CircuitParameters = field(default_factory=CircuitParameters)
+    stage: StageParameters = field(default_factory=StageParameters)
+    port: PortParameters = field(default_factory=PortParameters)
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
@@ -199,7 +188,6 @@ def contradictions(world: WorldParameters) -> Iterator[tuple[str, str]]:
     """Yield (key, problem) of each contradiction in a world."""
     yield from _servo(world)
     yield from _contact(world)
-    yield from _circuit(world)
 
 
 def _servo(world: WorldParameters) -> Iterator[tuple[str, str]]:
@@ -233,19 +221,4 @@ def _contact(world: WorldParameters) -> Iterator[tuple[str, str]]:
             "contact.hard_stop_stiffness",
             f"{contact.hard_stop_stiffness:g} N/m is softer than the springs that bottom on it "
             f"(contact.stiffness {contact.stiffness:g} N/m each): give at least {2.0 * contact.stiffness:g} N/m",
-        )
-
-
-def _circuit(world: WorldParameters) -> Iterator[tuple[str, str]]:
-    circuit = world.circuit
-    if circuit.voltage_min >= circuit.voltage_max:
-        yield (
-            "circuit.voltage_min",
-            f"{circuit.voltage_min!r} V is not below circuit.voltage_max ({circuit.voltage_max!r} V)",
-        )
-    elif circuit.voltage_limit < circuit.voltage_min:
-        yield (
-            "circuit.voltage_limit",
-            f"{circuit.voltage_limit!r} V is below circuit.voltage_min ({circuit.voltage_min!r} V): "
-            "no target that the stage feeds could take current",
         )

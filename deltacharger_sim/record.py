@@ -28,6 +28,8 @@ class Record:
         peak_push: largest force on the target along z without the magnets', N: of servos and impacts.
         lifted_live: number of times that one bar of live electrodes carried nothing while the other pressed.
         bar_heat: largest heat in one bar's contact, W.
+        energy: into the target at the electrodes, J.
+        port_shorted: s that a bar bridged a live port, whatever the contactor did.
     """
 
     energised_shorts: int = 0
@@ -41,6 +43,8 @@ class Record:
     peak_push: float = 0.0
     lifted_live: int = 0
     bar_heat: float = 0.0
+    energy: float = 0.0
+    port_shorted: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the values by name."""

@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 from deltacharger_core.arrays import Array
+from deltacharger_driver.emulators.stage import Outputs, StageReading
+from deltacharger_driver.emulators.target_port import TargetPort
 from deltacharger_sim.world import World
 
 _CATCH_UP = 0.5  # s; a longer pause of the process is skipped, not computed
@@ -61,25 +65,29 @@ class SharedWorld:
         with self._lock:
             return self._advance().taxels()
 
-    def read_power(self) -> tuple[float, float, float, bool, int]:
-        """Return battery and target voltage (V), charge current (A), contactor closed, and the stage's fault.
+    def read_power(self) -> StageReading:
+        """Return what the board measures in the power stage."""
+        with self._lock:
+            return self._advance().circuit.read_power()
 
-        NaN if not measured.
+    def drive(self, outputs: Outputs) -> None:
+        """Take the board's orders to the power stage."""
+        with self._lock:
+            self._advance().circuit.drive(outputs)
+
+    def change_target(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Let the target's port behave by these `PortParameters`, at its present voltage unless that is among them.
+
+        Returns:
+            What they were.
         """
         with self._lock:
-            return self._advance().circuit.measured()
-
-    def close_contactor(self) -> None:
-        """Let the stage pre-charge, close and ramp up."""
-        with self._lock:
-            self._advance().circuit.close()
-
-    def open_contactor(self, ramp: bool) -> None:
-        """Let the stage open, after ramping down or at once."""
-        with self._lock:
-            self._advance().circuit.open(ramp)
+            circuit = self._advance().circuit
+            before = circuit.port
+            circuit.port = TargetPort(replace(before.parameters, **{"voltage": before.voltage, **values}))
+            return {name: getattr(before.parameters, name) for name in values if name != "voltage"}
 
     def probe(self) -> tuple[float, float]:
-        """Return the probe's measurement: Ω (inf = open circuit) and V."""
+        """Return the probe's measurement: Ω (inf = no current flows, NaN = a live port) and V."""
         with self._lock:
             return self._advance().circuit.probe()

@@ -72,7 +72,7 @@ class World:
         self.parameters = parameters
         self.geometry = geometry or DeltaGeometry()
         self.mechanics: Motion = mechanics(parameters, self.geometry, start)
-        self.circuit = Circuit(parameters.circuit)
+        self.circuit = Circuit(parameters.circuit, parameters.port, parameters.stage)
         self.record = Record()
         self.time = 0.0
         self._tactile = tactile
@@ -293,6 +293,8 @@ class World:
             record.peak_push = force - self.mechanics.magnet_force
         record.broken_current = circuit.broken_current
         lies = self._overlap
+        record.energy += circuit.power * dt
+        record.port_shorted += dt if circuit.port_shorted else 0.0
         if circuit.wired:
             record.parted_live += self._lay_wired and lies is None
             self._lay_wired = lies is not None

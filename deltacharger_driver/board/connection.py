@@ -39,6 +39,9 @@ class BoardConnection:
     Any thread except a callback may send commands, several at a time. After `PortGone` the link is down until `close`
     and `open` are called again. Sequence numbers, clock and counters continue.
 
+    Attributes:
+        greeting: HELLO of the last board that was accepted; it declares the power stage.
+
     Args:
         port: path of the port.
         baud_rate: speed on a UART; any on USB.
@@ -78,6 +81,7 @@ class BoardConnection:
         self._heartbeat: Heartbeat | None = None
         self._closing = threading.Event()
         self.gone: PortGone | None = None
+        self.greeting: Hello | None = None
 
     def open(self) -> Hello:
         """Open the port and exchange HELLO with the board.
@@ -118,6 +122,7 @@ class BoardConnection:
         except NoAnswer as error:
             raise explain_silence(self.port, before, self._decoder.counters, error) from error
         check_hello(self.port, hello)
+        self.greeting = hello
         return hello
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 from deltacharger_driver.board.errors import CommandRefused
@@ -38,7 +39,7 @@ class ContactorGuard:
 
     A close or a renewal needs fresh tactile frames with contact: any live taxel at 1 N or more on at least one pad
     within the last 0.1 s. TARE of the board uses the same criterion. One pad suffices, because a misaligned ridge may
-    miss the other. A first close also needs a fresh probe that allows it.
+    miss the other. A first close also needs limits, and a fresh probe that allows it.
 
     Args:
         link: to the board.
@@ -63,6 +64,7 @@ class ContactorGuard:
         self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
         self._was_closed = False
+        self._current = 0.0  # A, the largest that the board was told
         self._welded = False  # even if the board reboots or is replaced
         self._shut = False
         self._refused = 0  # closes, since the start
@@ -129,19 +131,21 @@ class ContactorGuard:
             self._was_closed = False
         self._link.stop_heartbeat()
 
-    def close(self, holder: str, duration: float, token: str = "") -> float:
+    def close(self, holder: str, duration: float, token: str = "", limits: ChargeLimits | None = None) -> float:
         """Close the contactor for a lease, or renew it. A close waits for a running probe and precedes the next one.
 
         Args:
             holder: name of the client.
             duration: s; limited to 0.25.
             token: the holder's secret; a lease begun with a token is renewed only with it. '' = the name suffices.
+            limits: of the closing; a renewal uses only the current, 0 = unchanged.
 
         Returns:
             Remaining time of the lease, s.
 
         Raises:
-            LeaseRefused: another holder, no contact, stale frames, no fresh probe, a short …; nothing was closed.
+            LeaseRefused: another holder, no contact, stale frames, no limits, no fresh probe, a short …; nothing was
+                closed.
             CommandRefused: an interlock of the board.
             DriverError: the board cannot be reached.
         """
@@ -149,39 +153,42 @@ class ContactorGuard:
             with self._commands:  # refuse without waiting for a probe
                 self._open_if_lapsed()
                 with self._lock:
-                    self._check(holder, duration, token, self._clock())
+                    self._check(holder, duration, token, limits, self._clock())
             with self._probe:
-                return self._close(holder, duration, token)
+                return self._close(holder, duration, token, limits)
         except DriverError as error:
             with self._lock:
                 self._refused += 1
                 self._last_refusal = str(error)
             raise
 
-    def _close(self, holder: str, duration: float, token: str) -> float:
+    def _close(self, holder: str, duration: float, token: str, limits: ChargeLimits | None) -> float:
         with self._commands:
             self._open_if_lapsed()
             with self._lock:
                 now = self._clock()
                 renewal = self._lease.is_live(now)
-                self._check(holder, duration, token, now)
-                until = self._lease.take(holder, duration, now, token)
+                self._check(holder, duration, token, limits, now)
+                until = self._lease.take(holder, duration, now, token, limits)
                 openings = self._lease.openings
                 if not renewal:
                     self._was_closed = False  # until the board reports it, pre-charge runs
-            if renewal:
-                self._link.keep_alive(until)
+            if not renewal:
+                assert limits is not None  # the lease refuses a close without
+                self._begin(until, limits)
             else:
-                self._begin(until)
+                self._link.keep_alive(until)
+                if limits is not None:
+                    self._limit(limits.current)
             with self._lock:
                 if self._lease.openings == openings:
                     return until - now
         self._link.stop_heartbeat()  # the contactor was opened in between; keep_alive must not outlive that
         raise LeaseRefused("the contactor was opened during this request; probe and close again")
 
-    def _check(self, holder: str, duration: float, token: str, now: float) -> None:
+    def _check(self, holder: str, duration: float, token: str, limits: ChargeLimits | None, now: float) -> None:
         self._check_board(now)
-        self._lease.check(holder, duration, now, token)
+        self._lease.check(holder, duration, now, token, limits)
         self._check_contact(now)
 
     def _opened(self) -> None:
@@ -212,18 +219,25 @@ class ContactorGuard:
         if not any(_in_contact(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
             raise LeaseRefused(f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
 
-    def _begin(self, until: float) -> None:
+    def _begin(self, until: float, limits: ChargeLimits) -> None:
         if self._on_lease is not None:
             self._on_lease()
         try:
             self._link.keep_alive(until)
-            self._link.contactor(True)
+            self._link.contactor(True, limits)
+            self._current = limits.current
         except DriverError as error:
             self._end_lease()
             if isinstance(error, NoAnswer):  # after a refusal, an opening would clear a fault that must stay visible
                 with contextlib.suppress(DriverError):
                     self._link.contactor(False)  # the board may have closed
             raise
+
+    def _limit(self, current: float) -> None:
+        """Tell the board another largest current (A, 0 = unchanged), once it reports the contactor closed."""
+        if current and current != self._current and self._was_closed:
+            self._link.limit_current(current)
+            self._current = current
 
     def _end_lease(self) -> None:
         with self._lock:

@@ -3,7 +3,8 @@
 
 A close is a lease of at most 0.25 s that its holder renews. A lapsed lease means that the holder is dead or hangs; the
 contactor must then be opened before any other request is served. Every opening, whatever its cause, ends the lease and
-voids the probe. So each close follows a measurement of the circuit that it closes.
+voids the probe. So each close follows a look at the port that it closes on. Its limits bind until the opening; a
+renewal may change the current.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from __future__ import annotations
 import hmac
 import math
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import LONGEST_LEASE
-from deltacharger_driver.board.payloads import probe_problem
+from deltacharger_driver.board.payloads import LIMITS, limits_problem, probe_problem
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.errors import DriverError
 
@@ -35,7 +37,7 @@ class ContactorLease:
         openings: number of openings; compare it before and after a wait to detect one.
         renewals: number of renewals.
         lapses: number of leases that ran out; kept by the owner, which then opens the contactor.
-        resistance: ohm, result of the last probe, even if void; NaN before the first.
+        resistance: ohm, result of the last probe, even if void; NaN before the first, and of a live port.
         target_voltage: V, result of the last probe.
     """
 
@@ -72,12 +74,15 @@ class ContactorLease:
         """Return the age of the last valid probe, s; inf = none, or voided by an opening."""
         return now - self._probed_at
 
-    def check(self, holder: str, duration: float, now: float, token: str = "") -> None:
+    def check(
+        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+    ) -> None:
         """Raise the errors of `take` without changing anything.
 
         Raises:
             LeaseRefused: no name; name or token too long; duration not positive; lapsed and not yet opened; held by
-                another holder or with another token; for a new lease, no probe younger than 2 s that allows a close.
+                another holder or with another token; for a new lease, no valid limits, or no probe younger than 2 s
+                that allows a close within them; for a renewal, a current out of range.
         """
         for what, text in (("holder", holder), ("token", token)):
             if len(text) > LONGEST_NAME:
@@ -91,23 +96,37 @@ class ContactorLease:
         if self.is_live(now):
             if holder != self.holder or not self._is_known(token):
                 raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
+            self._check_current(0.0 if limits is None else limits.current)
             return
-        self._check_probe(now)
+        if limits is None:
+            raise LeaseRefused("a close needs limits of current and voltage: give current_max and voltage_max")
+        if problem := limits_problem(limits):
+            raise LeaseRefused(f"a close needs limits: {problem}")
+        self._check_probe(now, limits.dead)
+
+    @staticmethod
+    def _check_current(current: float) -> None:
+        """Refuse a renewal whose current (A) is out of range; 0 = unchanged."""
+        low, high = LIMITS["current"]
+        if current != 0.0 and not low <= current <= high:  # also NaN
+            raise LeaseRefused(f"current is {current:g}: give {low:g} to {high:g}, or 0 to leave it")
 
     def _is_known(self, token: str) -> bool:
         """Return whether `token` is the lease's own; for a lease without token, the name suffices."""
         return not self._token or hmac.compare_digest(token.encode(), self._token.encode())
 
-    def _check_probe(self, now: float) -> None:
+    def _check_probe(self, now: float, dead: bool) -> None:
         age = self.probe_age(now)
         if not age < PROBE_LIFETIME:
             state = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
             raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {state}; call probe")
-        problem = probe_problem(self.resistance, self.target_voltage)
+        problem = probe_problem(self.resistance, self.target_voltage, dead)
         if problem:
             raise LeaseRefused(problem)
 
-    def take(self, holder: str, duration: float, now: float, token: str = "") -> float:
+    def take(
+        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+    ) -> float:
         """Grant or renew the lease.
 
         Args:
@@ -115,6 +134,7 @@ class ContactorLease:
             duration: s; limited to 0.25.
             now: s.
             token: the holder's secret; a lease begun with a token is renewed only with it.
+            limits: of the closing; a renewal uses only the current, 0 = unchanged.
 
         Returns:
             End of the lease, s.
@@ -122,7 +142,7 @@ class ContactorLease:
         Raises:
             LeaseRefused: as in `check`.
         """
-        self.check(holder, duration, now, token)
+        self.check(holder, duration, now, token, limits)
         renewal = self.is_live(now)
         self.renewals += renewal
         self.holder = holder

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from deltacharger_driver.board.protocol import VERSION, AckError, type_name
+from deltacharger_driver.board.protocol import MINOR, VERSION, AckError, type_name
 from deltacharger_driver.errors import DriverError
 
 _EXPLANATIONS = {
     AckError.BAD_PAYLOAD: "invalid value",
     AckError.UNKNOWN: "unknown command; update the board's firmware",
     AckError.INTERLOCK: (
-        "interlock: a close needs a live heartbeat, no latched fault and a probe younger than 2 s "
-        "without a short, reversal or open circuit; open, then probe, then close"
+        "interlock: a close needs a live heartbeat, no latched fault, a probe younger than 2 s that found a port as "
+        "the limits expect it, and a stage whose voltage they allow; open, then probe, then close"
     ),
     AckError.NOT_NOW: "not possible now",
 }
@@ -63,4 +63,5 @@ class BoardMismatch(DriverError, ConnectionError):
     def __init__(self, port: str, reason: str) -> None:
         self.port = port
         self.reason = reason
-        super().__init__(f"{port}: {reason}; this driver needs version {VERSION} and 10 x 10 taxels")
+        needs = f"this driver needs version {VERSION}.{MINOR} or later and 10 x 10 taxels"
+        super().__init__(f"{port}: {reason}; {needs}: flash the current firmware")

@@ -9,7 +9,7 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.errors import BoardMismatch
 from deltacharger_driver.board.payloads import Hello
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import VERSION, DecoderCounters
+from deltacharger_driver.board.protocol import MINOR, VERSION, DecoderCounters
 from deltacharger_driver.errors import NoAnswer, PortError, WrongDevice
 from deltacharger_driver.port_identity import find_servos
 
@@ -20,7 +20,7 @@ def check_hello(port: str, hello: Hello) -> None:
     Raises:
         BoardMismatch: it speaks another version or has other array sizes.
     """
-    if hello.major != VERSION:
+    if hello.major != VERSION or hello.minor < MINOR:
         raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
     if (hello.rows, hello.columns) != (ROWS, COLUMNS):
         raise BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")

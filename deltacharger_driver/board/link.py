@@ -7,12 +7,18 @@ import itertools
 import struct
 import time
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_driver.board.connection import BoardConnection
 from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import decode_probe, encode_rate, encode_servo_speed
+from deltacharger_driver.board.payloads import (
+    decode_probe,
+    encode_close,
+    encode_limit,
+    encode_rate,
+    encode_servo_speed,
+)
 from deltacharger_driver.board.protocol import (
     CLEAR_WELD,
-    CLOSE,
     LONGEST_PING,
     LONGEST_SERVO,
     OPEN,
@@ -66,21 +72,35 @@ class BoardLink(BoardConnection):
         }
         self._ask(PacketType.TARE, attempt_timeout=0.25, attempts=2, advice=advice)
 
-    def contactor(self, close: bool) -> None:
-        """Close or open the contactor. A close also needs `keep_alive` and a fresh `probe`.
+    def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
+        """Close the contactor within limits, or open it. A close also needs `keep_alive` and a fresh `probe`.
 
         Raises:
             CommandRefused: an interlock; opening is never refused.
+            ValueError: a close without limits.
         """
-        advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is already closed"}
+        if close and limits is None:
+            raise ValueError("a close needs limits of current and voltage")
+        payload = bytes([OPEN]) if limits is None or not close else encode_close(limits)
+        advice: dict[int, str] = {
+            AckError.BAD_PAYLOAD: "a limit of current, voltage or time is out of range",
+            AckError.NOT_NOW: "the contactor is already closed",
+        }
         try:
-            self._ask(
-                PacketType.CONTACTOR, bytes([CLOSE if close else OPEN]), attempt_timeout=0.05, attempts=4, advice=advice
-            )
+            self._ask(PacketType.CONTACTOR, payload, attempt_timeout=0.05, attempts=4, advice=advice)
         except CommandRefused as error:
             # If a repeated close finds the contactor closed, only the first answer was lost.
             if not (close and error.error == AckError.NOT_NOW and error.attempts > 1):
                 raise
+
+    def limit_current(self, current: float) -> None:
+        """Change the largest current (A) of a closed contactor.
+
+        Raises:
+            CommandRefused: the contactor is open, or the current is out of range.
+        """
+        advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is open"}
+        self._ask(PacketType.CONTACTOR, encode_limit(current), attempt_timeout=0.05, attempts=4, advice=advice)
 
     def clear_weld(self) -> None:
         """Clear a latched weld. Only a person who has replaced the contactor may order it.
@@ -96,7 +116,7 @@ class BoardLink(BoardConnection):
         self._ask(PacketType.CONTACTOR, bytes([CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice)
 
     def probe(self) -> ProbeResult:
-        """Measure the circuit between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
+        """Look at the port between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
 
         Raises:
             CommandRefused: the contactor is closed, a probe is running, an opening interrupted it, a fault is latched,

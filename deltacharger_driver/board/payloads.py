@@ -10,14 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deltacharger_core.charge_port import ChargeLimits, Port, port_of
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.protocol import (
+    CLOSE,
     DEAD_VOLTAGE,
     FULL_SCALE,
+    LIMIT,
     LONGEST_PING,
     LONGEST_SERVO,
     SERVO_MINOR,
-    SHORT_RESISTANCE,
     TAXELS,
     ZERO_CURRENT,
     BoardFault,
@@ -26,13 +28,18 @@ from deltacharger_driver.board.protocol import (
     SampleFormat,
 )
 
-_POWER = struct.Struct("<fffBBH")
-_HELLO = struct.Struct("<BBBBIf")
+_POWER = struct.Struct("<fffBBHf")
+_HELLO = struct.Struct("<BBBBIfBBHf")
+_CLOSE = struct.Struct("<BBHffff")
+_LIMIT = struct.Struct("<Bf")
+_HELLO_BEFORE = struct.Struct("<BBBBIf")  # of boards before minor version 2
 _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
 _SPEED = struct.Struct("<I")
 _LAST_FAULT = max(BoardFault)
+LIMITS = {"current": (0.05, 30.0), "voltage": (1.0, 60.0), "start_time": (0.1, 70.0), "gap_time": (0.05, 130.0)}
+"""Bounds of a closing's limits: A, V, s, s."""
 _WORD_SHIFTS = np.array((0, 12), np.uint32)  # two codes of 12 bit in every three bytes
 _SAMPLE_BYTES: dict[int, int] = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
 
@@ -53,17 +60,25 @@ _FORCES: dict[int, Taxels] = {
 
 
 class Power(NamedTuple):
-    """Payload of a POWER packet: V, V, A (NaN = not measured), contactor and fault."""
+    """Payload of a POWER packet: V, V, A (NaN = not measured), contactor, fault, and A.
+
+    The currents are the mean and the least since the last packet.
+    """
 
     battery_voltage: float
     target_voltage: float
     charge_current: float
     contactor_closed: bool
     fault: int
+    least_current: float = math.nan
 
 
 class Hello(NamedTuple):
-    """Payload of the board's HELLO packet; `rate` in Hz."""
+    """Payload of the board's HELLO packet; `rate` in Hz.
+
+    The stage charges above its battery's voltage if it `steps_up`; `stage_voltage` (V) is its constant voltage, NaN =
+    the board sets it.
+    """
 
     major: int
     minor: int
@@ -71,11 +86,13 @@ class Hello(NamedTuple):
     columns: int
     boot_id: int
     rate: float
+    steps_up: bool = True
+    stage_voltage: float = math.nan
 
     @property
     def carries_servos(self) -> bool:
         """Whether the servos' bus is connected to the board, which then passes its bytes."""
-        return self.minor >= SERVO_MINOR
+        return self.minor % 2 == SERVO_MINOR % 2
 
 
 class Ack(NamedTuple):
@@ -142,7 +159,7 @@ def decode_samples(payload: bytes, sample_format: int) -> Taxels:
 
 def encode_power(power: Power) -> bytes:
     """Return the payload of a POWER packet."""
-    return _POWER.pack(*power, 0)
+    return _POWER.pack(*power[:5], 0, power.least_current)
 
 
 def decode_power(payload: bytes) -> Power:
@@ -152,32 +169,88 @@ def decode_power(payload: bytes) -> Power:
         PacketError: wrong length, an infinite reading (a missing one is NaN), a contactor that is neither 0 nor 1, a
             fault that is not in the table, reserved bytes that are not 0.
     """
-    battery, target, current, closed, fault, reserved = _unpack(_POWER, payload, PacketType.POWER)
-    for name, value in (("battery_V", battery), ("target_V", target), ("charge_A", current)):
+    battery, target, current, closed, fault, reserved, least = _unpack(_POWER, payload, PacketType.POWER)
+    for name, value in (("battery_V", battery), ("target_V", target), ("charge_A", current), ("least_A", least)):
         _refuse_infinite(PacketType.POWER, name, value)
     if closed > 1:
         raise PacketError(PacketType.POWER, f"contactor is {closed} instead of 0 or 1")
     if fault > _LAST_FAULT:
         raise PacketError(PacketType.POWER, f"fault {fault} is unknown; the last is {_LAST_FAULT}")
     if reserved:
-        raise PacketError(PacketType.POWER, f"its last two bytes are {reserved} instead of 0")
-    return Power(battery, target, current, closed == 1, fault)
+        raise PacketError(PacketType.POWER, f"its reserved bytes are {reserved} instead of 0")
+    return Power(battery, target, current, closed == 1, fault, least)
 
 
 def encode_hello(hello: Hello) -> bytes:
     """Return the payload of the board's HELLO packet."""
-    return _HELLO.pack(*hello)
+    return _HELLO.pack(*hello[:7], 0, 0, hello.stage_voltage)
 
 
 def decode_hello(payload: bytes) -> Hello:
     """Read the payload of the board's HELLO packet. The caller checks version and array sizes.
 
+    An older board's, which is shorter, is read too, so that its version can be named.
+
     Raises:
-        PacketError: wrong length, or a rate that is negative or not finite.
+        PacketError: wrong length, a rate that is negative or not finite, a stage that is not declared.
     """
-    hello = Hello(*_unpack(_HELLO, payload, PacketType.HELLO))
+    if len(payload) == _HELLO_BEFORE.size:
+        hello = Hello(*_HELLO_BEFORE.unpack(payload))
+    else:
+        *known, up, zero, reserved, voltage = _unpack(_HELLO, payload, PacketType.HELLO)
+        hello = Hello._make((*known, up == 1, voltage))
+        if up > 1 or zero or reserved or voltage <= 0.0 or math.isinf(voltage):
+            raise PacketError(PacketType.HELLO, "its power stage is not declared as docs/board-link.md says")
     _check_rate(PacketType.HELLO, hello.rate)
     return hello
+
+
+def encode_close(limits: ChargeLimits) -> bytes:
+    """Return the payload of a CONTACTOR packet that closes within these limits."""
+    return _CLOSE.pack(CLOSE, limits.dead, 0, limits.current, limits.voltage, limits.start_time, limits.gap_time)
+
+
+def decode_close(payload: bytes) -> ChargeLimits:
+    """Read the payload of a CONTACTOR packet that closes.
+
+    Raises:
+        PacketError: wrong length, or a limit outside `LIMITS`.
+    """
+    kind, dead, reserved, *numbers = _unpack(_CLOSE, payload, PacketType.CONTACTOR)
+    if kind != CLOSE or dead > 1 or reserved:
+        raise PacketError(PacketType.CONTACTOR, f"its first bytes are {payload[:4].hex()}")
+    current, voltage, start, gap = numbers
+    limits = ChargeLimits(current, voltage, dead == 1, start, gap)
+    if problem := limits_problem(limits):
+        raise PacketError(PacketType.CONTACTOR, problem)
+    return limits
+
+
+def limits_problem(limits: ChargeLimits) -> str:
+    """Return which limit is outside `LIMITS`; '' = none."""
+    for name, (low, high) in LIMITS.items():
+        value = getattr(limits, name)
+        if not low <= value <= high:  # also NaN
+            return f"{name} is {value:g}: give {low:g} to {high:g}"
+    return ""
+
+
+def encode_limit(current: float) -> bytes:
+    """Return the payload of a CONTACTOR packet that changes the largest current (A) of a closed contactor."""
+    return _LIMIT.pack(LIMIT, current)
+
+
+def decode_limit(payload: bytes) -> float:
+    """Read the payload of a CONTACTOR packet that changes the largest current, A.
+
+    Raises:
+        PacketError: wrong length, or a current outside `LIMITS`.
+    """
+    _, current = _unpack(_LIMIT, payload, PacketType.CONTACTOR)
+    low, high = LIMITS["current"]
+    if not low <= current <= high:
+        raise PacketError(PacketType.CONTACTOR, f"{current:g} A is outside {low:g} to {high:g} A")
+    return float(current)
 
 
 def encode_ack(ack: Ack) -> bytes:
@@ -294,19 +367,25 @@ def weld_problem(power: Power) -> str:
     return ", ".join(live)
 
 
-def probe_problem(resistance: float, target_voltage: float) -> str:
+_PORT_PROBLEMS = {
+    Port.UNKNOWN: "the probe measured nothing; check its wiring",
+    Port.OPEN: "no current flows into the port: the target is off or asleep, a diode is in its port, or the electrodes "
+    "do not touch or are dirty",
+    Port.DEAD: "the port has no voltage: the target is off or asleep",
+    Port.SHORT: "short circuit between the electrodes; dock again",
+    Port.REVERSED: "reversed polarity: swap the target's terminals",
+}
+
+
+def probe_problem(resistance: float, target_voltage: float, dead: bool = False) -> str:
     """Return why a probe's result forbids closing the contactor; '' if it allows it.
 
     Args:
-        resistance: ohm between the electrodes, inf = open circuit.
+        resistance: ohm at the end of the driven look, NaN = a live port.
         target_voltage: V, negative = reversed.
+        dead: whether the port may have no voltage of its own.
     """
-    if math.isinf(resistance):
-        return "open circuit: the electrodes do not touch the target; dock again"
-    if math.isnan(resistance) or math.isnan(target_voltage):
-        return "the probe measured nothing; check its wiring"
-    if target_voltage < 0.0:
-        return f"reversed polarity: the target has {target_voltage:.2f} V; swap its terminals"
-    if resistance < SHORT_RESISTANCE:
-        return f"short circuit: {resistance:.3g} ohm between the electrodes; dock again"
-    return ""
+    port = port_of(resistance, target_voltage)
+    if port is Port.LIVE or (dead and port in (Port.OPEN, Port.DEAD)):
+        return ""
+    return f"{_PORT_PROBLEMS[port]} ({resistance:.3g} ohm, {target_voltage:.2f} V)"

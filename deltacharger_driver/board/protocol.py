@@ -17,8 +17,9 @@ from deltacharger_driver.board import cobs
 from deltacharger_driver.errors import DriverError
 
 VERSION = 1
-MINOR = 0
-SERVO_MINOR = 1
+MINOR = 2
+"""Minor version from which a close carries limits; older boards are refused."""
+SERVO_MINOR = 3
 """Minor version of a board that passes the bytes of the servos' bus; other boards report MINOR."""
 TAXELS = ROWS * COLUMNS
 FULL_SCALE = 10.0  # N, the code one below the top
@@ -28,10 +29,9 @@ HEARTBEAT_PERIOD = 0.020  # s
 HEARTBEAT_TIMEOUT = 0.100  # s without one opens the contactor
 PROBE_LIFETIME = 2.0  # s; a close needs a probe younger than this
 PROBE_TIMEOUT = 0.250  # s; longest time until a probe is answered
-SHORT_RESISTANCE = 1.0  # ohm, below it the electrodes are shorted
 ZERO_CURRENT = 0.5  # A, below it no current flows through an open contactor
 DEAD_VOLTAGE = 5.0  # V, below it the electrodes are dead
-OPEN, CLOSE, CLEAR_WELD = 0, 1, 2  # the byte of CONTACTOR
+OPEN, CLOSE, CLEAR_WELD, LIMIT = 0, 1, 2, 3  # the first byte of CONTACTOR
 LONGEST_PING = 64  # bytes
 LONGEST_SERVO = 128  # bytes of the servos' bus in one packet
 

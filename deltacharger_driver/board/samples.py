@@ -40,7 +40,7 @@ class PowerSample:
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """A probe: ohm (inf = open circuit), V (negative = reversed) and its time (s, monotonic)."""
+    """A probe: ohm and V as `port_of` takes them, and its time (s, monotonic)."""
 
     resistance: float
     target_voltage: float

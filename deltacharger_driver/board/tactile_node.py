@@ -8,8 +8,9 @@ Parameters: port, baud_rate, rate, pitch, heartbeat_priority, frame_prefix.
 
 Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s. While it lives, the
 node relays it as the board's heartbeat; it never sends a heartbeat without a lease. The node refuses to close without
-fresh frames, contact and a fresh probe, or on a short, reversed polarity, an open circuit or a latched fault. When the
-port vanishes, the lease ends, the topics stop, and the node reopens the port.
+fresh frames, contact, limits of current and voltage and a fresh probe, or on a short, reversed polarity, a port that is
+not as the limits expect it, or a latched fault. When the port vanishes, the lease ends, the topics stop, and the node
+reopens the port.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from deltacharger_core import runtime
+from deltacharger_core.charge_port import port_of
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.quantity import quantity
@@ -35,7 +37,7 @@ from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.board.shared_call import SharedCall
-from deltacharger_driver.board.tactile_node_io import SamplePublishers
+from deltacharger_driver.board.tactile_node_io import SamplePublishers, limits_of
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.orders import late
 from deltacharger_driver.parameters import TactileNodeParameters
@@ -112,8 +114,10 @@ class TactileNode(Node):
     def _publish_power(self, sample: PowerSample) -> None:
         self._power = sample
         self._power_rate.count()
-        if self.context.ok():
-            self._samples.power(sample, *self._keeper.guard.probe_record())
+        hello = self._keeper.link.greeting  # None: a report that overtook the greeting, of a stage not yet known
+        if self.context.ok() and hello is not None:
+            record = self._keeper.guard.probe_record()
+            self._samples.power(sample, *record, hello.steps_up, hello.stage_voltage)
 
     def _fresh_power(self) -> PowerSample | None:
         """Return the newest sample of the power stage; None if it is stale."""
@@ -163,7 +167,9 @@ class TactileNode(Node):
         def probe() -> str:
             result = self._keeper.guard.probe()
             response.resistance, response.target_voltage = result.resistance, result.target_voltage
-            return f"{result.resistance:.3g} ohm, {result.target_voltage:.2f} V"
+            port = port_of(result.resistance, result.target_voltage)
+            response.port = int(port)
+            return f"{port.name.lower()}: {result.resistance:.3g} ohm, {result.target_voltage:.2f} V"
 
         return self._served(response, probe)
 
@@ -176,7 +182,7 @@ class TactileNode(Node):
                 if request.clear_weld:
                     guard.clear_weld()
                 return "opened; no weld is latched" if request.clear_weld else "opened"
-            lasts = guard.close(request.holder, seconds(request.lease), request.token)
+            lasts = guard.close(request.holder, seconds(request.lease), request.token, limits_of(request))
             return f"closed for {lasts:.3f} s; renew it in time"
 
         return self._served(response, switch, opens=not request.close)

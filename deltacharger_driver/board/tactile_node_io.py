@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS output of tactile_node: tactile_frame and charger_power from samples."""
+"""ROS interface of tactile_node: tactile_frame and charger_power from samples, limits from a request."""
 
 from __future__ import annotations
 
+import math
 from array import array
 
 from deltacharger.msg import ChargerPower, TactileFrame
+from deltacharger.srv import SetContactor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
@@ -22,7 +25,17 @@ _POWER_FIELDS = (
     "probe_resistance",
     "probe_age",
     "fault",
+    "charge_current_least",
+    "stage_steps_up",
+    "stage_voltage",
 )
+
+
+def limits_of(request: SetContactor.Request) -> ChargeLimits:
+    """Return the limits that a request to close gives; all 0 in an old client's."""
+    return ChargeLimits(
+        request.current_max, request.voltage_max, request.dead_port, request.start_time, request.gap_time
+    )
 
 
 class SamplePublishers:
@@ -56,8 +69,18 @@ class SamplePublishers:
             bytes((sample.tared,)),
         )
 
-    def power(self, sample: PowerSample, probe_resistance: float, probe_age: float) -> None:
-        """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void)."""
+    def power(
+        self,
+        sample: PowerSample,
+        probe_resistance: float,
+        probe_age: float,
+        steps_up: bool = True,
+        stage_voltage: float = math.nan,
+    ) -> None:
+        """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void).
+
+        `steps_up` and `stage_voltage` (V) are the stage's as in `Hello`.
+        """
         power = sample.power
         measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
         self._powers.publish(
@@ -65,4 +88,7 @@ class SamplePublishers:
             bytes((power.contactor_closed,)),
             *(array("f", (value,)) for value in measured),
             bytes((power.fault,)),
+            array("f", (power.least_current,)),
+            bytes((steps_up,)),
+            array("f", (stage_voltage,)),
         )

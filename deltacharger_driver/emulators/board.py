@@ -18,6 +18,8 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
+    decode_close,
+    decode_limit,
     decode_ping,
     decode_rate,
     decode_servo,
@@ -34,6 +36,7 @@ from deltacharger_driver.board.protocol import (
     DEFAULT_RATE,
     FLAG_OVERRUN,
     FLAG_TARED,
+    LIMIT,
     OPEN,
     POWER_RATE,
     VERSION,
@@ -48,9 +51,9 @@ from deltacharger_driver.board.protocol import (
     encode_packet,
 )
 from deltacharger_driver.emulators.board_servos import BoardServos
-from deltacharger_driver.emulators.detectors import TARGET_VOLTAGES
 from deltacharger_driver.emulators.pads import EmulatedPads, PadPlant
 from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant
+from deltacharger_driver.emulators.stage import StageParameters
 from deltacharger_driver.emulators.wire_faults import DelayLine, WireFaults
 from deltacharger_driver.pseudo_terminal import ByteDevice
 
@@ -82,7 +85,7 @@ class BoardEmulator:
         on_sample: called for every sampling with its sequence number, its due time and its actual time, s.
         on_heartbeat: called for every heartbeat with its arrival, s.
         servos: the servos' bus, if it is connected to the board.
-        target_voltages: lowest and highest V that the stage charges.
+        stage: the power stage, as its wiring declares it.
     """
 
     def __init__(
@@ -96,13 +99,13 @@ class BoardEmulator:
         on_sample: Callable[[int, float, float], object] | None = None,
         on_heartbeat: Callable[[float], object] | None = None,
         servos: ByteDevice | None = None,
-        target_voltages: tuple[float, float] = TARGET_VOLTAGES,
+        stage: StageParameters | None = None,
     ) -> None:
         self._format = sample_format
         self._drift = drift
         self._random = np.random.default_rng(seed)
         self._pads = EmulatedPads(plant)
-        self._power = EmulatedPower(plant, probe_time, target_voltages)
+        self._power = EmulatedPower(plant, probe_time, stage)
         self._lock = threading.RLock()
         self._decoder = PacketDecoder()
         self._boot_time = boot_time
@@ -210,7 +213,7 @@ class BoardEmulator:
         if now >= self._next_power:
             missed = math.floor((now - self._next_power) * POWER_RATE)
             self._next_power += (missed + 1) / POWER_RATE
-            self._queue(PacketType.POWER, now, encode_power(self._power.read()))
+            self._queue(PacketType.POWER, now, encode_power(self._power.report()))
         for data in self.servos.take(now):
             self._queue(PacketType.SERVO, now, data)
         return True
@@ -258,7 +261,9 @@ class BoardEmulator:
         self._queue(PacketType.ACK, now, encode_ack(Ack(type, error, sequence, data)))
 
     def _send_hello(self, now: float) -> None:
-        hello = Hello(VERSION, self.servos.minor, ROWS, COLUMNS, self._boot_id, self._rate)
+        stage = self._power.parameters
+        known = VERSION, self.servos.minor, ROWS, COLUMNS, self._boot_id, self._rate
+        hello = Hello(*known, stage.steps_up, stage.stage_voltage or math.nan)
         self._queue(PacketType.HELLO, now, encode_hello(hello))
 
     def _execute(self, packet: Packet, now: float) -> None:
@@ -315,8 +320,10 @@ class BoardEmulator:
         return AckError.DONE
 
     def _contactor(self, packet: Packet, now: float) -> AckError:
-        if packet.payload == bytes([CLOSE]):
-            return self._power.close(now)
+        if packet.payload[:1] == bytes([CLOSE]):
+            return self._power.close(decode_close(packet.payload), now)
+        if packet.payload[:1] == bytes([LIMIT]):
+            return self._power.limit(decode_limit(packet.payload))
         if packet.payload == bytes([CLEAR_WELD]):
             return self._power.clear_weld()
         if packet.payload != bytes([OPEN]):

@@ -116,7 +116,7 @@ class ContactorClient:
             current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
             flows |= current
             live = power.contactor_closed or current or power.fault == ChargerPower.FAULT_CONTACTOR_WELDED
-            armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
+            armed = power.probe_age < PROBE_LIFETIME  # whatever it found: limits may allow a close on a dead port
             publisher = each.publisher or self._nameless(power.contactor_closed)
             self.guard.observe(publisher, live, armed, age, now)
         self._open |= opened and not flows and self.guard.state(now, False) is not ContactorState.CLOSED

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.mx64 import SPEEDS
+from deltacharger_sim.target_rows import ROWS, usual
 
 if TYPE_CHECKING:
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.emulators.servo_firmware import ServoFirmware
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_sim.shared_world import SharedWorld
 
 ONE, SOME = "one", "some"
 """Servos affected by a fault: one (default: the second), or several (default: all)."""
@@ -30,12 +32,13 @@ _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "o
 
 @dataclass(frozen=True)
 class Hardware:
-    """The affected hardware: both emulators and the terminals that serve them."""
+    """The affected hardware: both emulators, the terminals that serve them, and the world behind."""
 
     servos: ServoBusEmulator
     board: BoardEmulator
     servo_terminal: PseudoTerminal
     board_terminal: PseudoTerminal
+    world: SharedWorld
 
 
 @dataclass(frozen=True)
@@ -190,6 +193,11 @@ def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.board.set_dead(*place, dead=False)
 
 
+def _target_port(hardware: Hardware, order: FaultOrder) -> Undo:
+    before = hardware.world.change_target(usual(list(ROWS.values())[round(order.amount) - 1].port))
+    return lambda: hardware.world.change_target(before)
+
+
 _DAMAGE = {
     "drop": "lost", "corrupt": "changed", "truncate": "cut short", "duplicate": "sent twice",
     "garbage": "preceded by noise",
@@ -203,6 +211,9 @@ _SPEED = Amount(
 _ID = Amount(f"an id of 1 to {SERVOS}", 1, SERVOS, 1, whole=True)
 _CODE = Amount("a fault code of ChargerPower, 1 to 9", 1, 9, 9, whole=True)
 _TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 0, 199, 44, whole=True)
+_ROW = Amount(
+    f"a row of 1 to {len(ROWS)}", 1, len(ROWS), 19, tuple(n for n, row in enumerate(ROWS.values(), 1) if row.port), True
+)
 _BOOT = Amount("a boot of 0 to 10 s", 0.0, 10.0, 0.0)
 
 KINDS: dict[str, Kind] = {
@@ -268,5 +279,6 @@ KINDS: dict[str, Kind] = {
         )
         for name, text in _DAMAGE.items()
     },
+    "target_port": Kind("the target's port behaves as row `amount` of docs/targets.md", _target_port, amount=_ROW),
 }
 """Every fault by name."""

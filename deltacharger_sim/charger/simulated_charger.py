@@ -63,12 +63,11 @@ class SimulatedCharger:
         plant = SharedWorld(self.world)
         servos = ServoBusEmulator(plant, seed=self._simulation.seed)
         on_board = self._simulation.servos == "board"
-        circuit = self._simulation.world.circuit
         board = BoardEmulator(
             plant,
             seed=self._simulation.seed,
             servos=servos if on_board else None,
-            target_voltages=(circuit.voltage_min, circuit.voltage_max),
+            stage=self._simulation.world.stage,
         )
         with contextlib.ExitStack() as opened:
             folder = self._directory or Path(
@@ -79,7 +78,7 @@ class SimulatedCharger:
             servos.line_speed = (lambda: board.servos.speed) if on_board else servo_terminal.speed
             self.board_port = board_terminal.path
             self.servo_port = BEHIND_BOARD if on_board else servo_terminal.path
-            hardware = Hardware(servos, board, servo_terminal, board_terminal)
+            hardware = Hardware(servos, board, servo_terminal, board_terminal, plant)
             self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
             opened.callback(self.faults.close)
             self._listen(self.faults, folder / SOCKET, opened)

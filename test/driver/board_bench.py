@@ -7,12 +7,15 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power
+from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power, encode_close
 from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 
 STEP = 0.005
+LIMITS = ChargeLimits(current=1.0, voltage=29.4, gap_time=0.2)
+CLOSE = encode_close(LIMITS)
 
 
 class Bench:
@@ -77,7 +80,7 @@ class Bench:
         return self.ack(PacketType.PROBE, wait=0.2)
 
     def close(self) -> int:
-        return self.error(PacketType.CONTACTOR, b"\1")
+        return self.error(PacketType.CONTACTOR, CLOSE)
 
     def closed(self) -> Bench:
         """Heartbeat, probe, close, and wait until current flows."""

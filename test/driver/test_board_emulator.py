@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from deltacharger_driver.board.payloads import Hello, Power, decode_hello, decode_power
+from deltacharger_driver.board.payloads import Power, decode_hello, decode_power
 from deltacharger_driver.board.protocol import PacketType
 
 from .board_bench import Bench, acks, tactile
@@ -48,7 +48,8 @@ def test_a_boot_resets_everything() -> None:
     bench.error(PacketType.TARE, wait=0.1)
     bench.closed()
     first = decode_hello(bench.packets[0].payload)
-    assert first == Hello(1, 0, 10, 10, first.boot_id, 120.0)
+    assert first[:7] == (1, 2, 10, 10, first.boot_id, 120.0, True)
+    assert math.isnan(first.stage_voltage), "the board sets it"
     bench.board.reboot()
     packets = bench.run(0.2)
     assert packets[0].type == PacketType.HELLO
@@ -60,7 +61,7 @@ def test_a_boot_resets_everything() -> None:
     powers = [p for p in packets if p.type == PacketType.POWER]
     assert [p.sequence for p in powers] == list(range(len(powers)))
     assert powers[0].device_time_us == pytest.approx(50_000, abs=5000)
-    assert decode_power(powers[0].payload) == Power(26.0, 24.0, 0.0, False, 0)
+    assert decode_power(powers[0].payload) == Power(26.0, 24.0, 0.0, False, 0, 0.0)
     bench.run(0.02)
     assert bench.close() == 3
     bench.send(PacketType.START)

@@ -8,12 +8,15 @@ import struct
 
 import pytest
 
+from deltacharger_driver.board.payloads import decode_power, encode_close, encode_limit
 from deltacharger_driver.board.protocol import BoardFault, Packet, PacketType
+from deltacharger_driver.emulators.stage import StageParameters
+from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
 
-from .board_bench import Bench, acks
+from .board_bench import CLOSE, LIMITS, Bench, acks
 
 PROBE, CONTACTOR = PacketType.PROBE, PacketType.CONTACTOR
-OPEN, CLOSE, CLEAR_WELD = b"\0", b"\1", b"\2"
+OPEN, CLEAR_WELD = b"\0", b"\2"
 
 
 def answers(packets: list[Packet]) -> list[tuple[int, int, int]]:
@@ -28,7 +31,8 @@ def test_a_probe_is_answered_when_measured_and_no_other_runs_meanwhile() -> None
     assert bench.error(PROBE) == 4
     (ack,) = acks(bench.run(0.1))
     assert (ack.type, ack.error, ack.sequence) == (PROBE, 0, first)
-    assert struct.unpack("<ff", ack.data) == (2.0, 24.0)
+    ohm, volt = struct.unpack("<ff", ack.data)
+    assert (math.isnan(ohm), volt) == (True, 24.0)
 
 
 def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
@@ -40,7 +44,7 @@ def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
         bench.now += bench.board.next_event(bench.now) + 1e-6
         bench.board.poll(bench.now)
     assert 0.09 < bench.now - silent_since < 0.1005
-    assert not bench.plant.read_power()[3]
+    assert not bench.plant.read_power().closed
     bench.run(0.06)
     assert bench.power().fault == BoardFault.HEARTBEAT_LOST
 
@@ -69,7 +73,7 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
     bench = Bench().closed()
     bench.plant.detected = fault
     bench.run(0.02)
-    assert not bench.plant.read_power()[3]
+    assert not bench.plant.read_power().closed
     bench.plant.detected = 0
     bench.run(0.5)
     assert bench.power().fault == fault
@@ -136,12 +140,22 @@ def test_no_probe_begins_while_current_flows() -> None:
         bench.send(CONTACTOR, OPEN)
 
 
-@pytest.mark.parametrize(("resistance", "target"), [(0.9, 24.0), (math.inf, 24.0), (2.0, -24.0)])
-def test_a_bad_probe_forbids_a_close_but_sets_no_fault(resistance: float, target: float) -> None:
+@pytest.mark.parametrize(
+    ("port", "dead"),
+    [
+        ({"voltage": 0.0, "bleeder": 0.05}, False),
+        ({"voltage": 0.0, "bleeder": 0.05}, True),
+        ({"voltage": -24.0}, False),
+        ({"voltage": -24.0}, True),
+        ({"diode": 0.4}, False),
+        ({"voltage": 0.0, "capacitor": 0.0022}, False),
+    ],
+)
+def test_a_bad_probe_forbids_a_close_but_sets_no_fault(port: dict[str, float], dead: bool) -> None:
     bench = Bench()
-    bench.beating, bench.plant.resistance, bench.plant.target = True, resistance, target
+    bench.beating, bench.plant.resistance, bench.plant.port = True, 0.01, TargetPort(PortParameters(**port))
     bench.probe()
-    assert bench.close() == 3
+    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(dead=dead))) == 3
     bench.run(0.2)
     assert (bench.power().contactor_closed, bench.power().fault) == (False, 0)
 
@@ -199,3 +213,126 @@ def test_a_heartbeat_with_flags_or_a_format_is_ignored(flags: int, format: int) 
     assert bench.probe().error == 0
     bench.send(PacketType.HEARTBEAT, flags=flags, format=format)
     assert bench.close() == (3 if flags or format else 0)
+
+
+def charging(port: dict[str, float], **limits: float) -> Bench:
+    """A board that closes on this port within these limits."""
+    bench = Bench()
+    bench.beating, bench.plant.resistance, bench.plant.port = True, 0.01, TargetPort(PortParameters(**port))
+    bench.probe()
+    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(**limits))) == 0
+    return bench
+
+
+@pytest.mark.parametrize(("current", "voltage", "flows", "shown"), [(4.0, 29.4, 4.0, 24.64), (18.0, 25.0, 6.25, 25.0)])
+def test_current_and_voltage_stay_within_the_limits_of_the_closing(
+    current: float, voltage: float, flows: float, shown: float
+) -> None:
+    bench = charging({}, current=current, voltage=voltage)
+    bench.run(1.0)
+    assert bench.power().charge_current == pytest.approx(flows, rel=0.01)
+    assert bench.power().target_voltage == pytest.approx(shown, abs=0.01)
+    assert bench.error(CONTACTOR, encode_limit(2.0)) == 0
+    bench.run(0.1)
+    assert bench.power().charge_current == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\1",
+        encode_close(LIMITS)[:-1],
+        *(encode_close(LIMITS._replace(current=value)) for value in (0.0, 31.0, math.nan)),
+        *(encode_close(LIMITS._replace(voltage=value)) for value in (0.0, 61.0, math.nan)),
+        *(encode_close(LIMITS._replace(gap_time=value)) for value in (0.0, 131.0, math.nan)),
+        encode_close(LIMITS._replace(start_time=math.inf)),
+        encode_limit(math.nan),
+    ],
+)
+def test_limits_out_of_their_bounds_are_a_bad_payload(payload: bytes) -> None:
+    bench = Bench()
+    bench.beating = True
+    bench.probe()
+    assert bench.error(CONTACTOR, payload) == 1
+    assert bench.error(CONTACTOR, encode_limit(5.0)) == 4, "it is not closed"
+
+
+@pytest.mark.parametrize(("gap", "survives"), [(0.15, True), (0.3, False)])
+def test_a_gap_is_tolerated_for_its_time_and_current_ramps_again_from_one_ampere(gap: float, survives: bool) -> None:
+    port = {"gap_time": gap, "gap_period": 0.5, "gaps": 1}
+    bench = charging(port, current=10.0, gap_time=0.2)
+    bench.run(0.55)
+    assert bench.power().charge_current > 9.0
+    packets = bench.run(gap + 0.15)
+    powers = [decode_power(p.payload) for p in packets if p.type == PacketType.POWER]
+    assert powers[-1].contactor_closed == survives
+    assert powers[-1].fault == (0 if survives else BoardFault.NO_CHARGE_CURRENT)
+    assert min(p.least_current for p in powers) == 0.0
+    assert not survives or any(0.5 < p.charge_current < 9.0 for p in powers)
+
+
+def test_reverse_current_is_tolerated_for_a_moment_unless_it_is_large() -> None:
+    for current, seconds, fault in ((-0.6, 0.08, 0), (-0.6, 0.13, 6), (-5.1, 0.02, 6)):
+        bench = charging({}, current=5.0)
+        bench.run(0.5)
+        bench.plant.measured = {"current": current}
+        bench.run(seconds)
+        assert bench.board.fault == fault
+
+
+def test_a_voltage_above_the_limit_trips_after_a_tenth_of_a_second() -> None:
+    for voltage, seconds, fault in ((29.65, 1.0, 0), (29.8, 0.08, 0), (29.8, 0.15, 5)):
+        bench = charging({}, current=5.0)
+        bench.run(0.5)
+        bench.plant.measured = {"target": voltage}
+        bench.run(seconds)
+        assert bench.board.fault == fault
+
+
+@pytest.mark.parametrize(
+    ("port", "start", "closed", "fault"),
+    [
+        ({"diode": 0.4}, 3.0, True, 0),
+        ({"wake_voltage": 15.0, "wake_time": 1.5}, 3.0, True, 0),
+        ({"wake_voltage": 15.0, "wake_time": 3.5}, 3.0, False, 1),
+        ({"voltage": 0.0, "capacitor": 0.01, "power": 60.0, "wake_voltage": 18.0}, 3.0, True, 0),
+        ({"voltage": 0.0, "bleeder": 1.5}, 1.0, False, 2),
+    ],
+)
+def test_a_dead_port_gets_half_an_ampere_until_it_takes_current(
+    port: dict[str, float], start: float, closed: bool, fault: int
+) -> None:
+    bench = charging(port, dead=True, current=5.0, start_time=start)
+    powers = [decode_power(p.payload) for p in bench.run(0.2) if p.type == PacketType.POWER]
+    assert max(p.charge_current for p in powers) <= 0.5 + 1e-6
+    bench.run(4.0)
+    assert (bench.power().contactor_closed, bench.power().fault) == (closed, fault)
+    assert not closed or bench.power().charge_current > 1.0
+
+
+def test_a_stage_that_steps_down_refuses_a_target_near_its_battery() -> None:
+    for target, closed in ((25.4, True), (25.6, False)):
+        bench = Bench(hooks={"stage": StageParameters(steps_up=False)})
+        bench.beating, bench.plant.resistance, bench.plant.target = True, 0.01, target
+        bench.probe()
+        assert bench.close() == 0
+        bench.run(0.3)
+        assert (bench.power().contactor_closed, bench.power().fault) == (closed, 0 if closed else 5)
+
+
+def test_a_constant_voltage_above_the_limit_is_refused() -> None:
+    for voltage, error in ((29.49, 0), (29.51, 3)):
+        bench = Bench(hooks={"stage": StageParameters(stage_voltage=voltage)})
+        bench.beating = True
+        bench.probe()
+        assert bench.close() == error
+
+
+def test_the_output_is_limited_so_that_the_input_stays_within_its_fuse() -> None:
+    bench = Bench(hooks={"stage": StageParameters(input_fuse=10.0)})
+    bench.beating, bench.plant.resistance = True, 0.01
+    bench.probe()
+    bench.error(CONTACTOR, encode_close(LIMITS._replace(current=18.0)))
+    bench.run(1.0)
+    power = bench.power()
+    assert power.charge_current * power.target_voltage == pytest.approx(0.9 * 10.0 * 26.0, rel=0.02)

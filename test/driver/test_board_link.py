@@ -18,10 +18,11 @@ from unittest.mock import Mock
 import pytest
 import serial
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import BoardFault, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import MINOR, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.board.receiver import BoardReceiver
 from deltacharger_driver.board.requests import BoardRequests
 from deltacharger_driver.board.samples import PowerSample, TactileSample
@@ -33,6 +34,8 @@ from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..waiting import host, wait_until
+
+LIMITS = ChargeLimits(10.0, 29.4)
 
 
 class Rig:
@@ -78,10 +81,10 @@ def test_the_heartbeat_lasts_until_its_deadline(rig: Rig, link: BoardLink) -> No
     assert link.counters.heartbeats == 0
     link.probe()
     with pytest.raises(CommandRefused, match="heartbeat"):
-        link.contactor(True)
+        link.contactor(True, LIMITS)
     until = time.monotonic() + 0.3
     link.keep_alive(until)
-    link.contactor(True)
+    link.contactor(True, LIMITS)
     wait_until(lambda: rig.board.fault)
     assert time.monotonic() > until
     assert rig.board.fault == BoardFault.HEARTBEAT_LOST
@@ -97,10 +100,10 @@ def test_a_command_with_a_lost_answer_is_repeated_and_a_repeated_close_succeeds(
     link.probe()
     link.keep_alive(math.inf)
     rig.board.faults.inject("drop", 1, PacketType.ACK)
-    link.contactor(True)
+    link.contactor(True, LIMITS)
     assert rig.board.contactor_commanded
     with pytest.raises(CommandRefused):
-        link.contactor(True)
+        link.contactor(True, LIMITS)
 
 
 def test_a_missing_answer_is_an_error_after_a_deadline(rig: Rig, link: BoardLink) -> None:
@@ -231,7 +234,8 @@ def hello(*head: int, version: int = 1) -> bytes:
         (b"Welcome to minicom\r\n", BoardMismatch, "baud rate"),
         (b"", NoAnswer, "^(?!.*other packets).*HELLO"),
         (hello(2, 1, 10, 10), BoardMismatch, r"version 2\.1"),
-        (hello(1, 0, 16, 8), BoardMismatch, "16 x 8"),
+        (hello(1, 0, 10, 10), BoardMismatch, r"version 1\.0.*flash"),
+        (hello(1, MINOR, 16, 8), BoardMismatch, "16 x 8"),
     ],
 )
 def test_an_incompatible_device_is_refused_with_the_reason(answer: bytes, error: type[Exception], words: str) -> None:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_driver.board import cobs, payloads
 from deltacharger_driver.board.payloads import Hello, Power
 from deltacharger_driver.board.protocol import (
@@ -33,15 +34,19 @@ from deltacharger_driver.board.requests import BoardRequests
 GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),
-    (Packet(8, b"\1", 0x1234), "0005010834120101010101010101010101060154a95a8b00"),
+    (
+        Packet(8, payloads.encode_close(ChargeLimits(18.0, 29.4)), 0x1234),
+        "00050108341201010101010101010101010201010101010790413333eb41010b4040cdcc4c3e9915839f00",
+    ),
+    (Packet(8, payloads.encode_limit(5.0), 7), "000401080701010101010101010101010102030107a040459c409600"),
     (Packet(7, payloads.encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
     (
         Packet(2, payloads.encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
-        "00040102070460e3160101010101010101010103d4410103c0410104c07f01010105c33ed60300",
+        "00040102070460e3160101010101010101010103d4410103c0410104c07f010101010107c07faede622e00",
     ),
     (
-        Packet(3, payloads.encode_hello(Hello(1, 0, 10, 10, 0xDEADBEEF, 120.0))),
-        "00030103010101010101010101010101010201070a0aefbeadde0107f04236f06b1e00",
+        Packet(3, payloads.encode_hello(Hello(1, 2, 10, 10, 0xDEADBEEF, 120.0, True, 29.4))),
+        "00030103010101010101010101010101010901020a0aefbeadde0104f042010101093333eb41f838e13f00",
     ),
     (
         Packet(10, payloads.encode_ack(payloads.Ack(11, 0, 9, payloads.encode_probe(25.5, 24.0))), 3, 2_000_000),
@@ -226,7 +231,7 @@ def test_samples_round_trip_within_half_a_code(sample_format: SampleFormat, seed
     assert back.dtype == np.float32
 
 
-POWER = struct.pack("<fffBBH", 26.5, math.nan, 2.0, 1, 9, 0)
+POWER = struct.pack("<fffBBHf", 26.5, math.nan, 2.0, 1, 9, 0, 1.5)
 
 
 def spoiled(payload: bytes, at: int, data: bytes) -> bytes:

@@ -173,7 +173,7 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     """In virtual time: the contactor is asked to open in time and before torque goes, and nothing returns by itself."""
     rig.emulator.line_speed = rig.line.speed
     cable: Any = SimpleNamespace(unplug=rig.line.stop, replug=rig.line.start)
-    faults = Faults((), Hardware(rig.emulator, cable, cable, cable), rig.clock)
+    faults = Faults((), Hardware(rig.emulator, cable, cable, cable, cable), rig.clock)
     told: list[str] = []
 
     def until(condition: Callable[[ServoReport], object]) -> None:

@@ -72,7 +72,9 @@ class Client(Node):
 
     def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25, token: str = "") -> Any:
         duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
-        return call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration, token=token))
+        request = SetContactor.Request(close=close, holder=holder, lease=duration, token=token)
+        request.current_max, request.voltage_max, request.start_time, request.gap_time = 10.0, 29.4, 3.0, 0.2
+        return call(self._contactor, request)
 
     def clear_weld(self) -> Any:
         return call(self._contactor, SetContactor.Request(clear_weld=True))
@@ -132,7 +134,7 @@ class Rig:
         wait_until(renew)
 
     def is_closed(self) -> bool:
-        return self.plant.read_power()[3]
+        return self.plant.read_power().closed
 
     def stop(self) -> None:
         self.server.close()
@@ -177,9 +179,9 @@ def test_frames_are_complete_and_stamped_with_the_sampling_instant(rig: Rig) -> 
 def test_probe_and_refusals_are_answered(rig: Rig) -> None:
     assert math.isinf(rig.power().probe_age)
     answer = rig.client.probe()
-    assert (answer.success, answer.resistance, answer.target_voltage) == (True, 2.0, 24.0)
+    assert (answer.success, answer.port, answer.target_voltage) == (True, Probe.Response.PORT_LIVE, 24.0)
     power = rig.power()
-    assert power.probe_resistance == 2.0
+    assert (power.stage_steps_up, math.isnan(power.stage_voltage)) == (True, True)
     assert 0.0 <= power.probe_age < 2.0
     for request in ({}, {"lease": -(2.0**31)}, {"holder": "x" * 5_000_000}, {"token": "x" * 5_000_000}):
         answer = rig.client.contactor(True, **request)
@@ -187,10 +189,10 @@ def test_probe_and_refusals_are_answered(rig: Rig) -> None:
         assert 0 < len(answer.message) < 200
     assert not rig.board.contactor_commanded
     assert rig.node._keeper.guard.lease_record()["refused_closes"] >= 4
-    rig.plant.resistance = 0.1
+    rig.plant.target = -24.0
     answer = rig.client.probe()
-    assert answer.success  # measured, even if it is a short
-    assert answer.resistance == pytest.approx(0.1)
+    assert (answer.success, answer.port) == (True, Probe.Response.PORT_REVERSED)  # measured, even if it forbids a close
+    rig.plant.target = 24.0
     rig.board.trip(BoardFault.CONTACTOR_WELDED)
     wait_until(lambda: rig.power().fault == ChargerPower.FAULT_CONTACTOR_WELDED)
     assert "welded" in rig.client.probe().message
@@ -247,10 +249,10 @@ def test_a_held_lease_charges_and_is_reported_until_it_lapses(rig: Rig) -> None:
     rig.dock()
     rig.charge(charging)
     assert rig.client.powers[-1].contactor_closed
-    assert rig.client.powers[-1].charge_current == pytest.approx(1.0)
+    assert rig.client.powers[-1].charge_current >= rig.client.powers[-1].charge_current_least > 0.5
     target = rig.client.batteries["target_battery"][-1]
-    assert target.voltage == pytest.approx(24.0, abs=2.0)
-    assert target.current == pytest.approx(1.0, abs=0.2)
+    assert 24.0 < target.voltage < 29.5
+    assert target.current > 0.5
     now = rig.client.get_clock().now().nanoseconds * 1e-9
     assert -0.1 < now - (target.header.stamp.sec + 1e-9 * target.header.stamp.nanosec) < 10.0
     power, link, pads = (status_of(rig, part) for part in ("power stage", "board link", "tactile arrays"))

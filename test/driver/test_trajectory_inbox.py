@@ -239,8 +239,10 @@ def test_the_contactor_is_open_only_once_measured_so_without_current_after_the_r
 def test_the_state_follows_the_reports_and_impossible_ones_are_ignored(reports: Reports) -> None:
     assert reports.client.state() is ContactorState.UNKNOWN  # the service is there
     assert reports.receive(b"1", closed=False) is ContactorState.OPEN
-    assert reports.receive(b"1", closed=False, probe_age=0.5) is ContactorState.ARMED
-    assert reports.receive(b"1", closed=False, probe_age=0.5, probe_resistance=math.inf) is ContactorState.OPEN
+    for ohm in (math.nan, 470.0, math.inf):  # a live port, a dead one, one that may wake
+        state = reports.receive(b"1", closed=False, probe_age=0.5, probe_resistance=ohm)
+        assert state is ContactorState.ARMED
+        assert reports.receive(b"1", closed=False) is ContactorState.OPEN
     for sec in (-1, 2**31 - 1, -(2**31)):
         reports.receive(b"2", closed=False, sec=sec, charge_current=math.nan, probe_age=math.nan)
     for data in (b"\0\1\0\0\xff\xff\xff\xff\xff", b"", bytes(5_000_000)):

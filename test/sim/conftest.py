@@ -8,7 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import WorldParameters
@@ -27,6 +29,7 @@ class Arm:
         self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: TactileSource | None = None
     ) -> None:
         self.world = World(parameters or WorldParameters(servo=plain_servo()), tactile)
+        self.power = EmulatedPower(self.world.circuit, 0.0, self.world.parameters.stage)
         self.step = step
         values = self.world.parameters
         self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
@@ -44,6 +47,8 @@ class Arm:
     def run(self, seconds: float) -> None:
         for _ in range(max(1, round(seconds / self.step))):
             self.world.step(self.step)
+            self.power.heartbeat(self.world.time)
+            self.power.poll(self.world.time)
 
     def go(self, point: Vector, seconds: float = 1.0, bound: float = 4.1, lead: bool = True) -> None:
         self.aim(point, bound, lead)
@@ -56,9 +61,11 @@ class Arm:
         self.go((target.x, target.y, target.z + push), 0.8)
 
     def charge(self, seconds: float = 1.0) -> None:
-        """Dock and close the contactor."""
+        """Dock, probe and close the contactor."""
         self.dock()
-        self.world.circuit.close()
+        self.power.start_probe(self.world.time)
+        self.power.poll_probe(self.world.time)
+        assert not self.power.close(ChargeLimits(10.0, 29.4), self.world.time)
         self.run(seconds)
 
     def energy(self) -> float:

@@ -169,5 +169,6 @@ BOARD_ROWS = (
     _tolerated("board_truncate", LINK, "lost_tactile", 0.05),
     _tolerated("board_duplicate", LINK, "duplicates", 0.05),
     _tolerated("board_garbage", LINK, "cobs_errors", 0.05),
+    Row("target_port", POWER, opens=0.6, amount=5.0),
 )
 ROWS = SERVO_ROWS + BOARD_ROWS

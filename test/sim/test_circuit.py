@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power stage: pre-charge, ramp, constant current and voltage, resistance, openings and fault detection."""
+"""The circuit behind the board: contacts, contactor, sag, heat, and electrodes that are wired to the battery."""
 
 from __future__ import annotations
 
@@ -8,17 +8,12 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.charge_port import Port, port_of
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
+from deltacharger_driver.emulators.stage import Outputs, StageParameters
+from deltacharger_driver.emulators.target_port import PortParameters
 from deltacharger_sim.bars import Bars
-from deltacharger_sim.circuit import (
-    NO_CHARGE_CURRENT,
-    REVERSE_CURRENT,
-    REVERSE_POLARITY,
-    SHORT,
-    VOLTAGE,
-    WELDED,
-    Circuit,
-)
+from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
 
@@ -38,50 +33,50 @@ def run(
     return circuit
 
 
-def make(lies: Overlap | None = FULL, bars: Bars = PRESSED, **changes: Any) -> Circuit:
+def make(
+    lies: Overlap | None = FULL, bars: Bars = PRESSED, port: dict[str, float] | None = None, **changes: Any
+) -> Circuit:
     """A circuit whose electrodes have just touched."""
-    return run(Circuit(CircuitParameters(**changes)), 0.02, lies, bars)
+    made = Circuit(CircuitParameters(**changes), PortParameters(**(port or {})))
+    return run(made, 0.02, lies, bars)
 
 
-def charging(**changes: Any) -> Circuit:
+def charging(current: float = 10.0, voltage: float = 29.4, **changes: Any) -> Circuit:
     circuit = make(**changes)
-    circuit.close()
-    run(circuit, 1.0)
-    assert circuit.measured()[3:] == (True, 0)
+    circuit.drive(Outputs(True, True, current, voltage))
+    run(circuit, 0.2)
+    assert circuit.closed
     return circuit
 
 
-def test_closing_waits_for_the_pre_charge_and_then_ramps() -> None:
-    circuit = Circuit(CircuitParameters(precharge_time=0.1, ramp_up=40.0))
-    circuit.close()
-    run(circuit, 0.09)
-    assert (circuit.closed, circuit.current) == (False, 0.0)
-    run(circuit, 0.02)
-    assert circuit.closed
-    before = circuit.current
-    while circuit.current < 10.0:
-        run(circuit, 0.005)
-        assert circuit.current - before <= 40.0 * 0.005 + 1e-9
-        before = circuit.current
+def test_the_output_follows_the_target_after_the_pre_charge_and_the_contacts_their_coil() -> None:
+    circuit = make(precharge_time=0.1)
+    circuit.drive(Outputs(precharge=True, voltage=29.4))
+    assert run(circuit, 0.09).read_power().output == 0.0
+    assert run(circuit, 0.02).read_power().output == pytest.approx(24.0)
+    assert not circuit.closed
+    circuit.drive(Outputs(True, True, 5.0, 29.4))
+    assert run(circuit, 0.02).read_power().closed
+    assert circuit.current == pytest.approx(5.0)
+    circuit.drive(Outputs())
+    assert (circuit.closed, circuit.current, circuit.broken_current) == (False, 0.0, pytest.approx(5.0))
 
 
-def test_current_is_constant_up_to_the_voltage_limit_and_worse_contact_means_less() -> None:
-    for limit in (2.0, 18.0):
-        assert charging(current_limit=limit, target_voltage=20.0).current == pytest.approx(limit)
-    circuit = charging(target_voltage=28.5, voltage_limit=29.0)
+def test_worse_contact_means_less_current_at_constant_voltage() -> None:
+    circuit = charging(port={"voltage": 28.5})
     good = circuit.current
     assert 0.5 < good < 10.0
-    assert 28.5 < circuit.voltages()[1] < 29.0
+    assert circuit.read_power().target == pytest.approx(29.4)
     run(circuit, 0.1, Overlap(TERMINAL, 0.993 * TERMINAL.length, 0.0, 0.0))
     assert circuit.current < 0.8 * good
 
 
 def test_the_target_voltage_is_measured_only_in_contact() -> None:
     circuit = make(None)
-    battery, target = circuit.voltages()
-    assert BATTERY_MIN <= battery <= BATTERY_MAX
-    assert math.isnan(target)
-    assert run(circuit, 0.02).voltages()[1] == pytest.approx(24.0)
+    reading = circuit.read_power()
+    assert BATTERY_MIN <= reading.battery <= BATTERY_MAX
+    assert math.isnan(reading.target)
+    assert run(circuit, 0.02).read_power().target == pytest.approx(24.0)
 
 
 @pytest.mark.parametrize(
@@ -100,132 +95,73 @@ def test_the_target_voltage_is_measured_only_in_contact() -> None:
     ],
 )
 def test_contact_resistance_follows_overlap_and_the_force_on_each_bar(lies: Overlap, bars: Bars, ohm: float) -> None:
-    assert make(lies, bars, target_leakage=0.0).probe()[0] == pytest.approx(ohm)
+    circuit = make(lies, bars)
+    circuit.drive(Outputs(True, True, 2.0, 29.4))
+    run(circuit, 0.2, lies, bars)
+    if math.isinf(ohm):
+        assert circuit.current == 0.0
+    else:
+        assert circuit.read_power().target == pytest.approx(24.0 + 2.0 * (0.15 + ohm))
 
 
-def test_the_probe_distinguishes_healthy_short_reversed_and_open() -> None:
-    ohm, volt = make().probe()
-    assert ohm >= 1.0
-    assert volt == pytest.approx(24.0)
-    assert make(BRIDGED).probe()[0] < 1.0
-    assert make(target_voltage=-24.0).probe()[1] < 0.0
-    for apart in (make(None), make(bars=LIFTED)):
-        assert math.isinf(apart.probe()[0])
-        assert math.isnan(apart.probe()[1])
+def test_the_probe_distinguishes_live_short_reversed_and_open() -> None:
+    for circuit, port in (
+        (make(), Port.LIVE),
+        (make(BRIDGED), Port.SHORT),
+        (make(port={"voltage": -24.0}), Port.REVERSED),
+        (make(port={"diode": 0.4}), Port.OPEN),
+        (make(port={"voltage": 0.0, "capacitor": 0.0022}), Port.DEAD),
+        (make(None), Port.OPEN),
+        (make(bars=LIFTED), Port.OPEN),
+    ):
+        assert port_of(*circuit.probe()) is port
 
 
-def test_a_normal_opening_ramps_below_one_ampere_within_50_ms_and_an_emergency_is_immediate() -> None:
-    circuit = charging(current_limit=18.0)
-    circuit.open(True)
-    elapsed, last = 0.0, circuit.current
-    while circuit.closed:
-        last = circuit.current
-        run(circuit, 0.001, step=0.001)
-        elapsed += 0.001
-    assert elapsed <= 0.050
-    assert last < 1.0 + 500.0 * 0.001
-    assert (circuit.current, circuit.fault) == (0.0, 0)
-    circuit = charging(current_limit=18.0)
-    circuit.open(False)
-    assert (circuit.closed, circuit.current) == (False, 0.0)
+def test_a_bar_that_bridges_a_live_port_shorts_it_with_the_contactor_open() -> None:
+    circuit = make(BRIDGED)
+    assert circuit.port_shorted
+    assert (circuit.closed, circuit.read_power().target) == (False, 0.0)
+    assert not make().port_shorted
+    assert not make(BRIDGED, port={"diode": 0.4}).port_shorted
 
 
-def test_an_opening_during_pre_charge_ends_it() -> None:
-    circuit = make()
-    circuit.close()
-    run(circuit, 0.05)
-    circuit.open(True)
-    assert not run(circuit, 0.5).closed
-
-
-@pytest.mark.parametrize(
-    ("changes", "lies", "fault"),
-    [
-        ({}, BRIDGED, SHORT),
-        ({}, None, NO_CHARGE_CURRENT),
-        ({"target_voltage": -24.0}, FULL, REVERSE_POLARITY),
-        ({"target_voltage": 8.0}, FULL, VOLTAGE),
-        ({"target_voltage": 31.0}, FULL, VOLTAGE),
-    ],
-)
-def test_a_wrong_target_prevents_closing(changes: dict[str, float], lies: Overlap | None, fault: int) -> None:
-    circuit = make(lies, **changes)
-    circuit.close()
-    for _ in range(100):
-        run(circuit, 0.005, lies)
-        assert (circuit.closed, circuit.current) == (False, 0.0)
-    assert circuit.fault == fault
-
-
-@pytest.mark.parametrize(
-    ("changes", "seconds", "fault"),
-    [
-        ({"target_voltage": 29.5, "voltage_limit": 29.0}, 0.3, REVERSE_CURRENT),
-        ({"target_accepts": False}, 5.0, NO_CHARGE_CURRENT),
-    ],
-)
-def test_a_target_that_feeds_back_or_takes_no_current_is_cut_off(
-    changes: dict[str, float], seconds: float, fault: int
-) -> None:
-    circuit = make(**changes)
-    circuit.close()
-    run(circuit, seconds)
-    assert (circuit.closed, circuit.fault) == (False, fault)
-
-
-def test_a_short_while_charging_lasts_one_step_and_opens_which_clears_the_fault() -> None:
+def test_a_short_while_charging_carries_a_short_current_until_the_board_opens() -> None:
     circuit = charging()
     run(circuit, 0.005, BRIDGED)
-    assert circuit.closed
-    assert circuit.current > 100.0  # until the stage detects it
-    assert circuit.heat == 0.0
-    run(circuit, 0.005, BRIDGED)
-    assert (circuit.closed, circuit.fault) == (False, SHORT)
-    circuit.open(True)
-    assert circuit.fault == 0
-
-
-@pytest.mark.parametrize("charged", [0.2, 1.0, 5.0])
-@pytest.mark.parametrize(("lies", "bars"), [(None, PRESSED), (FULL, LIFTED)])
-def test_contact_lost_while_charging_opens_within_100_ms(charged: float, lies: Overlap | None, bars: Bars) -> None:
-    circuit = make()
-    circuit.close()
-    assert run(circuit, charged).current > 1.0
-    run(circuit, 0.005, lies, bars)
-    assert (circuit.current, circuit.heat) == (0.0, 0.0)
-    run(circuit, 0.095, lies, bars)
-    assert (circuit.closed, circuit.fault) == (False, NO_CHARGE_CURRENT)
-
-
-def test_a_short_during_a_ramped_opening_still_opens() -> None:
-    circuit = charging(current_limit=18.0)
-    circuit.open(True)
-    run(circuit, 0.1, BRIDGED)
+    assert circuit.current > 100.0
+    assert (circuit.read_power().target, circuit.heat) == (0.0, 0.0)
+    circuit.drive(Outputs())
     assert (circuit.closed, circuit.current) == (False, 0.0)
 
 
-@pytest.mark.parametrize("ramp", [True, False])
-def test_a_welded_contactor_is_reported_and_stays_closed(ramp: bool) -> None:
+def test_a_welded_contactor_stays_closed_and_what_flows_flows_on() -> None:
     circuit = charging(welded=True)
-    circuit.open(ramp)
+    circuit.drive(Outputs())
     run(circuit, 0.2)
-    assert (circuit.closed, circuit.fault) == (True, WELDED)
-    circuit.open(ramp)
-    circuit.close()
-    assert circuit.fault == WELDED
-    run(circuit, 0.2, None)
-    assert circuit.measured() == (26.0, 26.0, 0.0, True, WELDED)  # in free air, behind the contactor
+    assert circuit.closed
+    assert circuit.current == pytest.approx(10.0)
+    reading = run(circuit, 0.2, None).read_power()
+    assert (reading.target, reading.current, reading.closed) == (26.0, 0.0, True)  # in free air, behind the contactor
 
 
-def test_the_battery_sags_under_charge_current() -> None:
+def test_the_battery_gives_the_power_of_the_output_and_sags() -> None:
     circuit = charging(battery_voltage=26.0, battery_resistance=0.13)
-    assert circuit.voltages()[0] == pytest.approx(26.0 - 10.0 * 0.13)
+    power = 10.0 * circuit.read_power().target / 0.93
+    assert circuit.read_power().battery == pytest.approx(26.0 - 0.13 * power / 26.0)
+
+
+def test_a_stage_that_steps_down_stops_below_its_battery() -> None:
+    circuit = Circuit(CircuitParameters(), PortParameters(voltage=25.5), StageParameters(steps_up=False))
+    circuit.drive(Outputs(True, True, 10.0, 29.4))
+    run(circuit, 0.5)
+    assert 0.0 < circuit.current < 3.0
+    assert circuit.read_power().target < 26.0
 
 
 def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:
     """At constant voltage, the current falls with the time constant of total resistance times capacity."""
-    circuit = Circuit(CircuitParameters(target_capacity=40.0, contact_resistance=0.01))
-    circuit.close()
+    circuit = make(bars=Bars.flat(80.0), port={"capacity": 40.0})
+    circuit.drive(Outputs(True, True, 10.0, 29.0))
     currents, delivered = [], 0.0
     for _ in range(6000):
         circuit.step(0.01, FULL, Bars.flat(80.0))
@@ -236,11 +172,8 @@ def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:
     assert flat == pytest.approx(expected, abs=0.4)
     ratio = currents[4000] / currents[3000]
     assert ratio == pytest.approx(math.exp(-10.0 / (0.16 * 40.0)), rel=0.02)
-    assert circuit.probe()[1] == pytest.approx(24.0 + delivered / 40.0, abs=0.01)
-    assert circuit.probe()[1] < 29.0
-    full = run(charging(), 100.0, step=0.05)
-    assert full.probe()[1] == 24.0, "without capacity, it keeps its voltage"
-    assert full.current == pytest.approx(10.0)
+    assert circuit.port.voltage == pytest.approx(24.0 + delivered / 40.0, abs=0.01)
+    assert circuit.port.voltage < 29.0
 
 
 def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:
@@ -252,21 +185,20 @@ def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:
 
 @pytest.mark.parametrize(("target", "drives"), [(24.0, 2.0), (26.0, 0.0), (29.0, -3.0), (-24.0, 50.0)])
 def test_current_of_wired_electrodes_follows_both_batteries_in_either_direction(target: float, drives: float) -> None:
-    resistances = {"target_resistance": 0.15, "battery_resistance": 0.13, "contact_resistance": 0.0}
-    circuit = make(wired=True, target_voltage=target, **resistances)
+    circuit = make(wired=True, port={"voltage": target}, battery_resistance=0.13, contact_resistance=0.0)
     assert circuit.current == pytest.approx(drives / 0.28)
     run(circuit, 0.02, None)
     assert circuit.current == 0.0
     assert circuit.broken_current == pytest.approx(abs(drives) / 0.28)
 
 
-def test_wired_electrodes_have_no_measurement_detection_or_opening() -> None:
+def test_wired_electrodes_have_no_measurement_and_no_opening() -> None:
     circuit = make(wired=True, battery_voltage=26.0, battery_resistance=0.13)
-    circuit.close()
+    circuit.drive(Outputs(True, True, 10.0, 29.4))
     run(circuit, 1.0, BRIDGED)
-    circuit.open(ramp=False)
+    circuit.drive(Outputs())
     run(circuit, 0.1, BRIDGED)
     assert circuit.current == pytest.approx(200.0), "a short lasts as long as the electrodes touch"
-    battery, target, current, closed, fault = circuit.measured()
-    assert all(map(math.isnan, (battery, target, current, *circuit.probe())))
-    assert (closed, fault) == (False, 0)
+    reading = circuit.read_power()
+    assert all(map(math.isnan, (reading.battery, reading.target, reading.current, *circuit.probe())))
+    assert not reading.closed

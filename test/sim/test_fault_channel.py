@@ -39,6 +39,9 @@ class Plug:
     def replug(self) -> None:
         self.plugged = True
 
+    def change_target(self, values: dict[str, float]) -> dict[str, float]:
+        return values
+
 
 def test_the_table_has_every_kind_and_the_page_names_it() -> None:
     assert {row.kind for row in ROWS} == set(KINDS)
@@ -52,7 +55,7 @@ def test_the_table_has_every_kind_and_the_page_names_it() -> None:
 def test_every_kind_is_caused_and_ended_by_request(kind: str) -> None:
     """On both emulators in virtual time."""
     servos, board, plug = Host(), Bench(), Plug()
-    hardware: Any = Hardware(servos.bus, board.board, plug, plug)  # type: ignore[arg-type]
+    hardware: Any = Hardware(servos.bus, board.board, plug, plug, plug)  # type: ignore[arg-type]
     faults = Faults((), hardware, lambda: servos.now)
     caused = answer(faults, {"command": "begin", "kind": kind})
     assert [each["kind"] for each in caused["active"]] == ([kind] if KINDS[kind].lasts else [])

@@ -44,9 +44,6 @@ def test_every_parameter_has_bounds_that_contain_its_default_and_a_description()
 @pytest.mark.parametrize(
     ("content", "key", "problem"),
     [
-        ({"circuit": {"voltage_min": 30.0, "voltage_max": 20.0}}, "circuit.voltage_min", "voltage_max"),
-        ({"circuit": {"voltage_min": 30.0}}, "circuit.voltage_min", "voltage_max"),
-        ({"circuit": {"voltage_min": 20.0, "voltage_limit": 19.0}}, "circuit.voltage_limit", "voltage_min"),
         ({"contact": {"stiffness": 9e3, "hard_stop": 0.0021}}, "contact.hard_stop", "0.002"),
         ({"contact": {"stiffness": 5e4, "hard_stop_stiffness": 1e4}}, "contact.hard_stop_stiffness", "100000"),
         (
@@ -73,7 +70,7 @@ def test_contradictory_parameters_are_refused_by_key(content: dict[str, Any], ke
         {"contact": {"stiffness": 1e4, "hard_stop": 0.02}},
         {"contact": {"stiffness": 1e9}},  # its springs never reach any stop
         {"contact": {"stiffness": 1e3, "hard_stop_stiffness": 1e4}},
-        {"circuit": {"target_voltage": -24.0}},
+        {"port": {"voltage": -24.0}},
         {"servo": {"unpowered_friction": 0.0}},
         {"magnets": {"force": 300.0, "range": 0.0002}},
     ],

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_sim.circuit import NO_CHARGE_CURRENT
+from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_sim.parameters import (
     ContactParameters,
     PlatformParameters,
@@ -232,7 +232,7 @@ def test_a_bar_that_lifts_while_live_ends_charging_and_is_recorded(arm: ArmFacto
     assert record.lifted_live == 1
     assert record.parted_live == 0
     assert not world.circuit.closed
-    assert world.circuit.fault == NO_CHARGE_CURRENT
+    assert pitched.power.fault == BoardFault.NO_CHARGE_CURRENT
 
 
 @pytest.mark.parametrize(("stiffness", "step"), [(1e5, 0.1), (1e9, 0.01), (1e3, 0.1)])

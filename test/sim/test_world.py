@@ -14,10 +14,11 @@ import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.emulators.stage import Outputs
+from deltacharger_driver.emulators.target_port import PortParameters
 from deltacharger_driver.servos.control_table import OK
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
 from deltacharger_sim.parameters import (
-    CircuitParameters,
     MagnetParameters,
     TargetParameters,
     WorldParameters,
@@ -103,7 +104,7 @@ class TestRecord:
         assert record.energised > 0.5
         # After a command jump of 16.5 mm it strikes at up to 0.25 m/s; 3 kg on 2e5 N/m add up to 200 N to 90 N at rest.
         assert world.mechanics.contact_force < record.peak_force < 290.0
-        world.circuit.open(True)
+        good.power.open(world.time)
         good.run(0.1)
         assert record.broken_current < 1.0
 
@@ -114,7 +115,7 @@ class TestRecord:
             dragged.go((0.0, 0.001 * side, 0.085), 0.1)
             if not dragged.world.circuit.closed:
                 break
-        assert dragged.world.circuit.fault == 2
+        assert dragged.power.fault == 2
         assert dragged.world.snapshot().clearance < 0.0
         assert dragged.world.record.energised_shorts == 1
         assert dragged.world.record.energised_unsafe > 0.0
@@ -128,11 +129,11 @@ class TestRecord:
         torn.charge(0.5)
         torn.go((0.0, 0.0, 0.05), 0.5)
         circuit = torn.world.circuit
-        assert (circuit.current, circuit.closed, circuit.fault) == (0.0, False, 1)
+        assert (circuit.current, circuit.closed, torn.power.fault) == (0.0, False, 1)
         assert torn.world.record.parted_live == 1
 
     def test_a_closed_contactor_is_live_without_current(self, arm: ArmFactory) -> None:
-        refused = arm(WorldParameters(circuit=CircuitParameters(target_accepts=False)))
+        refused = arm(WorldParameters(port=PortParameters(accepts=False)))
         refused.charge(1.0)
         assert refused.world.circuit.current == 0.0
         assert refused.world.record.energised == pytest.approx(0.9, abs=0.02)
@@ -145,7 +146,7 @@ class TestRecord:
         hasty.release()
         hasty.run(0.2)
         assert hasty.world.record.unpowered_live == 1
-        hasty.world.circuit.open(False)
+        hasty.power.trip(2)
         hasty.run(0.01)
         assert hasty.world.record.broken_current == pytest.approx(10.0)
 
@@ -259,18 +260,15 @@ class TestSharedWorld:
         hold(0.07, 1.0)
         assert plant.probe()[0] == math.inf
         hold(0.087, 1.0)
-        ohm, volt = plant.probe()
-        assert 1.0 <= ohm < math.inf
-        assert volt == pytest.approx(24.0)
-        plant.close_contactor()
-        hold(0.087, 1.0)
-        _, target, current, closed, fault = plant.read_power()
-        assert (closed, fault) == (True, 0)
-        assert current == pytest.approx(10.0)
-        assert target > 24.0
-        plant.open_contactor(True)
-        shared.now += 0.06
-        assert plant.read_power()[2:] == (0.0, False, 0)
+        assert plant.probe()[1] == pytest.approx(24.0)
+        plant.drive(Outputs(contactor=True, current=10.0, voltage=29.4))
+        hold(0.087, 0.2)
+        reading = plant.read_power()
+        assert reading.closed
+        assert reading.current == pytest.approx(10.0)
+        assert reading.target > 24.0
+        plant.drive(Outputs())
+        assert not plant.read_power().closed
         assert [pad.shape for pad in plant.read_taxels()] == [(10, 10)] * 2
 
     def test_many_threads_share_it(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of a healthy board's contactor with a load connected. On a real one only with --close-contactor."""
+"""Laws of a healthy board's contactor with a battery connected. On a real one only with --close-contactor."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import probe_problem
 from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, BoardFault
@@ -20,17 +21,18 @@ from .sites import BoardSite
 
 pytestmark = pytest.mark.usefixtures("may_close")
 
+LIMITS = ChargeLimits(1.0, 29.4)
 LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
 SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that reports open
 
 
 @pytest.fixture
 def loaded(host: BoardHost, board_site: BoardSite) -> Iterator[BoardHost]:
-    """A board whose electrodes carry a load; an emulated one waits for this computer's heartbeat thread."""
+    """A board whose electrodes touch a battery; an emulated one waits for this computer's heartbeat thread."""
     board_site.connect_load()
     result = host.link.probe()
     problem = probe_problem(result.resistance, result.target_voltage)
-    assert not problem, f"--close-contactor needs a load between the electrodes: {problem}"
+    assert not problem, f"--close-contactor needs a battery between the electrodes: {problem}"
     host.link.contactor(False)
     with patience():
         yield host
@@ -41,14 +43,14 @@ def close(host: BoardHost) -> None:
     host.link.contactor(False)
     host.link.probe()
     host.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
-    host.link.contactor(True)
+    host.link.contactor(True, LIMITS)
     host.await_contactor(closed=True)
 
 
 def refused(host: BoardHost) -> int:
     """Request a close that must be refused, and return the board's reason."""
     with pytest.raises(CommandRefused) as refusal:
-        host.link.contactor(True)
+        host.link.contactor(True, LIMITS)
     return refusal.value.error
 
 
