@@ -46,7 +46,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
         charges: whether current is wanted.
     """
     parameters = context.parameters
-    context.known_contact = None
+    context.known_contact, context.port_shown = None, False
     context.electrodes = electrodes = given or (yield from locate(context))  # 1
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
@@ -64,8 +64,8 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
 
 
 def _look(context: Context, target: Target) -> Look | None:
-    """Return how to measure at the first contact of live electrodes; None if they are not live."""
-    return (lambda: wired.look(context, target)) if context.parameters.always_live else None
+    """Return how to measure at the touch of live electrodes; None = press without."""
+    return (lambda: wired.look(context, target)) if context.touches_live else None
 
 
 def align(

@@ -5,16 +5,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 from deltacharger_core.script import Script
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import CriticalAngle, DockingError, EstimateUnsure, NoChargeCurrent, TactileStale
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy import no_current
+from deltacharger_docking.energy import NO_CURRENT
 from deltacharger_docking.observation import DockGoal, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.touch import Target, keep_evidence, with_pitch
+
+_FULL = 0.01  # of the profile's full voltage that a full target may lack
+_JUMP = 0.3  # V by which a voltage shows that something has changed
+_QUIET = 30.0  # s of little current that show that it stays little
+_PULSES = 10.0  # s between two gaps of a battery management that pulses
+_CONSTANT, _CURRENT_SAME, _VOLTAGE_SAME = 600.0, 0.05, 0.03  # s; share and V by which a steady load changes in it
+_SMOOTHED = 30.0  # s, time constant of what is compared over them; a load steps
+_LIMITED = 0.95  # share of the limit from which the limit sets the current
+_KEEPS, _NOISE = 0.5, 0.1  # share of its mean that an unbroken current keeps, less noise, A
+_MEASURABLE = 0.2  # A from which a current shows resistance
+_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
+_HEAT, _LEAST = 10.0, 1.0  # W in contacts that became dirty; A, below which they are not worth charging through
+_CLEAN = 0.5  # Ω, most of a loop that counts as clean if no better one was seen
+_DIP, _DIP_LEAST, _DIP_MOST = 0.15, 0.5, 0.6  # share by which the current dips; A at least, but share at most
+_PERIOD, _SOON = 10.0, 3.0  # s between dips; s if something changed
+_SETTLED, _LONGEST, _FELL = 0.2, 0.6, 0.5  # s of a dip; s at most; share of it by which the current must fall
+_CHANGED, _SAME = 0.5, 0.2  # share of a rise by which it changed, so that the next dip comes soon; by which it has not
 
 
 @dataclass
@@ -25,13 +41,22 @@ class Order:
     critical_angle: float
     since: float
 
-    def is_met(self, context: Context) -> str:
-        """Return the stop condition that is met; '' = none."""
-        goal = self.goal
+    def ended_by(self, context: Context) -> str:
+        """Return the name of the stop condition that is met; '' = none."""
+        goal, passed = self.goal, context.time - self.since
         if goal.stop_energy and context.energy_most >= goal.stop_energy:
+            return "stop_energy"
+        if goal.stop_after and passed >= goal.stop_after:
+            return "stop_after"
+        return "hold_max" if passed >= context.parameters.hold_max else ""
+
+    def is_met(self, context: Context) -> str:
+        """Return the stop condition that is met, as a sentence; '' = none."""
+        name = self.ended_by(context)
+        if name == "stop_energy":
             most = "at most " if math.isnan(context.energy) else ""
             return f"the stop condition was met: {most}{context.energy_most:.0f} J"
-        if goal.stop_after and context.time - self.since >= goal.stop_after:
+        if name == "stop_after":
             return f"the stop condition was met: {context.time - self.since:.1f} s"
         return self.is_over(context)
 
@@ -41,45 +66,164 @@ class Order:
         return f"{limit:g} s (hold_max) have passed since the last goal" if context.time - self.since >= limit else ""
 
 
-class Flow(Enum):
-    """What the charge current shows about the target."""
+class Charged:
+    """What current and voltage show about a target: full, cut off, or reached through a contact that became dirty.
 
-    FLOWS = "current flows"
-    FULL = "current has tapered off: the target is full"
-    LOST = "current was cut off"
+    Each charger_power is used once. At the end of the ramp the loop's resistance is (V now − V before) / I; the
+    least one of a profile is its clean loop. Later dips of the current limit give ΔV / ΔI. What that is above the
+    clean loop is dirt or heat if the limit set the current or a dip half as deep gives the same, else a target that
+    takes less. V − I · R, in which what the target itself uses does not count, is its own voltage. A dead port has
+    no voltage before: nothing is known about its contacts.
 
-
-class Taper:
-    """Distinguishes a full target from a current that was cut off.
-
-    At constant voltage a battery's current falls over minutes; a cut ends it between two samples. A current below the
-    minimum means a full target if it was never less than `taper_share` of its mean over the last `taper_time`, and
-    stays below the minimum for `full_time`. For a current that falls with time constant T, the mean is ahead by
-    taper_time / T. At a share of one half and 2 s, everything slower than T = 4 s is a taper.
+    Attributes:
+        rise: of the loop's resistance above the clean one, Ω.
+        limit: current that the heat of this rise allows, A.
     """
 
-    def __init__(self, parameters: DockingParameters) -> None:
-        self._parameters = parameters
-        self._time = math.nan
-        self._below_since = math.inf
-        self.mean = math.nan
+    def __init__(self, context: Context, profile: TargetProfile) -> None:
+        self._context, self._profile = context, profile
+        self.rise, self._loop, self.limit = 0.0, 0.0, profile.current
+        self._measurable = min(_MEASURABLE, 0.5 * profile.current)
+        self._rest = math.nan if context.closing is None else context.closing.rest_voltage
+        self._ramps = self._is_live = math.isfinite(self._rest)  # ramps: the loop has not been measured yet
+        self._sampled = self._broken = self._pulses = -math.inf  # s; broken: when last; pulses: since when
+        self._gap = math.inf  # s, date of the first sample without current
+        self._quiet = self._constant = context.time  # s, since when
+        self._was_full = False
+        self._own = self._port = math.nan, math.nan  # V of the last two unbroken samples: target's own, behind dirt
+        self._told = math.nan  # V, the target's own at most, by the last dip
+        self._smooth = self._before = math.nan, math.nan  # A and V: smoothed; at the start of `_constant`
+        self._dip: tuple[float, float, float] | None = None  # under way: its start (s), current (A) and voltage (V)
+        self._is_shallow = False  # every other one: a resistance shows as the same in both
+        self._dipped = -math.inf, context.time  # s, the last two dips
+        self._due, self._seen = context.time + _SOON, math.nan  # s, of the next dip; V at the last one, or the ramp
 
-    def judge(self, time: float, current: float) -> Flow:
-        """Use the charge current (A) at `time` (s); NaN, which other checks handle, changes nothing."""
-        if math.isnan(current):
-            return Flow.FLOWS
-        if math.isnan(self.mean):
-            self._time, self.mean = time, current
-        before, parameters = self.mean, self._parameters
-        self.mean += (current - before) * -math.expm1((self._time - time) / parameters.taper_time)
-        self._time = time
-        if current >= parameters.charge_current_min:
-            self._below_since = math.inf
-            return Flow.FLOWS
-        if current < parameters.taper_share * before:
-            return Flow.LOST
-        self._below_since = min(self._below_since, time)
-        return Flow.FULL if time - self._below_since >= parameters.full_time else Flow.FLOWS
+    @property
+    def at_full(self) -> bool:
+        """Whether the target's own voltage is the profile's full one, twice in a row."""
+        return self._is_full(self._own)
+
+    def _is_full(self, volts: tuple[float, float]) -> bool:
+        return min(volts) >= (1.0 - _FULL) * self._profile.full_voltage
+
+    def judge(self) -> str:
+        """Use the newest charger_power; return why the target is full, '' = it is not.
+
+        Raises:
+            NoChargeCurrent: current was cut off or stays below `least_current`, or the contacts became too bad.
+        """
+        context, profile, seen = self._context, self._profile, self._context.observation
+        now, current, volts = context.time - seen.power_age, seen.charge_current, seen.target_voltage
+        if not (now > self._sampled + _SAME_SAMPLE and math.isfinite(current + volts)):
+            return ""  # other checks handle what is not measured
+        elapsed, self._sampled = now - self._sampled, now
+        whole = current >= NO_CURRENT and seen.least_current >= _KEEPS * current - _NOISE
+        unbroken = whole and current >= self._measurable
+        self._gap = math.inf if current >= NO_CURRENT else min(self._gap, now)
+        if now - self._gap >= profile.gap_time:
+            if self.at_full:
+                return "cut by the target"
+            raise self._not_full("current ended", "the target's battery management, its input or a contact cut it off")
+        broken = min(current, seen.least_current if current >= self._measurable else current) < NO_CURRENT
+        if broken and self.at_full:
+            self._pulses = self._pulses if now - self._broken <= _PULSES else now
+            self._broken = now
+            if now - self._pulses >= _QUIET:
+                return "cut by the target"
+        if unbroken and self._dip is None:
+            self._add(current, volts)
+        if self._is_live:
+            self._look(now, current, volts, whole)
+        return "" if self._dip is not None else self._ends(now, elapsed, current, volts)
+
+    def _ends(self, now: float, elapsed: float, current: float, volts: float) -> str:
+        """Return why the target is full by a current that stays small or does not change."""
+        profile, full, at_port = self._profile, self.at_full, self._is_full(self._port)
+        little = profile.rest_current if full else profile.least_current
+        longest = _QUIET if full else max(_QUIET, profile.gap_time)
+        if not at_port or math.isnan(self._smooth[0]):
+            self._smooth = self._before = current, volts
+        share = -math.expm1(-elapsed / _SMOOTHED)
+        amperes, volts = (old + share * (new - old) for old, new in zip(self._smooth, (current, volts), strict=True))
+        self._smooth, (before, then) = (amperes, volts), self._before
+        same = abs(amperes - before) <= _CURRENT_SAME * before and abs(volts - then) <= _VOLTAGE_SAME
+        if not (at_port and same) or current >= _LIMITED * self.limit:
+            self._before, self._constant = self._smooth, now
+        if current >= little or full is not self._was_full:
+            self._quiet = now
+        self._was_full = full
+        if now - self._quiet >= longest:
+            if not full:
+                cause = "the target is too cold or hot, or the electrodes are dirty"
+                raise self._not_full(f"only {current:.2f} A flow", cause)
+            return f"current below {little:.3g} A" if self._is_sure(self._quiet) else ""
+        return "steady load" if now - self._constant >= _CONSTANT and self._is_sure(self._constant) else ""
+
+    def _is_sure(self, since: float) -> bool:
+        """Return whether two dips since then (s) confirm the target's own voltage, and else make the next one."""
+        if self._is_live and self._dipped[0] < since and self._context.observation.charge_current >= self._measurable:
+            self._due = -math.inf
+            return False
+        return True
+
+    def _add(self, current: float, volts: float) -> None:
+        """Add a sample; at the end of the ramp, learn the loop's resistance by the voltage's rise with the current."""
+        known, stands = self._port[1], min(self._profile.standing_current, current)
+        self._port = known, volts - current * self.rise
+        self._own = self._own[1], volts - stands * self.rise - (current - stands) * self._loop
+        if not self._ramps or current < _LIMITED * self.limit or math.isnan(known):
+            return
+        self._loop = max((min(known, volts) - self._rest) / current, 0.0)
+        self._context.clean[self._profile] = min(self._clean, self._loop)
+        self._ramps, self._seen, self.rise = False, volts, self._loop - self._clean
+        self._allow(self.rise)
+
+    @property
+    def _clean(self) -> float:
+        return self._context.clean.get(self._profile, _CLEAN)
+
+    def _look(self, now: float, current: float, volts: float, whole: bool) -> None:
+        """Begin, continue or end a dip of the current limit."""
+        if self._dip is None:
+            jumped = now >= self._dipped[1] + _SOON and abs(volts - self._seen) > _JUMP
+            if whole and current >= self._measurable and (now >= self._due or jumped):
+                self._dip, self._is_shallow = (now, current, volts), not self._is_shallow
+                depth = min(max(_DIP * current, _DIP_LEAST), _DIP_MOST * current)
+                self._set_limit(current - (0.5 * depth if self._is_shallow else depth))
+            return
+        begun, before, high = self._dip
+        fell = current <= before - _FELL * (before - self._context.limits.current)
+        settled = now >= begun + _SETTLED and whole and fell
+        if not settled and now < begun + _LONGEST:
+            return
+        known = self.rise
+        if settled:
+            self._loop = max((high - volts) / (before - current), 0.0)
+            self.rise, self._told = max(self._loop - self._clean, 0.0), volts - current * min(self._loop, self._clean)
+            if before >= _LIMITED * self.limit or abs(self.rise - known) <= _SAME * self.rise:
+                self._allow(known)
+        self._dip, self._dipped, self._seen = None, (self._dipped[1], now), high
+        self._due = now + (_SOON if abs(self.rise - known) > _CHANGED * self.rise else _PERIOD)
+        self._set_limit(self.limit)
+
+    def _allow(self, before: float) -> None:
+        """Limit the current so that what the loop's resistance rose by, from `before` Ω, stays cool if it grows on.
+
+        Raises:
+            NoChargeCurrent: too little is left, twice in a row.
+        """
+        hot, least = 2.0 * self.rise - min(before, self.rise), min(_LEAST, self._profile.current)
+        self.limit = min(self._profile.current, max(math.sqrt(_HEAT / hot), least) if hot else math.inf)
+        if min(before, self.rise) * least * least > _HEAT:
+            raise NoChargeCurrent(f"contact resistance rose to {1000.0 * self.rise:.0f} mΩ: clean the electrodes")
+        self._set_limit(self.limit)
+
+    def _set_limit(self, current: float) -> None:
+        self._context.limits = self._context.limits._replace(current=current)
+
+    def _not_full(self, what: str, cause: str) -> NoChargeCurrent:
+        volts = self._told if math.isfinite(self._told) else self._context.observation.target_voltage
+        return NoChargeCurrent(f"{what} at {volts:.1f} V of {self._profile.full_voltage:.1f} V: not full; {cause}")
 
 
 def charge(context: Context, order: Order, target: Target) -> Script[str]:
@@ -88,23 +232,21 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
     Raises:
         DockingError: why charging ended; the caller opens the contactor and retracts.
     """
-    taper = Taper(context.parameters)
-    checks = clearance_checks(context, order, target)
+    assert context.profile is not None  # what charges has one
+    charged, checks = Charged(context, context.profile), clearance_checks(context, order, target)
     while True:
-        flow = taper.judge(context.time, context.observation.charge_current)
         refused = context.closing is not None and context.closing.refused  # it opens, and so ends the current
-        if flow is Flow.LOST and not refused:
-            raise NoChargeCurrent(no_current(context))
-        if flow is Flow.FULL:
-            current = context.observation.charge_current
-            context.decide("full", flow.value, charge_current_A=current, mean_A=taper.mean, energy_J=context.energy)
-            return "the target is full"
-        reason = (
-            order.is_met(context)
-            if order.goal.start_charging
-            else "a later goal with start_charging false ended charging"
-        )
+        why = "" if refused else charged.judge()
+        if why:
+            current, volts = context.observation.charge_current, context.observation.target_voltage
+            context.end_charge(f"full: {why}")
+            context.decide("full", why, charge_current_A=current, target_voltage_V=volts, energy_J=context.energy)
+            return f"the target is full: {why}"
+        reason, ended = order.is_met(context), order.ended_by(context)
+        if not order.goal.start_charging:
+            reason, ended = "a later goal with start_charging false ended charging", "start_charging false"
         if reason:
+            context.end_charge(ended)
             context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
             return reason
         yield next(checks)

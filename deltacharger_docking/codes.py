@@ -193,7 +193,7 @@ class NoChargeCurrent(DockingError, code=Code.NO_CHARGE_CURRENT, retriable=True)
 
 
 class ShortCircuit(DockingError, code=Code.SHORT_CIRCUIT):
-    """The probe or the power stage found a short between the electrodes."""
+    """The probe or the power stage found a short between the electrodes, or a live port lost its voltage in contact."""
 
 
 class PowerStale(DockingError, code=Code.POWER_STALE, retriable=True):
@@ -205,11 +205,15 @@ class ReversePolarity(DockingError, code=Code.REVERSE_POLARITY):
 
 
 class VoltageOutOfRange(DockingError, code=Code.VOLTAGE_OUT_OF_RANGE):
-    """The voltage of the target, or of the charger's own battery, is outside its limits."""
+    """The voltage of the target, of the power stage or of the charger's own battery is outside its limits."""
 
 
 class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
-    """Current flows out of the target."""
+    """Current flows out of the target, again or much."""
+
+
+class Regenerated(ReverseCurrent, retriable=True, restart_may_help=True):
+    """Current flowed out of the target once in this goal. Example: it braked its wheels."""
 
 
 class ContactorWelded(DockingError, code=Code.CONTACTOR_WELDED):
@@ -251,12 +255,15 @@ REMEDIES: dict[Code, str] = {
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",
     Code.MISALIGNED: "send the goal again; if the error returns, calibrate the pads",
     Code.LEANING: "yaw: turn the robot to `suggested_base_pose`; pitch: level the target or the charger",
-    Code.NO_CHARGE_CURRENT: "if the target is not full: switch its input on, clean the electrodes",
+    Code.NO_CHARGE_CURRENT: "as the message states: switch the target or its input on, clean the electrodes, or "
+    "correct its profile",
     Code.SHORT_CIRCUIT: "check what lies between the electrodes; clean or realign them",
     Code.POWER_STALE: "check the board's cable and tactile_node",
     Code.REVERSE_POLARITY: "rewire the target",
-    Code.VOLTAGE_OUT_OF_RANGE: "as the message states: use another charger, or charge the charger's own battery",
-    Code.REVERSE_CURRENT: "have the target's charging input checked",
+    Code.VOLTAGE_OUT_OF_RANGE: "as the message states: check robot and profile, set the power stage's voltage, or "
+    "charge the charger's own battery",
+    Code.REVERSE_CURRENT: "have the target stand still while it is charged; if the error returns, have its charging "
+    "input checked",
     Code.CONTACTOR_WELDED: "switch the battery off, replace the contactor",
     Code.INTERNAL: "report it, with the log",
 }

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import ORDER_AGE_MAX
 from deltacharger_core.script import NEXT, Calls, Script, Wait
 from deltacharger_docking.codes import SILENT_SERVOS, DockingError, PhaseTimeout, ServoFailure, State, TactileStale
@@ -28,12 +30,15 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.yielding import RemainingShare
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between, pull
 
+_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
+SHOWS = 0.5  # of empty_voltage, that a live port shows where nothing bridges it
 _READING = 0.01  # s between two readings: the servos' cycle
 _SIGMAS = 2.0  # of the readings' noise that are no drift
 _SLOW = 0.01  # rad within the contact current's window
@@ -43,6 +48,7 @@ REACH = 0.004  # m from the target, beyond which the magnets (60 N at contact) p
 YIELDS = 0.011  # m to which braked robots give way at most: 23 N on 5 N/mm, 2 mm of play twice, springs of 2 mm
 _HELD_MAX = 3.0  # s that the arm waits on its way for fresher data, as long as for nodes that start
 _SHOWN = 0.1  # s in which servo_state shows what servo_node has done
+_NONE: Mapping[str, TargetProfile] = MappingProxyType({})
 _QUERIES = (Service.ESTIMATE, Service.DETECT)  # change nothing, however late they are answered
 _REACHES_OUT = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
 _MOVES = (*_REACHES_OUT, State.RETRACT)
@@ -62,12 +68,15 @@ class Live:
 
     Attributes:
         refused: why a renewal of the lease was refused; '' if none was.
+        rest_voltage: V of the target before current flowed; NaN = its port is dead, or electrodes are wired.
     """
 
-    def __init__(self, time: float) -> None:
+    def __init__(self, time: float, rest_voltage: float = math.nan) -> None:
         self.was_closed = False
+        self.rest_voltage = rest_voltage
         self.refused, self.refused_at = "", math.inf
-        self.sound = {"battery": time, "target": time}  # s, when each was last as it should be
+        # s, when each was last as it should be
+        self.sound = dict.fromkeys(("battery", "target", "current", "reverse"), time)
 
 
 class Context:
@@ -79,8 +88,11 @@ class Context:
         geometry: DeltaGeometry,
         planner: Planner | None = None,
         feed: TrajectoryFeed | None = None,
+        profiles: Mapping[str, TargetProfile] = _NONE,
     ) -> None:
         self.parameters = parameters
+        self.profiles = profiles
+        self.choose_profile("")
         self.kinematics = ScalarDelta(geometry)
         self.contact = ContactCurrent(self.kinematics, parameters)
         self.planner = planner or Planner(parameters, geometry)
@@ -91,6 +103,13 @@ class Context:
         self.time = 0.0  # s, the observations' clock; stands still if that is set back
         self.pause = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
+        self.limits = ChargeLimits(0.0, 0.0)  # of the closed contactor
+        self.charge_end = ""  # what ended charging in this goal
+        self.charge_voltage = math.nan  # V of the target then
+        self.regenerated = False  # in this goal: current flowed out of the target
+        self.port_shown = False  # a contact with this target has shown its voltage
+        self._dark = math.inf  # s, date of the first charger_power of this contact without that voltage
+        self.clean: dict[TargetProfile, float] = {}  # Ω, least resistance of a loop with such a target so far
         self.live = False  # the contactor was ordered to close and has not been seen open since
         self.opened = False  # the contactor has been seen open, and was not ordered to close since
         self.closing: Live | None = None  # from the order to close to the order to open
@@ -128,6 +147,21 @@ class Context:
     def use_parameters(self, parameters: DockingParameters) -> None:
         """Use other parameters; those that describe the machine must be unchanged."""
         self.parameters = self.planner.parameters = parameters
+
+    def choose_profile(self, name: str) -> None:
+        """Use the profile of this name; '' = the first. Without profiles, or a power stage, there is none."""
+        known = {} if self.parameters.always_live else self.profiles
+        self.profile_name = name or next(iter(known), "")
+        self.profile = known.get(self.profile_name)
+
+    @property
+    def touches_live(self) -> bool:
+        """Whether electrodes may be live at the touch: wired to the battery, or by the target's."""
+        return self.parameters.always_live or (self.profile is not None and self.profile.port == "live")
+
+    def end_charge(self, why: str) -> None:
+        """Record what ends charging, and the target's voltage."""
+        self.charge_end, self.charge_voltage = why, self.observation.target_voltage
 
     @property
     def position(self) -> Vector:
@@ -169,6 +203,9 @@ class Context:
             self.touched = self.touched if self._touches else self.felt
             self._touches = True
         self._touches &= observation.tactile_contact
+        shows = self.profile is not None and observation.target_voltage >= SHOWS * self.profile.empty_voltage
+        self.port_shown |= shows and self._touches and not observation.contactor_closed
+        self._dark = min(self._dark, self.time - observation.power_age) if self._touches and not shows else math.inf
         self.observation = observation
         self._calls.receive(observation.replies)
         self._cross_off(observation.replies)
@@ -185,10 +222,9 @@ class Context:
 
     def _count(self, power: float, seconds: float) -> None:
         """Count the energy of the last `seconds` at this power (W); unknown after a pause without measurements."""
-        parameters = self.parameters
-        known = math.isfinite(power) and seconds <= parameters.power_age_max
+        known = math.isfinite(power) and seconds <= self.parameters.power_age_max
         self.energy += power * seconds if known else math.nan
-        most = power if known else parameters.charge_current_max * parameters.target_voltage_max
+        most = power if known else self.profile.current * self.profile.full_voltage if self.profile else 0.0
         self.energy_most += most * seconds
 
     def _cross_off(self, replies: Iterable[Reply]) -> None:
@@ -223,7 +259,8 @@ class Context:
         if trajectory and not self.observation.torque_enabled:
             trajectory = None  # limp servos refuse it
         states, decisions = tuple(self._states), tuple(self._decisions)
-        command = Command(trajectory, tuple(self._requests), self.energise, states, decisions, self.waits)
+        limits = self.limits if self.energise else None
+        command = Command(trajectory, tuple(self._requests), self.energise, limits, states, decisions, self.waits)
         self._override = None
         self._requests, self._states, self._decisions = [], [], []
         return command
@@ -243,6 +280,12 @@ class Context:
         pushes = seen.torque_enabled and self.contact.value > parameters.contact_lost_current
         feels = seen.tactile_contact or not seen.tactile_age <= parameters.press_age_max
         return not (feels or pushes or self.position[2] > self.felt - REACH)
+
+    @property
+    def is_dark(self) -> bool:
+        """Whether two charger_power of this contact lack the voltage that a live port has shown before."""
+        live, sampled = self.profile is not None and self.profile.port == "live", self.time - self.observation.power_age
+        return live and self.port_shown and sampled > self._dark + _SAME_SAMPLE
 
     @property
     def evidence_lost(self) -> str:

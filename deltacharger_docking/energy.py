@@ -5,10 +5,20 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.charge_port import ChargeLimits, Port, port_of
 from deltacharger_core.script import NEXT, Script, Wait
-from deltacharger_docking.codes import DockingError, Leaning, NoChargeCurrent, PowerStale, ShortCircuit, State
+from deltacharger_docking.codes import (
+    Leaning,
+    NoChargeCurrent,
+    PowerStale,
+    ReversePolarity,
+    ShortCircuit,
+    State,
+    VoltageOutOfRange,
+)
 from deltacharger_docking.context import Context, Live
 from deltacharger_docking.observation import Reply, Service
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.watch import (
     DEAD,
     FADED,
@@ -19,12 +29,16 @@ from deltacharger_docking.watch import (
     is_closed,
     reason_not_to_close,
     servo_problem,
-    voltage_problem,
+    stage_problem,
     welded,
 )
 
 _CAUSE = 0.3  # s in which servo_state shows why servo_node opened the contactor, or that it ended (live_servo_age_max)
-_LAST_WORD = 0.2  # s before the phase ends: time to report why no current flows
+_LAST_WORD = 0.2  # s
+NO_CURRENT = 0.05  # A, below it none flows, as the board counts
+_CLOSES = 3.0  # s in which the power stage pre-charges and closes
+_STEP = 0.5  # V that a stage which only steps down needs between battery and target
+_LATER = 1.0, 0.3  # s by which the board waits longer for current than docking, at the start and in a gap
 
 
 def wait_for_single_sources(context: Context, begun: float, state: State = State.MEASURE) -> Script[None]:
@@ -50,7 +64,7 @@ def wait_for_single_sources(context: Context, begun: float, state: State = State
 
 
 def check_battery(context: Context) -> None:
-    """Refuse a battery that is unfit or unmeasured before anything touches; without fresh data `energise` judges it.
+    """Refuse an unfit battery or power stage before anything touches; without fresh data `energise` judges them.
 
     This protects the case of electrodes wired to an unmeasured battery: they would be live from the first contact.
 
@@ -58,7 +72,7 @@ def check_battery(context: Context) -> None:
         DockingError: as `energise`.
     """
     fresh = context.observation.power_age <= context.parameters.power_age_max
-    if fresh and (unfit := battery_problem(context)) is not None:
+    if fresh and (unfit := battery_problem(context) or stage_problem(context)) is not None:
         raise unfit
 
 
@@ -72,8 +86,9 @@ def energise(context: Context) -> Script[bool]:
         DockingError: with the code of the finding: short, polarity, voltage, a bar lifted by pitch, no current, or
             a fault of the power stage.
     """
-    parameters = context.parameters
-    context.enter(State.ENERGISE, parameters.energise_timeout)
+    parameters, profile = context.parameters, context.profile
+    assert profile is not None  # a goal that charges has one
+    context.enter(State.ENERGISE, math.inf)  # each of its steps has its limit
     if context.observation.power_fault not in (0, WELD):
         yield from _clear_fault(context)
     reply = yield from context.ask(Service.PROBE, PowerStale, parameters.probe_timeout)
@@ -83,18 +98,22 @@ def energise(context: Context) -> Script[bool]:
         resistance_ohm=reply.resistance,
         target_voltage_V=reply.target_voltage,
     )
+    port = port_of(reply.resistance, reply.target_voltage)
     if context.doubt or context.doubtful:
         return False
     if not reply.success:
         yield from _await_cause(context)
-    _check_probe(context, reply)
+    _check_probe(context, profile, port, reply)
     if (problem := reason_not_to_close(context)) is not None:
         raise problem
     context.decide("close", "all checks passed: the contactor is ordered to close")
     context.energise = context.live = True
-    context.opened, context.closing = False, Live(context.time)
+    context.opened = False
+    context.closing = Live(context.time, reply.target_voltage if port is Port.LIVE else math.nan)
+    later, gap = profile.start_time + _LATER[0], profile.gap_time + _LATER[1]
+    context.limits = ChargeLimits(profile.current, profile.full_voltage, profile.port == "dead", later, gap)
     with context.waiting_for(f"{parameters.charge_stable_time:g} s of charge current"):
-        yield from _current_flows(context)
+        yield from _current_flows(context, profile)
     context.decide(
         "charging",
         f"charge current has been stable for {parameters.charge_stable_time:g} s",
@@ -104,16 +123,30 @@ def energise(context: Context) -> Script[bool]:
     return True
 
 
-def _current_flows(context: Context) -> Script[None]:
-    parameters, stable_since = context.parameters, math.inf
-    while context.time - stable_since < parameters.charge_stable_time:
-        if context.time > context.deadline - _LAST_WORD:
-            raise NoChargeCurrent(no_current(context))
-        flowing = context.observation.contactor_closed and (
-            context.observation.charge_current >= parameters.charge_current_min
-        )
-        stable_since = min(stable_since, context.time) if flowing else math.inf
-        yield Wait(stable_since + parameters.charge_stable_time, reads=True) if flowing else NEXT
+def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
+    """Wait until at least `least_current` has flowed for `charge_stable_time`, without a gap beyond `gap_time`.
+
+    Raises:
+        NoChargeCurrent: the contactor does not close, the target does not connect, or it takes too little current.
+    """
+    stable = context.parameters.charge_stable_time
+    closed, since, last = context.time + _CLOSES, math.inf, -math.inf  # s: when closed, flows since, flowed last
+    while True:
+        seen, now = context.observation, context.time
+        closed = min(closed, now) if seen.contactor_closed else closed
+        if seen.contactor_closed and seen.charge_current >= profile.least_current:
+            since, last = min(since, now), now
+            if now - since >= stable:
+                return
+        elif now - last > profile.gap_time:
+            since = math.inf
+            if now > closed + profile.start_time:
+                found = f"Only {seen.charge_current:.2f} A" if seen.charge_current >= NO_CURRENT else "No current"
+                raise NoChargeCurrent(
+                    f"{found} {profile.start_time:g} s after closing: the target has not connected, or is full; check "
+                    f"its input, and start_time and least_current of profile {context.profile_name}"
+                )
+        yield Wait(since + stable, reads=True) if since < math.inf else NEXT
 
 
 def _clear_fault(context: Context) -> Script[None]:
@@ -163,33 +196,40 @@ def _await_cause(context: Context) -> Script[None]:
         yield NEXT
 
 
-def _open_circuit(context: Context) -> DockingError:
-    """Return why touching electrodes do not conduct: if a known pitch lifts a bar, that; else dirt."""
-    seen, found = context.electrodes, "the probe found an open circuit: the electrodes touch but do not conduct"
-    if seen is not None and abs(seen.pitch) > context.parameters.lean_sigmas * seen.pitch_stddev:
-        return Leaning(
-            f"{found}; their faces are pitched by {math.degrees(seen.pitch):+.1f}° about x of charger_base, so one bar "
-            "does not press: level the target or the charger"
-        )
-    return NoChargeCurrent(f"{found}; clean them, and check that no pitch of the faces lifts a bar")
+def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Reply) -> None:
+    """Refuse to close on what lies at the electrodes, unless the profile expects it.
 
-
-def _check_probe(context: Context, reply: Reply) -> None:
-    parameters = context.parameters
-    if not reply.success:
-        raise PowerStale(f"the probe failed: {reply.message}")
-    if reply.resistance < parameters.probe_resistance_min:
+    Raises:
+        DockingError: with the code of the finding.
+    """
+    name, voltage, seen = context.profile_name, reply.target_voltage, context.observation
+    if not reply.success or port is Port.UNKNOWN:
+        raise PowerStale(f"the probe failed: {reply.message or 'it measured nothing; check the wiring of its pins'}")
+    if port is Port.SHORT:
         raise ShortCircuit(f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them")
-    if not math.isfinite(reply.resistance) or not math.isfinite(reply.target_voltage):
-        raise _open_circuit(context)
-    if (problem := voltage_problem(context, reply.target_voltage)) is not None:
-        raise problem
-
-
-def no_current(context: Context) -> str:
-    """Return the message that no charge current flows."""
-    contactor = "closed" if context.observation.contactor_closed else "open"
-    return (
-        f"charge current is {context.observation.charge_current:.2f} A with the contactor {contactor}; the target may "
-        "be full, or its input switched off"
-    )
+    if port is Port.REVERSED:
+        raise ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
+    if port is Port.LIVE and voltage >= DEAD:  # less is a capacitor that an earlier probe has charged
+        if not profile.empty_voltage <= voltage <= profile.full_voltage:
+            allowed = f"{profile.empty_voltage:.1f} to {profile.full_voltage:.1f} V"
+            raise VoltageOutOfRange(
+                f"the target has {voltage:.1f} V; profile {name} allows {allowed}: wrong robot or profile"
+            )
+        if not seen.stage_steps_up and voltage > seen.battery_voltage - _STEP:
+            raise VoltageOutOfRange(
+                f"the target has {voltage:.1f} V, and the charger's battery {seen.battery_voltage:.1f} V: its power "
+                "stage only steps down; charge that battery, or fit a stage that steps up"
+            )
+    elif profile.port == "live":
+        pitch = context.electrodes
+        if port is Port.OPEN and pitch and abs(pitch.pitch) > context.parameters.lean_sigmas * pitch.pitch_stddev:
+            raise Leaning(
+                f"no current flows into the port; the electrodes' faces are pitched by "
+                f"{math.degrees(pitch.pitch):+.1f}° about x of charger_base, so one bar does not press: level "
+                "the target or the charger"
+            )
+        dirt = "" if port is Port.DEAD else ", or clean the electrodes and check that no pitch of the faces lifts a bar"
+        raise NoChargeCurrent(
+            f"the port has no voltage ({reply.resistance:.3g} Ω), but profile {name} says it is live: wake the target "
+            f"or switch it on; if a diode or a relay is in its port, set port: dead in the profile{dirt}"
+        )

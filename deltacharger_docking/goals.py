@@ -4,21 +4,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
+from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import wrong_id
 from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 
 
-def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) -> None:
+def check_goal(
+    goal: DockGoal, planner: Planner, parameters: DockingParameters, profiles: Mapping[str, TargetProfile]
+) -> None:
     """Refuse a goal that cannot be served as given, before anything moves.
 
     Raises:
-        Rejected: a number is not finite or outside its bounds.
+        Rejected: a number is not finite or outside its bounds, or no profile says what the target allows.
         Unreachable: the electrodes lie outside the workspace.
     """
     check_id(goal.request_id)
@@ -30,6 +35,8 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
     check_stops(goal.stop_energy, goal.stop_after)
     if parameters.always_live:
         _check_live(goal)
+    else:
+        _check_profile(goal, profiles)
     if goal.electrodes is not None:
         check_place(goal.electrodes, planner, parameters)
 
@@ -47,6 +54,33 @@ def _check_live(goal: DockGoal) -> None:
         )
     if goal.stop_energy:
         raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
+    if goal.target_profile:
+        raise Rejected("power: none: nothing limits the current, so leave target_profile empty (docs/targets.md)")
+
+
+def _check_profile(goal: DockGoal, profiles: Mapping[str, TargetProfile]) -> None:
+    name = goal.target_profile
+    if goal.start_charging and not profiles:
+        raise Rejected(
+            "no current flows without a profile of the target: set docking_node's target_profiles (docs/targets.md)"
+        )
+    if name and name not in profiles:
+        known = did_you_mean(name, profiles) or f"; known are {', '.join(profiles) or 'none'}"
+        raise Rejected(f"target_profile '{name}' is unknown{known} (docs/targets.md)")
+
+
+def check_change(goal: DockGoal, context: Context) -> None:
+    """Refuse a goal that would charge a target by another profile than the one by which it is being charged.
+
+    Raises:
+        Rejected: it would.
+    """
+    wanted = goal.target_profile or next(iter(context.profiles), "")
+    if context.status.charging and goal.start_charging and wanted != context.profile_name:
+        raise Rejected(
+            f"the target is being charged by profile '{context.profile_name}', not '{wanted}': undock it, or send a "
+            "goal with start_charging false first"
+        )
 
 
 def check_id(request_id: str) -> None:
@@ -126,6 +160,7 @@ class GoalDesk:
         context.started = context.time
         self.renew()
         context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
+        context.charge_end, context.regenerated = "", False
         context.deadline = math.inf
         context.status.request_id = request_id
         context.status.code, context.status.message = Code.NONE, ""
@@ -162,6 +197,8 @@ class GoalDesk:
             contact_force_max=most,
             charge_current=measured,
             energy=context.energy,
+            charge_end=context.charge_end,
+            charge_voltage=context.charge_voltage if context.charge_end else context.observation.target_voltage,
             elapsed=context.time - context.started,
         )
 

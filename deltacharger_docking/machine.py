@@ -8,7 +8,8 @@ it at the rate of servo_state and executes the commands.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from deltacharger_core.script import Runner, Script
 from deltacharger_docking.codes import (
@@ -24,10 +25,11 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise
-from deltacharger_docking.goals import GoalDesk, check_goal, check_id
+from deltacharger_docking.goals import GoalDesk, check_change, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.retract import go_limp, retract
 from deltacharger_docking.visit import TargetVisit
 from deltacharger_docking.watch import Watches, is_closed
@@ -43,6 +45,7 @@ class DockingMachine:
         geometry: the delta's dimensions.
         planner: of lines; None = the default one.
         feed: sends lines to the servos; None = one that sends them piece by piece.
+        profiles: of targets, by name, the default first; without any, no current flows.
     """
 
     def __init__(
@@ -51,8 +54,9 @@ class DockingMachine:
         geometry: DeltaGeometry | None = None,
         planner: Planner | None = None,
         feed: TrajectoryFeed | None = None,
+        profiles: Mapping[str, TargetProfile] = MappingProxyType({}),
     ) -> None:
-        self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
+        self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed, profiles)
         self._desk = GoalDesk(self._context)
         self._watches = Watches(self._context)
         self._runner = Runner()
@@ -111,7 +115,10 @@ class DockingMachine:
             Unreachable: the electrodes lie outside the workspace.
         """
         self.check_free()
-        check_goal(goal, self._context.planner, self.parameters)
+        check_goal(goal, self._context.planner, self.parameters, self._context.profiles)
+        check_change(goal, self._context)
+        if not self._context.status.charging:
+            self._context.choose_profile(goal.target_profile)
         self._desk.begin(goal.request_id, observation)
         self._record_goal(goal)
         if self._is_supervising and self._docking is not None:
@@ -206,6 +213,7 @@ class DockingMachine:
     def _record_goal(self, goal: DockGoal) -> None:
         place = {} if goal.electrodes is None else goal.electrodes.numbers
         text = "electrodes as given" if place else "the camera will locate the electrodes"
+        text += f"; profile {self._context.profile_name}" if self._context.profile else ""
         options = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
         limit = goal.critical_angle or self.parameters.critical_angle
         self._context.decide("accepted", text, **place, critical_angle_rad=limit, **options)
@@ -240,6 +248,8 @@ class DockingMachine:
                 return
             except DockingError as error:
                 last = error
+                if context.status.charging:
+                    context.end_charge(error.code.name)
             finally:
                 self._interruptible = False
             if self._docking is not None and self._docking.supervising:

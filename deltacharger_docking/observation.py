@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TypeVar
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import MisalignmentEstimate
@@ -126,10 +127,11 @@ class Reply:
 class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
-    `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds readings
-    of the servos since the last observation, before this one. `clock_problem` describes a problem of the clock that
-    ages are measured by; '' = none. `stopped` is why servo_node stopped a joint that strayed. `taxels` is the newest
-    tared frame (2, 10, 10), N.
+    `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds
+    readings of the servos since the last observation, before this one. `charge_current` and `least_current` (A) are
+    the mean and the least of a period of charger_power; `stage_voltage` NaN = the board sets it. `clock_problem`
+    describes a problem of the clock that ages are measured by; '' = none. `stopped` is why servo_node stopped a
+    joint that strayed. `taxels` is the newest tared frame (2, 10, 10), N.
     """
 
     time: float
@@ -146,9 +148,12 @@ class Observation:
     power_age: float = math.inf
     contactor_closed: bool = False
     charge_current: float = math.nan
+    least_current: float = math.nan
     target_voltage: float = math.nan
     battery_voltage: float = math.nan
     power_fault: int = 0
+    stage_steps_up: bool = True
+    stage_voltage: float = math.nan
     contactor_refusal: str = ""
     duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
@@ -172,7 +177,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Command:
-    """What to do now. The contactor is to be closed only while `energise`.
+    """What to do now. The contactor is to be closed only while `energise`, within `limits`.
 
     A trajectory replaces the one that the arm follows. Its times count from the observation's, and its last point
     holds. It is only a piece of the way (see `trajectory_feed`): None = continue with the last one, empty = hold.
@@ -185,6 +190,7 @@ class Command:
     trajectory: tuple[Waypoint, ...] | None = None
     requests: tuple[Request, ...] = ()
     energise: bool = False
+    limits: ChargeLimits | None = None
     states: tuple[State, ...] = ()
     decisions: tuple[Decision, ...] = ()
     waits: Wait = NEXT
@@ -201,6 +207,7 @@ class DockGoal:
     stop_energy: float = 0.0
     stop_after: float = 0.0
     request_id: str = ""
+    target_profile: str = ""
 
 
 @dataclass(frozen=True)
@@ -231,7 +238,8 @@ class GoalOutcome:
 class DockingOutcome(GoalOutcome):
     """Result of a Dock goal. NaN = not measured; `suggested_base` only if another pose of the robot would help.
 
-    `alignments` counts corrections, `redockings` repeated contacts without correction.
+    `alignments` counts corrections, `redockings` repeated contacts without correction. `charge_end` says what ended
+    charging, `charge_voltage` (V) is the target's then.
     """
 
     aligned: bool = False
@@ -245,6 +253,8 @@ class DockingOutcome(GoalOutcome):
     redockings: int = 0
     contact_force_min: float = math.nan
     contact_force_max: float = math.nan
+    charge_end: str = ""
+    charge_voltage: float = math.nan
 
 
 @dataclass

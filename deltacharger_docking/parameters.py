@@ -30,8 +30,8 @@ from deltacharger_kinematics.geometry import Vector
 
 POWERS = ("board", "none")
 _ORDERED = (
-    ("battery_voltage_min", "battery_voltage_max"),
-    ("target_voltage_min", "target_voltage_max"),
+    ("battery_voltage_min", "battery_voltage_start"),
+    ("battery_voltage_start", "battery_voltage_max"),
     ("clearance_sigmas", "clearance_sigmas_sure"),
 )
 
@@ -183,34 +183,27 @@ class DockingParameters(Bounded):
     )
     restarts_max: int = tunable(0, 0, 10, "", "automatic restarts of a docking; 0 = none")
     estimate_frames: int = tunable(24, 1, 240, "", "tactile frames averaged in one estimate")
-    charge_current_min: float = tunable(ZERO_CURRENT, 0.05, 18.0, "A", "charge current that counts as charging")
     charge_stable_time: float = tunable(
         1.0, 0.1, 10.0, "s", "how long charge current must flow before docking succeeds"
     )
-    charge_current_max: float = number(18.5, 1.0, 30.0, "A", "charge current that opens the contactor")
     zero_current: float = number(
         ZERO_CURRENT, 0.05, 2.0, "A", "charge current below which the contactor counts as open"
     )
     open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to stop after an order to open")
     opening_time: float = number(0.1, 0.0, 1.0, "s", "delay of an order to open")
     battery_voltage_min: float = number(
-        BATTERY_MIN, 1.0, 60.0, "V", "lowest voltage of the charger's own battery for charging"
+        BATTERY_MIN, 1.0, 60.0, "V", "voltage of the charger's own battery that ends charging after 5 s"
+    )
+    battery_voltage_start: float = number(
+        23.7, 1.0, 60.0, "V", "lowest voltage of the charger's own battery for closing; load pulls it down"
     )
     battery_voltage_max: float = number(BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the charger's own battery")
-    target_voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that may be charged")
-    target_voltage_max: float = number(30.0, 1.0, 60.0, "V", "highest voltage of a target that may be charged")
-    probe_resistance_min: float = number(1.0, 0.1, 100.0, "Ω", "probed resistance below which there is a short")
     contact_lost_current: float = number(0.15, 0.0, 1.0, "A", "contact current below which contact is lost")
     contact_lost_retreat: float = number(0.0015, 0.0003, 0.01, "m", "retreat while live that means lost contact")
     clearance_period: float = number(2.0, 0.2, 60.0, "s", "period of clearance checks while charging")
     clearance_frames: int = number(12, 1, 240, "", "tactile frames averaged in one check while charging")
     unsafe_max: int = number(2, 1, 20, "", "successive checks without clearance that end charging")
     blind_max: int = number(3, 1, 20, "", "successive failed or unsure checks that end charging")
-    taper_time: float = tunable(2.0, 0.1, 600.0, "s", "time constant of the charge current's mean")
-    taper_share: float = tunable(
-        0.5, 0.0, 1.0, "", "share of the mean (taper_time) below which charge current was cut off"
-    )
-    full_time: float = tunable(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
     hold_max: float = tunable(
         14400.0,
         1.0,
@@ -235,7 +228,6 @@ class DockingParameters(Bounded):
     contact_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for CONTACT")
     measure_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for MEASURE")
     align_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for one ALIGN")
-    energise_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for ENERGISE until current is stable")
     duplicate_source_timeout: float = number(
         25.0, 0.0, 120.0, "s", "limit for second sources to disappear before the contactor closes"
     )

@@ -127,7 +127,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
     """Press the target until the contact current is near its band: at a known place directly, else after a search.
 
     The arm moves fast where it cannot strike anything. If a known place is wrong, the search starts there. With `look`
-    it always searches, because a direct press leaves no time to measure.
+    it searches, because a direct press leaves no time to measure, unless the port shows by its voltage when to look.
     """
     parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
     context.drawn = math.nan
@@ -135,22 +135,24 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
         yield NEXT
     context.contact.clear()
     try:
-        if known is None or look is not None:
+        if known is None or (look is not None and not context.port_shown):
             return (yield from _search(context, depth, look))
         before = max(known.measured - parameters.near, z)
         touched = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _touches(context))
         if touched and context.position[2] < before:
-            return (yield from _press_on(context))
+            return (yield from _press_on(context, look))
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
             (x, y, wanted),
             parameters.press_speed,
-            until=lambda: context.contact.value > parameters.current_max,
+            until=lambda: context.contact.value > parameters.current_max or context.is_dark,
             spare=lambda: 0.5 * (parameters.current_max - context.contact.value) / rise,
         )
         if _touches(context):
             _note_drawn(context)
+        if context.is_dark and look is not None and (estimate := (yield from look())) is not None:
+            return estimate
         if too_hard:
             yield from context.rest()
         elif not _touches(context):

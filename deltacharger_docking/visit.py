@@ -108,7 +108,7 @@ class TargetVisit:
     def _charge(self) -> Script[None]:
         """Close the contactor, report success or hold the goal, supervise charging, and open it."""
         context, desk = self._context, self._desk
-        begun = context.time
+        begun, context.charge_end = context.time, ""
         yield from self._measure_until_sure(begun)
         while not (yield from energise(context)):
             yield from self._measure_until_sure(begun)

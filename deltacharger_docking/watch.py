@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from deltacharger_core.charge_port import LIVE_VOLTAGE
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_docking.codes import (
     POWER_FAULTS,
@@ -26,17 +27,25 @@ from deltacharger_docking.codes import (
     NoTactileContact,
     Overcurrent,
     PowerStale,
+    Regenerated,
     ReverseCurrent,
     ReversePolarity,
     ServoFailure,
+    ShortCircuit,
     State,
     TactileStale,
     VoltageOutOfRange,
 )
-from deltacharger_docking.context import YIELDS, Context, Live
+from deltacharger_docking.context import SHOWS, YIELDS, Context, Live
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.release import rolls
 
-WELD = 7  # ChargerPower.FAULT_CONTACTOR_WELDED
+_OVERCHARGES, _NEVER_FILLS = 0.1, 0.3  # V of a stage's constant voltage above and below the profile's full voltage
+_ABOVE, _BELOW = 0.3, 1.0  # V that a charging target may be above full, and below empty while its load steps
+_OVER, _BACK, _MUCH_BACK = 0.5, -0.5, -5.0  # A above the profile's; out of the target for 0.1 s, and at once
+_COLLAPSED, _THIRD = 2.0, 1.0 / 3.0  # V, or share of a live port's voltage, that remains
+_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
+_REVERSE, WELD = 6, 7  # ChargerPower.FAULT_REVERSE_CURRENT, FAULT_CONTACTOR_WELDED
 _OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
 _BESIDE = 0.030  # m beside its line; faultless dockings 14 at most, with worn gears
 _LEAD_MAX = 0.003  # m that the command may lead the platform beyond what is explained
@@ -59,6 +68,8 @@ class Watches:
         self._looked = -math.inf  # s, at the electrodes in free air
         self._dead = -math.inf  # s, when electrodes in free air last had no voltage, or were not in free air
         self._free = -math.inf  # s, since when they have been in free air with the contactor open
+        self._port = 0.0  # V of the port at most in this contact, with the contactor open
+        self._collapse = math.inf  # s, date of the first charger_power that shows that it has gone
 
     def problem(self, interruptible: bool = True) -> DockingError | None:
         """Return why the script must end now, if anything; on the way back only what forbids to move on."""
@@ -194,10 +205,33 @@ class Watches:
             "computer runs"
         )
 
+    def _bridged(self) -> DockingError | None:
+        """A bar bridges a live port: its voltage, which was there in this contact, has gone in two charger_power."""
+        context, seen, profile = self._context, self._context.observation, self._context.profile
+        held = seen.tactile_contact and not context.lets_go and context.closing is None and not seen.contactor_closed
+        if profile is None or profile.port == "dead" or not held:
+            self._port, self._collapse = 0.0, math.inf
+            return None
+        self._port, sampled = max(self._port, seen.target_voltage), context.time - seen.power_age  # NaN changes nothing
+        was_live = self._port >= SHOWS * profile.empty_voltage
+        if not (was_live and seen.target_voltage < max(_COLLAPSED, _THIRD * self._port)):
+            self._collapse = math.inf
+            return None
+        self._collapse = min(self._collapse, sampled)
+        if sampled <= self._collapse + _SAME_SAMPLE:
+            return None
+        return ShortCircuit(
+            f"the port's voltage fell from {self._port:.1f} to {seen.target_voltage:.1f} V in contact: a bar bridges "
+            "it, or the target switched itself off; check how the target stands, and its fuse"
+        )
+
     def _fault(self) -> DockingError | None:
         fault = self._context.observation.power_fault
         if self._context.closing is None or not fault:
             return None
+        if fault == _REVERSE:
+            much = self._context.observation.least_current < _MUCH_BACK
+            return self._flows_back("the power stage opened the contactor: current flowed", much)
         kind, words = POWER_FAULTS.get(fault, (PowerStale, f"fault {fault}"))
         return kind(f"the power stage opened the contactor: {words}")
 
@@ -220,15 +254,23 @@ class Watches:
             return PowerStale("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
         if live.was_closed and not math.isfinite(observation.charge_current):
             return PowerStale("the charge current is no longer measured; check the power stage")
-        if observation.charge_current < -parameters.zero_current:
-            flow = f"{observation.charge_current:.1f} A flow out of the target"
-            return ReverseCurrent(f"{flow}; have its charging input checked")
-        if observation.charge_current > parameters.charge_current_max:
+        current, most = observation.charge_current, (context.profile.current if context.profile else 0.0) + _OVER
+        for name, good in (("reverse", not current < _BACK), ("current", not current > most)):
+            if good:
+                live.sound[name] = context.time
+        if current < _MUCH_BACK or context.time - live.sound["reverse"] > _VOLTAGE_TIME:
+            return self._flows_back(f"{current:.1f} A flow", much=current < _MUCH_BACK)
+        if context.time - live.sound["current"] > _VOLTAGE_TIME:
             return ChargeOvercurrent(
-                f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A; have the "
-                "power stage's limiter checked"
+                f"{current:.1f} A exceed the limit of {most:.1f} A; have the power stage's limiter checked"
             )
         return None
+
+    def _flows_back(self, flow: str, much: bool = False) -> DockingError:
+        """Return the error of a target that regenerates: once in a goal it may be tried again."""
+        kind = ReverseCurrent if self._context.regenerated or much else Regenerated
+        self._context.regenerated = True
+        return kind(f"{flow} out of the target: it brakes its wheels, or a second charger feeds it")
 
     def _refusal(self, live: Live, refusal: str) -> DockingError | None:
         """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
@@ -243,10 +285,11 @@ class Watches:
     def _voltages(self) -> DockingError | None:
         """A voltage that is unknown or off for longer than a spike; the charger's battery may sag under load."""
         context, live = self._context, self._context.closing
-        if live is None or not live.was_closed:
+        if live is None or not live.was_closed or context.profile is None:
             return None
-        problems = {"battery": battery_problem(context), "target": target_problem(context)}
-        sags = context.observation.battery_voltage < context.parameters.battery_voltage_min
+        least = context.parameters.battery_voltage_min
+        problems = {"battery": battery_problem(context, least), "target": target_problem(context, context.profile)}
+        sags = context.observation.battery_voltage < least
         for name, problem in problems.items():
             if problem is None:
                 live.sound[name] = context.time
@@ -292,7 +335,7 @@ def reason_not_to_close(context: Context) -> DockingError | None:
     observation, parameters = context.observation, context.parameters
     if observation.power_age > parameters.power_age_max:
         return _power_silent()
-    if (unfit := battery_problem(context)) is not None:
+    if (unfit := battery_problem(context) or stage_problem(context)) is not None:
         return unfit
     if observation.tactile_age > parameters.tactile_age_max:
         return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
@@ -318,9 +361,14 @@ def servo_problem(context: Context) -> DockingError | None:
     return None
 
 
-def battery_problem(context: Context) -> DockingError | None:
-    """Return why the charger's own battery must not be connected to the electrodes, if anything."""
-    low, high = context.parameters.battery_voltage_min, context.parameters.battery_voltage_max
+def battery_problem(context: Context, low: float | None = None) -> DockingError | None:
+    """Return why the charger's own battery must not be connected to the electrodes, if anything.
+
+    Args:
+        context: of docking.
+        low: V at least; None = what closing needs.
+    """
+    low, high = context.parameters.battery_voltage_start if low is None else low, context.parameters.battery_voltage_max
     voltage = context.observation.battery_voltage
     if not math.isfinite(voltage):
         return PowerStale(
@@ -336,21 +384,36 @@ def battery_problem(context: Context) -> DockingError | None:
     )
 
 
-def target_problem(context: Context) -> DockingError | None:
-    """Return why the target's voltage forbids current, if it does."""
-    return voltage_problem(context, context.observation.target_voltage)
+def stage_problem(context: Context) -> DockingError | None:
+    """Return why the power stage does not fit the target's profile, if it does not."""
+    profile, name = context.profile, context.profile_name
+    if profile is None:
+        return None
+    volts, full = context.observation.stage_voltage, profile.full_voltage
+    if volts > full + _OVERCHARGES or volts < full - _NEVER_FILLS:
+        does = "would overcharge it" if volts > full else "could never fill it"
+        return VoltageOutOfRange(
+            f"the power stage is set to {volts:.1f} V, and profile {name} is full at {full:.1f} V: the stage {does}; "
+            "set its voltage and declare it, or send another target_profile"
+        )
+    return None
 
 
-def voltage_problem(context: Context, voltage: float) -> DockingError | None:
-    """Return why this voltage (V) of a target forbids current, if it does."""
-    low, high = context.parameters.target_voltage_min, context.parameters.target_voltage_max
+def target_problem(context: Context, profile: TargetProfile) -> DockingError | None:
+    """Return why the voltage of a target that is being charged forbids current, if it does."""
+    voltage, high = context.observation.target_voltage, profile.full_voltage + _ABOVE
+    starts = profile.port == "dead" and context.status.state is State.ENERGISE  # its own voltage may still be missing
+    low = -math.inf if starts else profile.empty_voltage - _BELOW
     if not math.isfinite(voltage):
         return PowerStale("the target's voltage is not measured; check the power stage's voltage divider")
-    if voltage < 0.0:
+    if voltage <= -LIVE_VOLTAGE:
         return ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
     if low <= voltage <= high:
         return None
-    return VoltageOutOfRange(f"the target has {voltage:.1f} V; allowed are {low} to {high} V")
+    return VoltageOutOfRange(
+        f"the target has {voltage:.1f} V; profile {context.profile_name} allows {profile.empty_voltage:.1f} to "
+        f"{profile.full_voltage:.1f} V while it is charged"
+    )
 
 
 def duplicate(names: str) -> DuplicateSource:
@@ -391,6 +454,7 @@ class Watched:
 _BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
 _TOUCHING = (State.CONTACT, State.MEASURE, State.ALIGN)
 LIVE = (State.ENERGISE, State.CHARGING, State.IDLE)  # IDLE: docked; live if the electrodes are wired to the battery
+_LIVE_PORT = (*_TOUCHING, State.ENERGISE, State.IDLE)  # from the touch until our contactor closes
 _ALL = (*_BEFORE_MOVING, *_TOUCHING, *LIVE, State.RETRACT)
 _APART = (State.APPROACH, State.RETRACT)
 _UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
@@ -405,6 +469,7 @@ WATCHES = (
     Watched("place of the arm", _ALL, "docking", "a cycle", _SERVO, Watches._astray, halts=True),
     Watched("charge current", _ALL, "docking", "0.1 s", _WELDED, Watches._unordered, halts=True),
     Watched("voltages", _APART, "docking", "1.5 s in free air", _WELDED, Watches._live_in_air, halts=True),
+    Watched("voltages", _LIVE_PORT, "docking", "0.1 s", (Code.SHORT_CIRCUIT,), Watches._bridged),
     Watched("docking itself", LIVE, "docking", "1 s", (Code.POWER_STALE,), Watches._paused),
     Watched("docking itself", LIVE, "tactile_node", "0.25 s, its lease", (Code.POWER_STALE,)),
     Watched("docking itself", (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT), "docking", "the phase", (Code.TIMEOUT,)),

@@ -3,14 +3,14 @@
 
 Nothing closes, limits, measures or opens the circuit. So docking measures the misalignment at the first touch of each
 contact, before it presses further, and monitors docked electrodes as it does while charging. If a check fails, it takes
-the electrodes off. It never reports that it charges.
+the electrodes off. It never reports that it charges. `look` serves targets too whose own battery makes the port live.
 """
 
 from __future__ import annotations
 
 import math
 
-from deltacharger_core.script import Script
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.charging import Order, clearance_checks
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, State, TactileStale
@@ -19,6 +19,7 @@ from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
 from deltacharger_docking.touch import Target, record_verdict, rolled_too_far, with_pitch
 
+_POWER = 0.1  # s, two periods of charger_power
 _UNKNOWN = "this charger does not measure, limit or interrupt it"
 DOCKED = (
     f"docked; power: none: the electrodes are wired to the battery, so current may flow now; {_UNKNOWN}; undock ends it"
@@ -29,6 +30,9 @@ PARTED = f"the electrodes were taken off although current may still have flowed 
 def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
     """Measure at the first touch; return the estimate if it forbids pressing further, else None.
 
+    Where the target makes the port live, its voltage shows that no bar bridges it, and only a touch without it is
+    measured. To measure at each touch would take 0.4 s more in median (150 dockings of `default`).
+
     It does not wait until the arm rests, since shorted electrodes must not stay in contact. If so light a touch gives
     no usable estimate, pressing continues and is judged later, unless even the unsure one exceeds the critical angle.
 
@@ -37,6 +41,11 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
         TactileStale: no estimate arrived.
     """
     parameters = context.parameters
+    end = context.time + (0.0 if parameters.always_live else _POWER)
+    while context.time < end and not context.port_shown:
+        yield NEXT
+    if not parameters.always_live and context.port_shown and not context.is_dark:
+        return None
     context.contact.clear()
     reply = yield from context.ask(
         Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames

@@ -27,6 +27,7 @@ from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
+from deltacharger_docking.profile import ProfileNames, TargetProfile
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
@@ -65,9 +66,12 @@ class DockingNode(Node):
         self._settings = declare_with_servos(self, DockingParameters, _SERVOS_FOLLOW, form="{text}, {unit}")
         geometry = declare_geometry(self)
         mount, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
+        names = declare_all(self, ProfileNames).target_profiles
+        profiles = {name: declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}
         reject_unknown(self)
         self._frames = frames = Frames(self, transforms, mount.base_frame, mount.base_pose)
-        self._machine = DockingMachine(self._settings, geometry)
+        self._targets = ", ".join(profiles) or "none, so it charges nothing (docs/targets.md)"
+        self._machine = DockingMachine(self._settings, geometry, profiles=profiles)
         self._lock = threading.RLock()
         self._log = Log(self)
         self._stopping = threading.Event()
@@ -106,8 +110,9 @@ class DockingNode(Node):
     def release(self) -> None:
         """Start, and begin the queued goals."""
         self._closed = False
-        power = ", power none: electrodes are live whenever they touch" if self._settings.always_live else ""
-        self._log.info(f"takes goals{power}, version {package_version()}")
+        live = "power none: electrodes are live whenever they touch"
+        power = live if self._settings.always_live else f"profiles of targets: {self._targets}"
+        self._log.info(f"takes goals, {power}, version {package_version()}")
         self._thread.start()
         self._goals.release()
 
@@ -223,7 +228,7 @@ class DockingNode(Node):
             self._goals.end(DockingOutcome(code=Code.INTERNAL, message=words, energy=math.nan))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
-        self._calls.contactor(command.energise, observation.contactor_closed)
+        self._calls.contactor(command.energise, observation.contactor_closed, command.limits)
         if command.trajectory is not None:
             # Stamped with the observation: planning a line takes milliseconds, and times count from the observation.
             stamp = before_now(self.get_clock(), time.monotonic() - observation.time)

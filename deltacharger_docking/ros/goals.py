@@ -33,7 +33,7 @@ _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
 MEASURED = (
     *("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy"),
-    *("contact_force_min", "contact_force_max"),
+    *("contact_force_min", "contact_force_max", "charge_end", "charge_voltage"),
 )
 """Fields of a Dock result that have the same names in an outcome."""
 
@@ -240,6 +240,7 @@ class Goals:
             stop_energy=request.stop_energy,
             stop_after=seconds(request.stop_after),
             request_id=request.request_id,
+            target_profile=request.target_profile,
         )
 
     def _electrodes(self, message: PoseStamped) -> ElectrodePose | None:
@@ -279,4 +280,6 @@ def _as_text(goal: DockGoal | str) -> str:
     stops = [f"{goal.stop_energy:g} J" if goal.stop_energy else "", f"{goal.stop_after:g} s" if goal.stop_after else ""]
     until = " or ".join(filter(None, stops))
     charge = "charges" if goal.start_charging else "does not charge"
+    if goal.target_profile:
+        charge = f"{charge} as {goal.target_profile}"
     return f"{at}, {charge}{until and f' until {until}'}{', holds the goal' if goal.hold else ''}"

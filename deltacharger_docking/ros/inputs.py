@@ -152,9 +152,12 @@ class Heard:
             values.update(
                 contactor_closed=power.contactor_closed,
                 charge_current=power.charge_current,
+                least_current=power.charge_current_least,
                 target_voltage=power.target_voltage,
                 battery_voltage=power.battery_voltage,
                 power_fault=power.fault,
+                stage_steps_up=power.stage_steps_up,
+                stage_voltage=power.stage_voltage,
             )
         return Observation(
             time=now,

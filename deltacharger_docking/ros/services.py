@@ -16,6 +16,7 @@ from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetCo
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.frames import END_EFFECTOR
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
@@ -131,8 +132,11 @@ class Services:
         asked = (message for measured, message in list(self._estimates) if measured.is_of(value))
         return next((refined(value, message) for message in asked), unknown_misalignment(self._end_effector))
 
-    def contactor(self, wanted: bool, closed: bool) -> None:
-        """Renew the lease while `wanted`, ten times a second; open at once when no longer wanted."""
+    def contactor(self, wanted: bool, closed: bool, limits: ChargeLimits | None = None) -> None:
+        """Renew the lease while `wanted`, ten times a second; open at once when no longer wanted.
+
+        Each request carries the limits, because the first one may be lost; of later ones the current counts.
+        """
         now = time.monotonic()
         changed = wanted != bool(self._token)
         if changed:
@@ -148,6 +152,9 @@ class Services:
                     self._refusal = "no node serves set_contactor"
             return
         message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LONGEST_LEASE), token=self._token)
+        if wanted and limits is not None:
+            message.current_max, message.voltage_max, message.dead_port = limits[:3]
+            message.start_time, message.gap_time = limits[3:]
         # Calls that a hung node never answers are removed; otherwise each would be kept for ever.
         while self._renewals and (self._renewals[0][0].done() or now - self._renewals[0][1] > _GIVEN_UP):
             self._contactor.remove_pending_request(self._renewals.popleft()[0])

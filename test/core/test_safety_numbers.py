@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from deltacharger_core.charge_port import ChargeLimits, Port
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.script import NEXT
 from deltacharger_core.servos_file import MeasuredServo
@@ -40,12 +41,13 @@ from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, cleara
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_driver import orders
 from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
-from deltacharger_driver.emulators import detectors
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower
+from deltacharger_driver.emulators.stage import PowerStage, StageParameters, StageReading
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
 from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot, thermal, trajectory
@@ -56,8 +58,6 @@ from deltacharger_kinematics.swing import Swung, surely_swings
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
-from deltacharger_sim import bars, circuit, clearance
-from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
 from deltacharger_tactile import estimator, frame_window
 from deltacharger_tactile.parameters import PadDockingParameters
 from deltacharger_vision.detector.support import SupportSettings, supported
@@ -67,6 +67,8 @@ from deltacharger_vision.mount import Mount
 NAN, INF, DEGREE, MM = math.nan, math.inf, math.radians(1.0), 1e-3
 DOCK = (0.0, 0.0, 0.08)
 PARAMETERS = DockingParameters()
+LIMITS = ChargeLimits(10.0, 29.4)
+PROFILES = {"seven": TargetProfile(19.0, 29.4, 10.0, 0.5), "late": TargetProfile(19.0, 29.4, 10.0, 0.5, port="dead")}
 
 
 class Limit(NamedTuple):
@@ -154,12 +156,13 @@ def pressing(current: float = 0.45, z: float = 0.08) -> Observation:
     currents = tuple((one + two) / PARAMETERS.torque_constant for one, two in zip(held, pushed, strict=True))
     fresh = dict.fromkeys(("servo_age", "tactile_age", "power_age"), 0.0)
     known = {"servos_valid": True, "torque_enabled": True, "tactile_contact": True, "tared": True}
-    volts = {"charge_current": 0.0, "target_voltage": 24.0, "battery_voltage": 26.0}
+    volts = {"charge_current": 0.0, "least_current": 0.0, "target_voltage": 24.0, "battery_voltage": 26.0}
     return Observation(0.0, delta.inverse(0.0, 0.0, z), currents, **fresh, **known, **volts)
 
 
-def scene(**changes: Any) -> context.Context:
-    shared = context.Context(PARAMETERS, DeltaGeometry())
+def scene(profile: str = "seven", **changes: Any) -> context.Context:
+    shared = context.Context(PARAMETERS, DeltaGeometry(), profiles=PROFILES)
+    shared.choose_profile(profile)
     shared.observe(replace(pressing(), **changes))
     return shared
 
@@ -190,8 +193,21 @@ def touches_live(**changes: Any) -> bool:
     return watched(shared, replace(pressing(), **changes))
 
 
-def has_battery(battery_voltage: float) -> bool:
-    return passes(energy.check_battery, scene(battery_voltage=battery_voltage))
+def has_battery(**changes: Any) -> bool:
+    return passes(energy.check_battery, scene(**changes))
+
+
+def keeps_port(volts: float, samples: int = 2, before: float = 24.0) -> bool:
+    """Return whether docking goes on if a live port in contact falls from one voltage to another."""
+    shared = scene(target_voltage=before)
+    shared.enter(State.MEASURE, INF)
+    watches = watch.Watches(shared)
+    assert watches.problem() is None
+    for number in range(samples):
+        shared.observe(replace(pressing(), time=0.05 * (number + 1), target_voltage=volts))
+        if watches.problem() is not None:
+            return False
+    return True
 
 
 def continues(state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any) -> bool:
@@ -204,7 +220,7 @@ def continues(state: State = State.MEASURE, seen: Observation | None = None, lea
         while True:
             yield NEXT
 
-    docking = machine.DockingMachine(PARAMETERS)
+    docking = machine.DockingMachine(PARAMETERS, profiles=PROFILES)
     docking.start(script, pressing())  # type: ignore[arg-type]
     docking.step(pressing())
     for time in (0.14, 0.2):  # what pushes too hard is read more than once
@@ -245,18 +261,31 @@ def without(values: Sequence[float], index: int | None) -> Any:
 OBSERVATION = (
     *fields(may_close, 0.49, (0.51, INF, NAN), "power_age", "tactile_age"),
     *fields(may_close, 0.19, (0.21, INF, NAN), "servo_age"),
-    *fields(may_close, 22.71, (22.69, NAN, -INF), "battery_voltage"),
+    *fields(may_close, 23.71, (23.69, NAN, -INF), "battery_voltage"),
+    *fields(may_close, 29.49, (29.51,), "stage_voltage"),
+    *fields(may_close, 29.11, (29.09, 0.0), "stage_voltage"),
     *fields(may_close, 29.79, (29.81, INF), "battery_voltage"),
     *fields(may_close, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
     *fields(may_close, True, (False,), "torque_enabled", "tactile_contact"),
     *fields(may_close, "", ("a second tactile_node",), "duplicate_sources"),
-    *fields(has_battery, 22.71, (22.69, 29.81, NAN), "battery_voltage"),
+    *fields(has_battery, 23.71, (23.69, 29.81, NAN), "battery_voltage"),
     *fields(has_battery, 29.79, (29.81, INF, -INF), "battery_voltage"),
+    *fields(has_battery, 29.49, (29.51, 29.09), "stage_voltage"),
+    Limit("port in contact, V", keeps_port, 8.1, 7.9, (2.1, 0.0, -24.0)),  # a third of 24 V
+    Limit("port in contact before, V", lambda v: keeps_port(0.0, before=v), 9.4, 9.6, ()),
+    Limit("charger_power of a collapse", lambda v: keeps_port(0.0, v), 1, 2, ()),
     *fields(stays_closed, 0.49, (0.51, INF, NAN), "power_age"),
     *fields(stays_closed, 0.19, (0.21, INF, NAN), "servo_age"),
     *fields(stays_closed, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
-    *fields(stays_closed, 18.4, (18.6, INF, NAN), "charge_current"),
+    *fields(stays_closed, 10.4, (10.6, INF, NAN), "charge_current"),
     *fields(stays_closed, -0.49, (-0.51, -INF), "charge_current"),
+    Limit("out of the target for 0.05 s, A", lambda v: stays_closed(time=0.05, charge_current=v), -4.9, -5.1, (-INF,)),
+    Limit("out of the target, s", lambda v: stays_closed(time=v, charge_current=-0.6), 0.09, 0.11, ()),
+    Limit("over the profile's current, s", lambda v: stays_closed(time=v, charge_current=10.6), 0.09, 0.11, ()),
+    *fields(stays_closed, 29.69, (29.71, INF, NAN), "target_voltage"),
+    *fields(stays_closed, 18.1, (17.9, 0.0, -24.0, -INF), "target_voltage"),
+    Limit("target's voltage off, s", lambda v: stays_closed(time=v, target_voltage=29.8), 0.09, 0.11, ()),
+    *fields(stays_closed, 22.8, (29.81, NAN), "battery_voltage"),
     *fields(stays_closed, True, (False,), "torque_enabled", "contactor_closed"),
     *fields(stays_closed, 0, (*range(1, 10), 255), "power_fault"),
     *fields(stays_closed, 0.99, (1.01,), "time"),  # docking itself paused
@@ -306,23 +335,80 @@ def answered(script: Any, shared: context.Context, **reply: Any) -> Any:
     return None
 
 
-def energises(**probe: Any) -> bool:
-    shared = scene()
-    found = {"resistance": 25.0, "target_voltage": 24.0} | probe
+def energises(profile: str = "seven", **probe: Any) -> bool:
+    shared = scene(profile)
+    found = {"resistance": NAN, "target_voltage": 24.0} | probe
     return passes(lambda: answered(energy.energise(shared), shared, **found)) and shared.energise
 
 
-def flows(current: float, seconds: float = 1.05) -> bool:
-    """Return whether docking reports charging after this current has flowed for so long."""
+def steps_down_to(volts: float) -> bool:
+    """Return whether a stage that only steps down, from 26 V, may charge a target of this voltage."""
+    found = Reply(1, True, resistance=NAN, target_voltage=volts)
+    shared = scene(stage_steps_up=False)
+    return passes(energy._check_probe, shared, PROFILES["seven"], Port.LIVE, found)
+
+
+def flows(current: float, seconds: float = 1.05, gap: float = 0.0) -> bool:
+    """Return whether docking reports charging after this current has flowed for so long, with a gap (s) in it."""
     shared = scene()
     script = energy.energise(shared)
-    answered(script, shared, resistance=25.0, target_voltage=24.0)
+    answered(script, shared, resistance=NAN, target_voltage=24.0)
     for at in np.arange(0.0, seconds, 0.05):
-        now = {"time": 0.02 + at, "contactor_closed": True, "charge_current": current}
+        now = {"time": 0.02 + at, "contactor_closed": True, "charge_current": 0.0 if 0.5 <= at < 0.5 + gap else current}
         shared.observe(replace(pressing(), **now))
         if next(script, "charging") == "charging":
             return True
     return False
+
+
+def waits(seconds: float) -> bool:
+    """Return whether docking still waits for current so long after the contactor closed."""
+    shared = scene()
+    script = energy.energise(shared)
+    answered(script, shared, resistance=NAN, target_voltage=24.0)
+
+    def wait() -> None:
+        for at in np.arange(0.0, seconds, 0.05):
+            shared.observe(replace(pressing(), time=0.02 + at, contactor_closed=True))
+            next(script)
+
+    return passes(wait)
+
+
+class Battery(NamedTuple):
+    """What charger_power shows of a target: A, V, least A."""
+
+    current: float
+    volts: float
+    least: float = NAN
+
+
+def ends_as(battery: Battery, seconds: float, before: float = 24.0, period: float = 0.05) -> str:
+    """Return how charging ends within so many seconds at this current and voltage; '' = it goes on."""
+    shared = scene(contactor_closed=True)
+    shared.closing, shared.limits = context.Live(0.0), ChargeLimits(10.0, 29.4)
+    charged = charging.Charged(shared, PROFILES["seven"])
+    for number, at in enumerate(np.arange(0.0, 2.0 + seconds, period)):
+        now = Battery(5.0, before) if number < 2.0 / period else battery
+        power = {"charge_current": now.current, "target_voltage": now.volts}
+        least = now.current if math.isnan(now.least) else now.least
+        shared.observe(replace(pressing(), time=at, contactor_closed=True, least_current=least, **power))
+        try:
+            if why := charged.judge():
+                return why
+        except codes.NoChargeCurrent as error:
+            return str(error)
+    return ""
+
+
+def limits(rise: float) -> float:
+    """Return the current (A) that docking allows into a loop whose resistance rose by so much (Ω)."""
+    shared = scene()
+    shared.limits = ChargeLimits(10.0, 29.4)
+    charged = charging.Charged(shared, PROFILES["seven"])
+    charged.rise = rise
+    charged._allow(rise)
+    return shared.limits.current
 
 
 def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
@@ -355,7 +441,7 @@ def leans(sigma: float = 0.0, **lean: float) -> bool:
 
 
 def serves(**goal: Any) -> bool:
-    return passes(goals.check_goal, DockGoal(None, **goal), scene().planner, PARAMETERS)
+    return passes(goals.check_goal, DockGoal(None, **goal), scene().planner, PARAMETERS, PROFILES)
 
 
 def charges_on(*estimates: MisalignmentEstimate | None) -> bool:
@@ -380,6 +466,7 @@ def blinds(**changes: Any) -> bool:
 def looks(**changes: Any) -> bool:
     """Return whether the arm may press live electrodes (power: none) after this first estimate."""
     shared = scene()
+    shared.use_parameters(replace(PARAMETERS, power="none"))
     script = wired.look(shared, touch.Target(shared, 12.0 * DEGREE))
     return answered(script, shared, estimate=estimate(**changes)) is None
 
@@ -396,10 +483,27 @@ def gives_up_as(angle: float) -> Code:
 
 
 TILTED = estimate(angle=11.8 * DEGREE)
+CUT = "cut by the target"
 ANSWERS = (
-    *fields(energises, 1.01, (0.99, 0.0, NAN, INF, -INF), "resistance"),
-    *fields(energises, 10.1, (9.9, 0.0, -24.0, NAN, -INF), "target_voltage"),
-    *fields(energises, 29.9, (30.1, INF), "target_voltage"),
+    *fields(energises, NAN, (INF, -INF, 2000.0, 0.0), "resistance"),
+    *fields(energises, 19.1, (18.9, 0.0, -24.0, NAN, -INF), "target_voltage"),
+    *fields(energises, 29.39, (29.41, INF), "target_voltage"),
+    Limit("dead port, Ω", lambda v: energises("late", resistance=v, target_voltage=0.0), 1.01, 0.99, (0.0, NAN)),
+    Limit("open port", lambda v: energises(v, resistance=INF, target_voltage=0.0), "late", "seven", ()),
+    Limit("dead port that is live, V", lambda v: energises("late", target_voltage=v), 19.1, 18.9, (29.5, -24.0)),
+    Limit("step down, V", steps_down_to, 25.49, 25.51, (INF,)),
+    Limit("gap while it starts, s", lambda v: flows(5.0, 1.05, v), 0.2, 0.3, ()),
+    Limit("current after closing, s", waits, 3.0, 3.2, ()),
+    Limit("cut at full voltage, V", lambda v: ends_as(Battery(0.0, 24.0), 0.4, before=v) == CUT, 29.11, 29.09, ()),
+    Limit("gap, s", lambda v: not ends_as(Battery(0.0, 24.0), v), 0.2, 0.3, ()),
+    Limit("no current, A", lambda v: not ends_as(Battery(v, 24.0), 0.4), 0.051, 0.049, ()),
+    Limit("little current, A", lambda v: ends_as(Battery(v, 29.3), 31.0) == "current below 0.5 A", 0.49, 0.51, ()),
+    Limit("little current, s", lambda v: ends_as(Battery(0.4, 29.3), v) == "", 29.9, 30.3, ()),
+    Limit("little current at, V", lambda v: ends_as(Battery(0.4, v), 31.0) == "current below 0.5 A", 29.11, 29.09, ()),
+    Limit("pulses at full voltage, s", lambda v: ends_as(Battery(5.0, 29.3, 0.0), v, 29.3) == "", 29.9, 30.3, ()),
+    Limit("steady load, s", lambda v: ends_as(Battery(2.0, 29.3), v, period=0.5) == "", 590.0, 620.0, ()),
+    Limit("heat of dirt, Ω", lambda v: limits(v) >= 5.0, 0.39, 0.41, ()),  # 25 A² · 0.4 Ω = 10 W
+    Limit("dirt, Ω", lambda v: passes(limits, v), 9.9, 10.1, ()),
     Limit("charge current, A", flows, 0.51, 0.49, ()),
     Limit("stable current, s", lambda v: flows(5.0, v), 1.05, 0.95, ()),
     Limit("report after opening, s", lambda v: opens(v), 0.3, 0.5),
@@ -429,28 +533,27 @@ ANSWERS = (
 
 def leases(duration: float, after: float = 0.0) -> bool:
     lease = contactor_lease.ContactorLease()
-    lease.probed(25.0, 24.0, 0.0)
-    return passes(lambda: lease.take("docking", duration, 0.0)) and lease.is_live(after)
+    lease.probed(NAN, 24.0, 0.0)
+    return passes(lambda: lease.take("docking", duration, 0.0, limits=LIMITS)) and lease.is_live(after)
 
 
 def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_age: float = 0.0, **probe: float) -> bool:
     """Return whether the guard closes the contactor."""
-    link = SimpleNamespace(keep_alive=lambda until: None, contactor=lambda close: None, stop_heartbeat=lambda: None)
-    link.probe = lambda: samples.ProbeResult(**{"resistance": 25.0, "target_voltage": 24.0, "time": 10.0} | probe)
+    link = SimpleNamespace(keep_alive=lambda until: None, stop_heartbeat=lambda: None)
+    link.contactor = lambda close, limits: None
+    link.probe = lambda: samples.ProbeResult(**{"resistance": NAN, "target_voltage": 24.0, "time": 10.0} | probe)
     guard = contactor_guard.ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
     guard.probe()
     pads = np.full((2, 10, 10), NAN, np.float32)
     pads[1, 4, 4] = newton
     guard.observe_tactile(samples.TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
     guard.observe_power(samples.PowerSample(10.0 - power_age, payloads.Power(26.0, 24.0, 0.0, False, fault)))
-    return passes(guard.close, "docking", 0.25)
+    return passes(guard.close, "docking", 0.25, "", LIMITS)
 
 
-def stage(resistance: float = 25.0, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
-    reading = 26.0, 24.0, 5.0 if closed else 0.0, closed, fault
-    found = SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: reading)
-    found.close_contactor, found.open_contactor = lambda: None, lambda ramp: None
-    return found
+def stage(resistance: float = NAN, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
+    reading = StageReading(26.0, 24.0, 24.0, 5.0 if closed else 0.0, closed, fault)
+    return SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: reading, drive=lambda outputs: None)
 
 
 def board(heartbeat: float = 0.0, probe: float = 0.0, **plant: Any) -> EmulatedPower:
@@ -459,7 +562,7 @@ def board(heartbeat: float = 0.0, probe: float = 0.0, **plant: Any) -> EmulatedP
     power.start_probe(10.0 - probe)
     power.poll_probe(10.0 - probe)
     power.heartbeat(10.0 - heartbeat)
-    power.close(10.0)
+    power.close(LIMITS, 10.0)
     return power
 
 
@@ -476,14 +579,23 @@ def board_holds(silence: float, fault: int = 0) -> bool:
 
 def keeps(seconds: float = 5.1, **reading: Any) -> bool:
     """Return whether the emulated board keeps its contactor closed for so long on this reading."""
-    watch = detectors.Detectors()
-    watch.close()
-    power = payloads.Power(26.0, 24.0, 5.0, True, 0)
-    for at in np.arange(0.0, seconds, 0.001):
-        if watch.fault(at, power) or not watch.seen_closed:
+    watch, power = PowerStage(lambda outputs: None, StageParameters()), StageReading(26.0, 24.0, 24.0, 5.0, True)
+    watch.close(LIMITS, 0.0)
+    for at in np.arange(0.0, seconds + 0.003, 0.001):  # three steps pre-charge, pull in and charge
+        if watch.step(power, at) or watch.dropped_out:
             return False
-        power = power._replace(**reading)
+        power = power._replace(**reading) if getattr(watch, "_flowed", False) else power
     return True
+
+
+def drives(low: float = 0.0, high: float = INF, stage: StageParameters | None = None, **reading: Any) -> bool:
+    """Return whether the board's limit of the current ends between two values, A."""
+    sent: list[Any] = []
+    watch, power = PowerStage(sent.append, stage or StageParameters()), StageReading(26.0, 24.0, 24.0, 5.0, True)
+    watch.close(LIMITS._replace(current=18.0), 0.0)
+    for at in np.arange(0.0, 1.0, 0.001):
+        watch.step(power._replace(**reading), at)
+    return bool(low <= sent[-1].current <= high)
 
 
 def clears_weld(**reading: Any) -> bool:
@@ -491,10 +603,8 @@ def clears_weld(**reading: Any) -> bool:
 
 
 def finds_open(current: float = 0.0, closed: bool = False, after: float = 0.051) -> bool:
-    watch = detectors.Detectors()
-    watch.close()
-    watch.open(0.0, ramp=False)
-    return not watch.fault(after, payloads.Power(26.0, 24.0, current, closed, 0))
+    watch = PowerStage(lambda outputs: None, StageParameters())
+    return not watch.step(StageReading(26.0, 24.0, 0.0, current, closed), after)
 
 
 def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
@@ -506,7 +616,8 @@ def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
 def test_the_board_reports_where_its_contactor_went_after_a_fault() -> None:
     power = board()
     power._plant = stage(fault=9)
-    assert power.read()[3:] == (False, 9)
+    power.poll(10.01)
+    assert power.report()[3:5] == (False, 9)
 
 
 def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
@@ -516,20 +627,21 @@ def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
     assert found == {number: 500 + number for number in range(1, 8)} | {8: 503, 9: 303}
 
 
-def feeds(current: float = 18.0, **changes: Any) -> bool:
-    """Return whether the simulated stage keeps feeding although its limiter lets this current (A) through."""
-    free = {"current_limit": current, "ramp_up": 1e6, "voltage_limit": 40.0}
-    parameters: Any = SimpleNamespace(**vars(CircuitParameters()) | free | changes)
-    stage, overlap = circuit.Circuit(parameters), clearance.Overlap(TerminalParameters(), 0.0, 0.0, 0.0)
-    stage.close()
-    for _ in range(300):
-        stage.step(0.001, overlap, bars.Bars.flat(80.0))
-    return stage.closed and stage.fault == 0
-
-
 def reads_power(**changes: float) -> bool:
-    values = {"battery": 26.0, "target": 24.0, "current": 1.0, "closed": 0, "fault": 0} | changes
-    return passes(payloads.decode_power, struct.pack("<fffBBH", *values.values(), 0))
+    values = {
+        "battery": 26.0,
+        "target": 24.0,
+        "current": 1.0,
+        "closed": 0,
+        "fault": 0,
+        "zero": 0,
+        "least": 1.0,
+    } | changes
+    return passes(payloads.decode_power, struct.pack("<fffBBHf", *values.values()))
+
+
+def reads_limits(**changes: float) -> bool:
+    return passes(payloads.decode_close, payloads.encode_close(LIMITS._replace(**changes)))
 
 
 BOARD = (
@@ -539,36 +651,41 @@ BOARD = (
     *fields(guards, 0.09, (0.11, INF, NAN), "frame_age"),
     *fields(guards, 1.01, (0.99, 0.0, NAN), "newton"),
     *fields(guards, 0, range(1, 10), "fault"),
-    *fields(guards, 1.01, (0.99, NAN, INF), "resistance"),
-    *fields(guards, 0.1, (-0.1, NAN), "target_voltage"),
+    *fields(guards, NAN, (0.99, 1.01, INF), "resistance"),
+    *fields(guards, 1.0, (0.99, -24.0, NAN), "target_voltage"),
     *fields(guards, 8.01, (7.99, NAN, -INF), "time"),
     *fields(board_closes, 0.094, (0.096, INF), "heartbeat"),
     *fields(board_closes, 1.99, (2.01, INF), "probe"),
-    *fields(board_closes, 1.01, (0.99, NAN, INF), "resistance"),
-    *fields(board_closes, 0.1, (-0.1, NAN), "voltage"),
+    *fields(board_closes, NAN, (0.99, 1.01, INF), "resistance"),
+    *fields(board_closes, 1.0, (0.99, -24.0, NAN), "voltage"),
     *fields(board_closes, False, (True,), "closed"),
     *fields(board_holds, 0.094, (0.096, INF), "silence"),
-    Limit("detectors, s", lambda v: board_holds(v, fault=9), 0.009, 0.011, ()),
-    *fields(keeps, 19.9, (20.1, -0.51, 0.04, NAN), "charge_current"),
-    *fields(keeps, 10.1, (9.9, 1.9, -0.1, NAN), "target_voltage"),
-    *fields(keeps, 29.9, (30.1,), "target_voltage"),
-    *fields(keeps, 22.71, (22.69, NAN), "battery_voltage"),
-    *fields(keeps, 29.79, (29.81,), "battery_voltage"),
-    Limit("bounce, s", lambda v: keeps(v, contactor_closed=False), 0.02, 0.023, ()),
-    Limit("lost current, s", lambda v: keeps(v, charge_current=0.04), 0.05, 0.053, ()),
-    Limit("unknown current, s", lambda v: keeps(v, charge_current=NAN), 0.1, 0.103, ()),
-    Limit("wrong target, s", lambda v: keeps(v, target_voltage=9.9), 0.1, 0.103, ()),
-    Limit("high battery, s", lambda v: keeps(v, battery_voltage=29.9), 0.1, 0.103, ()),
-    Limit("low battery, s", lambda v: keeps(v, battery_voltage=22.6), 5.0, 5.003, ()),
+    Limit("power stage, s", lambda v: board_holds(v, fault=9), 0.009, 0.011, ()),
+    *fields(keeps, 19.9, (20.1, -5.1, -0.51, 0.04, NAN), "current"),
+    *fields(keeps, 10.1, (9.9, 1.9, -1.1, NAN), "target"),
+    *fields(keeps, 29.69, (29.71,), "target"),
+    *fields(keeps, 22.71, (22.69, NAN), "battery"),
+    *fields(keeps, 29.79, (29.81,), "battery"),
+    Limit("bounce, s", lambda v: keeps(v, closed=False), 0.019, 0.022, ()),
+    Limit("gap, s", lambda v: keeps(v, current=0.04), 0.199, 0.205, ()),
+    Limit("unknown current, s", lambda v: keeps(v, current=NAN), 0.099, 0.103, ()),
+    Limit("current back, s", lambda v: keeps(v, current=-0.6), 0.099, 0.103, ()),
+    Limit("wrong target, s", lambda v: keeps(v, target=9.9), 0.099, 0.103, ()),
+    Limit("high battery, s", lambda v: keeps(v, battery=29.9), 0.099, 0.103, ()),
+    Limit("low battery, s", lambda v: keeps(v, battery=22.6), 4.999, 5.003, ()),
+    Limit("current through the fuse, A", lambda v: drives(high=v), 18.0, 17.9, ()),
+    Limit("less through a small fuse", lambda v: drives(9.7, 9.8, StageParameters(input_fuse=v)), 10.0, 10.1, ()),
+    Limit("limit in a gap, A", lambda v: drives(high=v, current=0.0), 1.0, 0.9, ()),
+    *fields(reads_limits, 0.051, (0.049, 30.1, NAN, INF), "current"),
+    *fields(reads_limits, 1.01, (0.99, 60.1, NAN, INF), "voltage"),
+    *fields(reads_limits, 0.11, (0.09, 70.1, NAN, INF), "start_time"),
+    *fields(reads_limits, 0.06, (0.04, 130.1, NAN, INF), "gap_time"),
     *fields(finds_open, 0.49, (0.51, -0.51), "current"),
     *fields(finds_open, False, (True,), "closed"),
     Limit("contacts open, s", lambda v: finds_open(closed=True, after=v), 0.049, 0.051, ()),
     *fields(clears_weld, 0.49, (0.51, -0.51, NAN), "charge_current"),
     *fields(clears_weld, 4.9, (5.1, -5.1, INF), "target_voltage"),
     *fields(clears_weld, False, (True,), "contactor_closed"),
-    *fields(feeds, 19.9, (20.1,), "current"),
-    *fields(feeds, 10.1, (9.9, -24.0), "target_voltage"),
-    *fields(feeds, 29.9, (30.1,), "target_voltage"),
     *fields(reads_power, NAN, (INF, -INF), "battery", "target", "current"),
     *fields(reads_power, 1, (2, 255), "closed"),
     *fields(reads_power, 9, (10, 255), "fault"),
@@ -719,11 +836,11 @@ SETTINGS = (
     *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104), ("hard_current", 4.0, 4.1)),
     *settable(DockingParameters, ("clearance_sigmas", 3.0, 2.9), ("clearance_sigmas_sure", 6.0, 5.9)),
     *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("clearance_contacts", 2, 1)),
-    *settable(DockingParameters, ("blind_max", 20, 21), ("unsafe_max", 20, 21), ("charge_current_max", 30.0, 30.1)),
+    *settable(DockingParameters, ("blind_max", 20, 21), ("unsafe_max", 20, 21)),
     *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("servo_age_max", 2.0, 2.1)),
     *settable(DockingParameters, ("press_age_max", 1.0, 1.1), ("tactile_age_max", 2.0, 2.1)),
     *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
-    *settable(DockingParameters, ("zero_current", 2.0, 2.1), ("probe_resistance_min", 0.1, 0.09)),
+    *settable(DockingParameters, ("zero_current", 2.0, 2.1)),
     *settable(DockingParameters, ("thermal_reserve_min", 0.0, -0.1), ("pause_max", 5.0, 5.1)),
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
     *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),

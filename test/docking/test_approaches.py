@@ -13,7 +13,7 @@ import pytest
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters
+from deltacharger_sim.parameters import CircuitParameters, PortParameters
 
 from .dockings import (
     ends,
@@ -35,10 +35,10 @@ class Wired:
     """
 
     def __init__(
-        self, *place: float, parameters: Mapping[str, Any] = MappingProxyType({}), coarse: bool = False, **circuit: Any
+        self, *place: float, parameters: Mapping[str, Any] = MappingProxyType({}), coarse: bool = False, **world: Any
     ) -> None:
-        wires = CircuitParameters(wired=True, **circuit)
-        self.run = quick_charger(*place, parameters={"power": "none", **parameters}, circuit=wires, coarse=coarse)
+        given = {"parameters": {"power": "none", **parameters}, "circuit": CircuitParameters(wired=True), **world}
+        self.run = quick_charger(*place, coarse=coarse, **given)
         self.asked: list[Service] = []
         self.decisions: list[Decision] = []
         self.pressed = -math.inf
@@ -222,7 +222,7 @@ def test_a_stop_condition_undocks_since_nothing_else_ends_the_current(hold: bool
 
 def test_a_target_of_higher_voltage_feeds_back_unnoticed() -> None:
     """The documentation warns of this: nothing is measured, so nothing is reported."""
-    run = Wired(target_voltage=29.0).run
+    run = Wired(port=PortParameters(voltage=29.0)).run
     outcome = run.dock()
     assert outcome.success
     assert run.world.snapshot().charge_current < -1.0

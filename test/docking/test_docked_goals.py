@@ -17,7 +17,7 @@ import pytest
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters, PortParameters, TargetParameters
 
 from ..marks import rest
 from .dockings import (
@@ -36,7 +36,7 @@ from .dockings import (
 WIRED = {"parameters": {"power": "none"}, "circuit": CircuitParameters(wired=True)}
 AGAIN = {"restarts_max": 2}
 CONTACT_ONLY = DockGoal(GOAL, start_charging=False)
-FILLING = CircuitParameters(target_capacity=40.0)  # constant voltage after 13 s, then a time constant of 6.4 s
+FILLING = PortParameters(capacity=200.0)  # constant voltage after 80 s, then a falling current
 
 
 def test_a_stop_condition_counts_from_its_own_goal() -> None:
@@ -184,8 +184,8 @@ def test_energy_that_was_not_all_measured_is_unknown_and_never_more_than_ordered
     while run.outcome is None and run.now < before + 10.0:
         now = run.now
         run.tick()
-        _, volts, amperes, closed, _ = run.plant.read_power()
-        delivered += volts * amperes * (run.now - now) if closed else 0.0
+        seen = run.plant.read_power()
+        delivered += seen.target * seen.current * (run.now - now) if seen.closed else 0.0
     assert run.outcome is not None
     assert run.outcome.success, run.outcome.message
     assert "at most" in run.outcome.message
@@ -195,25 +195,36 @@ def test_energy_that_was_not_all_measured_is_unknown_and_never_more_than_ordered
 
 @pytest.mark.parametrize("hold", [True, False])
 def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
-    run = quick_charger(circuit=FILLING, coarse=True)
+    run = quick_charger(port=FILLING, coarse=True)
     assert run.dock(DockGoal(GOAL, hold=hold), limit=300.0).success
-    until_open(run, 120.0)
+    until_open(run, 300.0)
     run.run(0.5)
     assert run.machine.status.code is Code.NONE
     assert (run.machine.status.docked, run.machine.status.charging) == (True, False)
     assert run.world.snapshot().contact_force > 0.0
-    assert run.world.circuit.voltages()[1] > 28.0, "it is full"
+    assert run.world.circuit.port.voltage > 29.1, "it is full"
+    assert run.outcome is not None
+    if hold:
+        assert run.outcome.charge_end == "full: current below 0.5 A"
+        assert run.outcome.charge_voltage == pytest.approx(29.4, abs=0.1)
 
 
-@pytest.mark.parametrize("wait", [1.0, 25.0])
-def test_current_that_is_cut_off_is_not_a_full_target(wait: float) -> None:
-    """Also in the middle of the taper, when current is already small."""
-    run = docked(circuit=FILLING, coarse=True)
+@pytest.mark.parametrize(("wait", "code"), [(1.0, Code.NO_CHARGE_CURRENT), (150.0, Code.NONE)])
+def test_current_that_is_cut_off_means_a_full_target_only_at_full_voltage(wait: float, code: Code) -> None:
+    run = quick_charger(port=FILLING, coarse=True)
+    run.begin(DockGoal(GOAL, hold=True))
+    run.until(lambda: run.machine.status.charging, 60.0)
     run.run(wait)
     assert run.world.snapshot().contactor_closed
-    spoil(run, charge_current=0.0)
-    run.until(lambda: run.machine.status.code is not Code.NONE, 0.1)
-    assert run.machine.status.code is Code.NO_CHARGE_CURRENT
+    spoil(run, charge_current=0.0, least_current=0.0)
+    run.run(0.15)
+    assert run.machine.status.charging, "gap_time has not passed"
+    run.until(lambda: not run.machine.status.charging, 0.3)
+    spoil(run)
+    outcome = run.finish(30.0)
+    assert outcome.code is code
+    assert outcome.charge_end == ("full: cut by the target" if code is Code.NONE else "NO_CHARGE_CURRENT")
+    assert outcome.retriable == (code is not Code.NONE)
 
 
 def jump(run: VirtualCharger, seconds: float) -> None:
@@ -380,9 +391,8 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
     """Closing takes time and charger_power is late, so the first messages still report an open contactor."""
     run = quick_charger()
     late: list[tuple[float, Callable[[], None]]] = []
-    plant, close, open_ = run.plant, run.plant.close_contactor, run.plant.open_contactor
-    plant.close_contactor = lambda: late.append((run.now + 0.04, close))
-    plant.open_contactor = lambda ramp: late.append((run.now + 0.04, lambda: open_(ramp)))
+    circuit, drive = run.world.circuit, run.world.circuit.drive
+    circuit.drive = lambda outputs: late.append((run.now + 0.04, lambda: drive(outputs)))
     seen: list[Observation] = []
 
     def delay(observation: Observation) -> Observation:

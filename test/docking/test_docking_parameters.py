@@ -24,7 +24,7 @@ from ..nodes import options
 LIVE = [each for each in declared(DockingParameters) if each.tunable]
 GUARDS = {  # of live electrodes, or copied by another part
     "power", "critical_angle", "clearance_min", "clearance_sigmas", "clearance_frames",
-    "charge_current_max", "target_voltage_min", "target_voltage_max", "probe_resistance_min", "contact_lost_current",
+    "battery_voltage_min", "battery_voltage_start", "battery_voltage_max", "contact_lost_current",
     "unsafe_max", "blind_max", "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
     "hard_current", "torque_constant", "gravity_z", "servo_stiffness", "electrode_half_gap",
 }  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
+from deltacharger_core.machine import BATTERY_MAX
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
@@ -182,7 +182,7 @@ def test_nodes_without_messages_are_awaited_by_name() -> None:
     assert run.finish(60.0).success
 
 
-@pytest.mark.parametrize(("volts", "code"), [(22.6, Code.VOLTAGE_OUT_OF_RANGE), (math.nan, Code.POWER_STALE)])
+@pytest.mark.parametrize(("volts", "code"), [(23.6, Code.VOLTAGE_OUT_OF_RANGE), (math.nan, Code.POWER_STALE)])
 def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code: Code) -> None:
     run = quick_charger()
     spoil(run, battery_voltage=volts)
@@ -211,8 +211,11 @@ def test_it_docks_without_charging_or_before_the_first_voltage(charges: bool, po
     assert run.world.record.energised == 0.0
 
 
+OWN_BATTERY = ("battery_voltage_min", "battery_voltage_start")
+
+
 @pytest.mark.parametrize(
-    ("volts", "parameters"), [(BATTERY_MIN, {}), (BATTERY_MAX, {}), (19.0, {"battery_voltage_min": 18.0})]
+    ("volts", "parameters"), [(23.7, {}), (BATTERY_MAX, {}), (19.0, dict.fromkeys(OWN_BATTERY, 18.0))]
 )
 def test_the_bounds_themselves_are_in_range(volts: float, parameters: dict[str, float]) -> None:
     """Also as charger_power carries them, in 32 bits; another battery has its own."""

@@ -22,14 +22,14 @@ import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_driver.board.protocol import BoardFault
+from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.servo_load import Effort
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
-from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.parameters import CircuitParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
 from .. import quick
 from ..marks import rest
@@ -89,7 +89,7 @@ class Faulty(VirtualCharger):
         self.silent, self.since = node, self.now
         if node == "servo_node":
             self._trajectory, self._goal = (), self._angles()
-        self._lapsed = node in ("tactile_node", "docking_node") and self.plant.read_power()[3]
+        self._lapsed = node in ("tactile_node", "docking_node") and self.plant.read_power().closed
 
     def resume(self) -> None:
         """Continue the stopped node, whose pending requests are answered late, and show true values again."""
@@ -98,7 +98,7 @@ class Faulty(VirtualCharger):
     def restart(self) -> None:
         """End the fault; pending requests of a killed node are lost."""
         if self.silent == "docking_node":
-            self.machine = DockingMachine(self.parameters)
+            self.machine = self._make_machine()
             self.outcome = None
             self._pending, self._replies = [], []
         elif self.silent == "servo_node":
@@ -145,11 +145,11 @@ class Faulty(VirtualCharger):
 
     def _step(self) -> None:
         gone = self.now - self.since
-        if self.silent == "tactile_node" and gone >= _HEARTBEAT:
-            self.plant.open_contactor(False)
+        if self.silent == "tactile_node" and gone >= _HEARTBEAT and self.power.closed:
+            self.power.trip(BoardFault.HEARTBEAT_LOST)
         if self.silent == "docking_node":
-            if gone >= _LEASE:
-                self.plant.open_contactor(True)
+            if gone >= _LEASE and self.power.closed:
+                self.power.open(self.now)
             return
         super()._step()
 
@@ -165,7 +165,7 @@ class Faulty(VirtualCharger):
     @property
     def closed(self) -> bool:
         """Whether the contactor is really closed."""
-        return self.plant.read_power()[3]
+        return self.plant.read_power().closed
 
     @property
     def has_torque(self) -> bool:
@@ -452,18 +452,19 @@ def test_motion_ends_with_the_machine(state: State) -> None:
 
 
 @pytest.mark.parametrize(
-    ("circuit", "code"),
+    ("port", "code"),
     [
-        ({"target_leakage": 0.0, "contact_resistance": 0.001}, Code.SHORT_CIRCUIT),
-        ({"target_voltage": -24.0}, Code.REVERSE_POLARITY),
-        ({"target_voltage": 5.0}, Code.VOLTAGE_OUT_OF_RANGE),
-        ({"target_voltage": 40.0}, Code.VOLTAGE_OUT_OF_RANGE),
-        ({"target_accepts": False}, Code.NO_CHARGE_CURRENT),
+        ({"voltage": -24.0}, Code.REVERSE_POLARITY),
+        ({"voltage": 6.0}, Code.VOLTAGE_OUT_OF_RANGE),
+        ({"voltage": 40.0}, Code.VOLTAGE_OUT_OF_RANGE),
+        ({"diode": 0.4}, Code.NO_CHARGE_CURRENT),
+        ({"accepts": False}, Code.NO_CHARGE_CURRENT),
+        ({"voltage": 0.0, "bleeder": 0.1}, Code.SHORT_CIRCUIT),
     ],
 )
-def test_findings_of_the_probe_and_the_power_stage_end_docking(circuit: dict[str, float], code: Code) -> None:
+def test_findings_of_the_probe_and_the_power_stage_end_docking(port: dict[str, float], code: Code) -> None:
     run = Faulty(off=0.0)
-    run.world.circuit = Circuit(CircuitParameters(**circuit))
+    run.world.circuit.port = TargetPort(PortParameters(**port))
     assert run.dock().code is code
     assert_safe_at_home(run)
 
@@ -583,7 +584,7 @@ def test_one_frozen_sensor_does_not_hide_a_target_that_leaves(frozen: str) -> No
     run.reach(State.CHARGING)
     run.frozen = frozen
     start, home = run.now, run.machine.parameters.home
-    run._follow = lambda command: run.plant.open_contactor(True) if not command.energise else None  # type: ignore[assignment]
+    run._follow = lambda command: run.power.open(run.now) if not command.energise else None  # type: ignore[assignment]
     angles = run.machine._context.kinematics.inverse(*home)
     run._trajectory, run._started = (Waypoint(0.0, angles, (6.0, 6.0, 6.0)),), run.now
     run.until(lambda: not run.closed, 1.0)

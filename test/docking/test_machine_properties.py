@@ -25,7 +25,7 @@ from deltacharger_lab.campaigns.virtual_charger import GOAL
 from .. import quick
 from .dockings import quick_charger
 
-TIMES = {"goal_timeout": 25.0, "locate_timeout": 2.0, "energise_timeout": 4.0, "retract_timeout": 8.0}
+TIMES = {"goal_timeout": 25.0, "locate_timeout": 2.0, "retract_timeout": 8.0}
 LIMITS = DockingParameters(**{**quick.STEPS, **TIMES, "restarts_max": 1})
 NAN3 = (math.nan, math.nan, math.nan)
 
@@ -65,9 +65,7 @@ class Judge:
             if service is Service.ESTIMATE:
                 self._judge_estimate(reply)
             elif service is Service.PROBE:
-                low, high = LIMITS.target_voltage_min, LIMITS.target_voltage_max
-                good = reply.success and LIMITS.probe_resistance_min <= reply.resistance < math.inf
-                self.probed = good and low <= reply.target_voltage <= high
+                self.probed = reply.success and math.isnan(reply.resistance) and 19.0 <= reply.target_voltage <= 29.4
 
     def _judge_estimate(self, reply: Reply) -> None:
         estimate = reply.estimate if reply.success else None
@@ -83,6 +81,8 @@ class Judge:
         self.asked.update((request.number, request.service) for request in command.requests)
         if command.energise and not self._closed:
             self._check_closing(observation, contact_current)
+            assert command.limits is not None
+            assert (command.limits.current, command.limits.voltage, command.limits.dead) == (10.0, 29.4, False)
         if not command.energise and command.trajectory and self.states[-1] is not State.RETRACT:
             self.probed = False  # a new contact needs a new probe
         if (self._closed and not command.energise) or self.states[-1] in (State.ALIGN, State.RETRACT):
@@ -99,7 +99,7 @@ class Judge:
         assert observation.servo_age <= LIMITS.live_servo_age_max
         assert observation.tactile_age <= LIMITS.tactile_age_max
         assert observation.power_age <= LIMITS.power_age_max
-        assert LIMITS.battery_voltage_min <= observation.battery_voltage <= LIMITS.battery_voltage_max
+        assert LIMITS.battery_voltage_start <= observation.battery_voltage <= LIMITS.battery_voltage_max
         assert self.probed, "a good probe after the last motion"
         assert self.passed, "the last estimate before it leaves clearance"
         assert Verdict.SAFE in self.passed or len(self.passed) >= 2
@@ -154,6 +154,9 @@ SPOILS: dict[str, Spoil] = {
     "fault": lambda seen, source: replace(seen, power_fault=source.choice(range(1, 12))),
     "contactor": lambda seen, source: replace(seen, contactor_closed=not seen.contactor_closed),
     "charge": lambda seen, source: replace(seen, charge_current=source.choice((math.nan, -3.0, 0.0, 0.3, 25.0))),
+    "least": lambda seen, source: replace(seen, least_current=source.choice((math.nan, -9.0, 0.0, 99.0))),
+    "target": lambda seen, source: replace(seen, target_voltage=source.choice((math.nan, -24.0, 0.0, 12.0, 31.0))),
+    "stage": lambda seen, source: replace(seen, stage_steps_up=False, stage_voltage=source.choice((math.nan, 30.0))),
     "battery": lambda seen, source: replace(seen, battery_voltage=source.choice((math.nan, 0.0, 20.0, 35.0))),
     "push": lambda seen, source: replace(seen, currents=(source.uniform(-2.0, 2.0),) * 3),
     "reserve": lambda seen, source: replace(seen, thermal_reserve=source.choice((0.0, math.nan))),

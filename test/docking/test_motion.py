@@ -96,7 +96,7 @@ def test_an_arm_outside_its_limits_is_not_moved() -> None:
     home_angle = float(DELTA.inverse(HOME).angles[0])
     run = charger(DeltaGeometry(joint_min=home_angle + 0.02))
     sent = commands(run)
-    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0)))
+    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0), start_charging=False))
     assert outcome.code is Code.UNREACHABLE
     assert "JOINT_LIMIT" in outcome.message
     assert not any(command.trajectory for command in sent)

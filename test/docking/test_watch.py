@@ -51,7 +51,7 @@ def outside(run: VirtualCharger) -> float:
 @pytest.mark.parametrize("index", [rest(0), 1, rest(2)])
 @pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.ALIGN, rest(State.MEASURE), State.RETRACT])
 def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase: State, index: int) -> None:
-    run = quick_charger(8.0, 8.0)
+    run = quick_charger(4.0, 4.0) if phase is State.MEASURE else quick_charger(8.0, 8.0)
     if phase is State.RETRACT:
         reach(run, State.CHARGING)
         run.machine.start_undock("", run.observe())
@@ -292,7 +292,7 @@ def test_a_target_that_moves_on_the_pads_opens_before_a_short(shift: tuple[float
 def test_live_electrodes_whose_pads_measure_nothing_are_opened() -> None:
     run = docked()
     spoil(run, taxels=np.full((2, 10, 10), math.nan), tactile_contact=False)
-    assert until_open(run) == pytest.approx(0.5, abs=0.03)
+    assert until_open(run) == pytest.approx(0.5, abs=0.05)
     assert run.machine.status.code is Code.TACTILE_STALE
 
 
@@ -321,7 +321,8 @@ def test_a_lease_that_lapsed_while_docking_was_suspended_is_told_as_such() -> No
     run = quick_charger()
     reach(run, State.ENERGISE)
     run.until(lambda: run._energised, 5.0)
-    run.plant.open_contactor(False)
+    run.power.trip(8)
+    run.power.open(run.now)  # the lease lapsed, and tactile_node opened
     run.now += 0.3
     run.until(lambda: run.outcome is not None, 5.0)
     assert run.machine.status.code is Code.POWER_STALE, run.machine.status.message

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Profiles of targets: which goals are refused, what may be charged, and what ends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking.observation import DockGoal, DockingOutcome, Reply, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+
+from .dockings import assert_safe_at_home, commands, decisions, docked, ends, quick_charger, reach, spoil
+
+SEVEN = TargetProfile(19.0, 29.4, 10.0, 0.5)
+LATE = replace(SEVEN, port="dead", start_time=10.0, gap_time=2.0, full_voltage=28.8, current=4.0)
+PROFILES = {"seven": SEVEN, "late": LATE}
+
+
+def charger(profiles: Mapping[str, TargetProfile] = PROFILES, **more: Any) -> VirtualCharger:
+    """A quick charger with these profiles."""
+    run = quick_charger(coarse=True, **more)
+    run.machine._context.profiles = profiles
+    return run
+
+
+def refusal(run: VirtualCharger, goal: DockGoal) -> str:
+    with pytest.raises(Rejected) as refused:
+        run.begin(goal)
+    assert not run.machine.busy or run.machine.status.charging
+    return str(refused.value)
+
+
+def probed(run: VirtualCharger, resistance: float, volts: float) -> DockingOutcome:
+    """Dock at a port at which the probe finds this."""
+    run.answer[Service.PROBE] = lambda reply: replace(reply, resistance=resistance, target_voltage=volts)
+    outcome = run.dock()
+    assert run.world.record.energised == 0.0
+    assert_safe_at_home(run)
+    return outcome
+
+
+def test_goals_without_a_known_profile_are_rejected_by_name_before_anything_moves() -> None:
+    assert "docs/targets.md" in refusal(charger({}), DockGoal(GOAL))
+    assert "did you mean 'seven'?" in refusal(charger(), DockGoal(GOAL, target_profile="sevn"))
+    assert "known are seven, late" in refusal(charger(), DockGoal(GOAL, start_charging=False, target_profile="?"))
+    wired = charger(parameters={"power": "none"})
+    assert "power: none" in refusal(wired, DockGoal(GOAL, target_profile="seven"))
+    wired.begin(DockGoal(GOAL))
+    assert charger({}).dock(DockGoal(GOAL, start_charging=False)).success, "contact alone needs none"
+
+
+def test_the_contactor_closes_within_the_limits_of_the_goal_s_profile() -> None:
+    run = charger()
+    sent = commands(run)
+    assert run.dock(DockGoal(GOAL, target_profile="late")).success
+    assert {command.limits for command in sent} == {None, ChargeLimits(4.0, 28.8, True, 11.0, 2.3)}
+    assert all((command.limits is not None) is command.energise for command in sent)
+
+
+def test_a_later_goal_with_another_profile_is_refused_while_charging_and_taken_afterwards() -> None:
+    run = docked(coarse=True)
+    run.machine._context.profiles = {"lithium_7s": SEVEN, **PROFILES}
+    told = refusal(run, DockGoal(GOAL, target_profile="late"))
+    assert "'lithium_7s', not 'late'" in told
+    assert run.machine.status.charging
+    assert run.dock(DockGoal(GOAL, start_charging=False, target_profile="late")).success
+    sent = commands(run)
+    assert run.dock(DockGoal(GOAL, target_profile="late")).success
+    assert {command.limits.current for command in sent if command.limits} == {4.0}
+
+
+@pytest.mark.parametrize(
+    ("resistance", "volts", "code", "told"),
+    [
+        (math.nan, 12.6, Code.VOLTAGE_OUT_OF_RANGE, "has 12.6 V; profile seven allows 19.0 to 29.4 V: wrong robot"),
+        (math.nan, 29.6, Code.VOLTAGE_OUT_OF_RANGE, "wrong robot or profile"),
+        (math.nan, -24.0, Code.REVERSE_POLARITY, "swapped"),
+        (0.05, 0.0, Code.SHORT_CIRCUIT, "0.05 Ω"),
+        (math.inf, 0.0, Code.NO_CHARGE_CURRENT, "port: dead in the profile, or clean the electrodes"),
+        (49800.0, 0.0, Code.NO_CHARGE_CURRENT, "wake the target"),
+        (math.nan, math.nan, Code.POWER_STALE, "measured nothing"),
+    ],
+)
+def test_what_the_probe_finds_at_a_live_port_is_judged_by_the_profile(
+    resistance: float, volts: float, code: Code, told: str
+) -> None:
+    outcome = probed(charger(), resistance, volts)
+    assert outcome.code is code
+    assert told in outcome.message
+
+
+@pytest.mark.parametrize("found", [(math.inf, 0.0), (2000.0, 0.0), (math.nan, 24.0)])
+def test_a_dead_port_is_energised_without_a_voltage(found: tuple[float, float]) -> None:
+    run = charger({"late": LATE})
+    run.answer[Service.PROBE] = lambda reply: Reply(reply.number, True, resistance=found[0], target_voltage=found[1])
+    assert run.dock().success
+
+
+def test_a_target_that_does_not_connect_ends_after_its_start_time_and_one_that_connects_late_is_charged() -> None:
+    run = charger({"late": LATE})
+    reach(run, State.ENERGISE)
+    run.until(lambda: run.observe().contactor_closed, 5.0)
+    closed = run.now
+    spoil(run, charge_current=0.0, least_current=0.0)
+    run.run(9.5)
+    assert run.machine.status.state is State.ENERGISE
+    spoil(run, charge_current=4.0, least_current=4.0)
+    assert run.finish(2.0).success
+    run = charger({"late": LATE})
+    reach(run, State.ENERGISE)
+    spoil(run, charge_current=0.0, least_current=0.0)
+    outcome = run.finish(40.0)
+    assert (outcome.code, outcome.retriable) == (Code.NO_CHARGE_CURRENT, True)
+    assert outcome.message.startswith("No current 10 s after closing: the target has not connected")
+    assert run.now - closed > 10.0
+
+
+@pytest.mark.parametrize(("volts", "told"), [(30.0, "would overcharge it"), (28.0, "could never fill it")])
+def test_a_stage_that_does_not_fit_is_refused_before_anything_touches(volts: float, told: str) -> None:
+    run = charger()
+    spoil(run, stage_voltage=volts)
+    outcome = run.dock()
+    assert outcome.code is Code.VOLTAGE_OUT_OF_RANGE
+    assert told in outcome.message
+    assert run.world.record.contacts == 0
+
+
+def test_a_stage_that_only_steps_down_charges_no_target_above_its_battery() -> None:
+    run = charger()
+    spoil(run, stage_steps_up=False, battery_voltage=24.2)
+    outcome = run.dock()
+    assert outcome.code is Code.VOLTAGE_OUT_OF_RANGE
+    assert "only steps down" in outcome.message
+    assert run.world.record.energised == 0.0
+
+
+def test_a_bar_that_bridges_a_live_port_is_lifted_at_once() -> None:
+    run = charger()
+    reach(run, State.MEASURE)
+    assert run.observe().target_voltage == pytest.approx(24.0)
+    spoil(run, target_voltage=0.3)
+    begun = run.now
+    run.until(lambda: run.machine.status.code is not Code.NONE, 1.0)
+    assert run.now - begun < 0.3, "steps of the quick charger; two charger_power"
+    assert run.machine.status.code is Code.SHORT_CIRCUIT
+    assert run.machine.status.state is State.RETRACT
+    run.until(lambda: run.world.misalignment is None, 0.3)
+    spoil(run)
+    assert run.finish(30.0).code is Code.SHORT_CIRCUIT
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize("volts", [math.nan, 20.0])
+def test_a_port_that_opens_or_sags_in_contact_is_no_short(volts: float) -> None:
+    run = charger()
+    reach(run, State.MEASURE)
+    spoil(run, target_voltage=volts)
+    run.run(0.3)
+    assert run.machine.status.code is Code.NONE
+
+
+def test_a_live_port_is_measured_at_a_touch_without_its_voltage_and_a_tilted_one_is_not_pressed() -> None:
+    run = charger()
+    sent = commands(run)
+    assert run.dock().success
+    assert not decisions(sent, "touched"), "the voltage shows that nothing bridges it"
+    run = quick_charger(0.0, 0.0, 14.0, coarse=True)
+    sent = commands(run)
+    assert run.dock().code is Code.CRITICAL_ANGLE
+    assert len(decisions(sent, "touched")) == 1
+    assert not decisions(sent, "contact")
+
+
+def test_a_target_that_regenerates_may_be_tried_again_once() -> None:
+    run = docked(coarse=True, parameters={"restarts_max": 3})
+    spoil(run, charge_current=-0.8, least_current=-0.8)
+    run.until(lambda: run.machine.status.code is Code.REVERSE_CURRENT, 0.5)
+    spoil(run)
+    run.until(lambda: run.machine.status.charging, 60.0)
+    spoil(run, charge_current=-0.8, least_current=-0.8)
+    ends(run, Code.REVERSE_CURRENT)
+    assert run.machine.status.state is State.IDLE
+
+
+@pytest.mark.parametrize(
+    ("seen", "retriable"),
+    [
+        ({"charge_current": -0.6}, True),
+        ({"charge_current": -6.0}, False),
+        ({"power_fault": 6}, True),
+        ({"power_fault": 6, "least_current": -9.0}, False),
+    ],
+)
+def test_much_reverse_current_is_never_tried_again(seen: dict[str, Any], retriable: bool) -> None:
+    run = charger()
+    run.begin(DockGoal(GOAL, hold=True))
+    run.until(lambda: run.machine.status.charging, 60.0)
+    spoil(run, **seen)
+    run.run(0.4)
+    spoil(run)
+    outcome = run.finish(30.0)
+    assert (outcome.code, outcome.retriable) == (Code.REVERSE_CURRENT, retriable)
+    assert outcome.charge_end == "REVERSE_CURRENT"
+
+
+@pytest.mark.parametrize("seen", [{"target_voltage": 30.1}, {"charge_current": -0.6}, {"charge_current": 11.0}])
+def test_one_reading_ends_no_charge(seen: dict[str, Any]) -> None:
+    run = docked()
+    spoil(run, **seen)
+    run.tick()
+    spoil(run)
+    run.run(0.5)
+    assert run.machine.status.charging
+
+
+@pytest.mark.parametrize(
+    ("goal", "end"), [({"stop_energy": 500.0}, "stop_energy"), ({"stop_after": 2.0}, "stop_after")]
+)
+def test_the_outcome_says_what_ended_charging(goal: dict[str, float], end: str) -> None:
+    outcome = charger().dock(DockGoal(GOAL, hold=True, **goal))
+    assert outcome.success
+    assert outcome.charge_end == end
+    assert 24.0 < outcome.charge_voltage < 29.4
+
+
+def test_before_charging_ends_the_outcome_has_only_the_voltage() -> None:
+    outcome = charger().dock()
+    assert outcome.charge_end == ""
+    assert outcome.charge_voltage > 24.0
+
+
+def test_a_battery_that_sags_under_load_starts_higher_than_it_ends() -> None:
+    assert DockingParameters().battery_voltage_start - DockingParameters().battery_voltage_min == pytest.approx(1.0)
+    run = docked(coarse=True)
+    spoil(run, battery_voltage=22.8)
+    run.run(7.0)
+    assert run.machine.status.charging
+    spoil(run, battery_voltage=22.6)
+    run.run(4.5)
+    assert run.machine.status.charging
+    ends(run, Code.VOLTAGE_OUT_OF_RANGE, 1.0)
