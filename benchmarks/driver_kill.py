@@ -166,6 +166,7 @@ def holding(client: Any, group: Any) -> Iterator[None]:
     def renew() -> None:
         while not over.wait(0.1):
             request = SetContactor.Request(close=True, holder="benchmark", lease=Duration(nanosec=250_000_000))
+            request.current_max, request.voltage_max, request.start_time, request.gap_time = 10.0, 29.4, 3.0, 0.2
             contactor.call_async(request)
 
     thread = threading.Thread(target=renew)

@@ -54,6 +54,7 @@ class MissionContext:
     Attributes:
         touched: a Dock goal was sent and no undocking has succeeded since: the robot must not move.
         left: the robot was driven, so it must return.
+        charge_time: time (s) that docking has reported current in this mission.
     """
 
     def __init__(self, parameters: MissionParameters) -> None:
@@ -73,6 +74,7 @@ class MissionContext:
         self.observation = observation
         self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
+        self.charge_time = 0.0
         self.deadline, self.limit = math.inf, ""  # limit: name of the stage's parameter
         self._calls.forget()
 
@@ -167,12 +169,16 @@ class MissionContext:
         self.enter(Stage.DOCK, self.parameters.dock_timeout)
         number = self.send(Task.DOCK, goal=goal)
         self.touched = True
+        began = math.inf
         while (reply := self._calls.take(number)) is None:
             docking = self.observation.docking
             if self.limit == "dock_timeout" and docking is not None and (docking.charging or docking.rests):
                 self.enter(Stage.CHARGE if docking.charging else Stage.DOCK, self.parameters.charge_timeout)
                 self.limit = "charge_timeout"
+                began = self.time
             yield NEXT
+        if self.status.stage is Stage.CHARGE:
+            self.charge_time += self.time - began
         return reply
 
     def undock(self) -> Script[None]:

@@ -36,13 +36,14 @@ class Task(Enum):
 class MissionGoal:
     """A client's request: electrodes expected at `electrodes` (None without navigation), and stop conditions.
 
-    `stop_energy` in J and `stop_after` in s, 0 = none.
+    `stop_energy` in J and `stop_after` in s, 0 = none. `target_profile` names the target's, '' = the first one.
     """
 
     electrodes: Place | None
     stop_energy: float = 0.0
     stop_after: float = 0.0
     request_id: str = ""
+    target_profile: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,7 @@ class TaskReply:
         electrodes: as detected by the camera.
         suggested: better pose of charger_base, None = no other. Its yaw is 0 if the yaw of the faces is unknown.
         unmeasured: docking cannot measure the charge (power: none).
+        energy: J delivered by this mission so far; NaN = a part of it was not measured.
     """
 
     number: int
@@ -92,6 +94,7 @@ class TaskReply:
     electrodes: ElectrodePose | None = None
     suggested: BasePose | None = None
     unmeasured: bool = False
+    energy: float = 0.0
 
 
 @dataclass(frozen=True)

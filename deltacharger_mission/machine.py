@@ -10,6 +10,7 @@ return.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Runner, Script
@@ -26,11 +27,13 @@ from deltacharger_mission.dialogue import (
     MissionStatus,
     Stage,
     Task,
+    TaskReply,
 )
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views
 
 _LOOK_PAUSE = 0.5  # s between two detections from one place
+_REDOCKINGS = 2  # in a mission, after current had flowed: a pad slipped, a stage tripped; a third time is no accident
 _MENDED_BY_A_MOVE = (Code.UNREACHABLE, Code.LEANING)
 
 
@@ -174,6 +177,7 @@ class MissionMachine:
         context, parameters = self._context, self.parameters
         yield NEXT  # so that WAIT is also reported
         yield from context.wait_for_nodes([task for task in Task if task is not Task.DRIVE or self._home is not None])
+        wish, redockings = goal, 0
         electrodes = goal.electrodes if self._home is not None else None
         distance = parameters.view_distance
         if electrodes is not None:
@@ -184,12 +188,18 @@ class MissionMachine:
             electrodes, distance = self._placed(seen, electrodes), DOCK_DISTANCE
             better = self._better(electrodes, parameters.stand_tolerance, parameters.stand_turn_tolerance)
             if better is None:
-                reply = yield from context.dock(goal)
+                reply = yield from context.dock(wish)
                 if reply.end is End.DONE and reply.unmeasured:
                     self._notice = reply.message or "docked; the charge is not measured"
                     return self._notice
                 if reply.end is End.DONE:
                     return f"charged: {reply.message}" if reply.message else "charged"
+                rest = self._rest(goal, reply)
+                if rest is not None and redockings < _REDOCKINGS:
+                    wish, redockings = rest, redockings + 1
+                    self._report(dock_failure(reply))  # until the mission ends
+                    yield from context.undock()
+                    continue
                 if reply.code not in _MENDED_BY_A_MOVE or reply.suggested is None:
                     raise dock_failure(reply)
                 electrodes = self._suggested(reply.suggested, electrodes)
@@ -201,6 +211,16 @@ class MissionMachine:
             context.enter(Stage.DRIVE, parameters.drive_timeout)
             self.status.moves += 1
             yield from context.drive(better, precise=True)
+
+    def _rest(self, goal: MissionGoal, reply: TaskReply) -> MissionGoal | None:
+        """Return what is left to charge after a failure that may pass, if current had flowed; else None."""
+        passes = reply.end is End.FAILED and reply.retriable and reply.code is not Code.CANCELED
+        if self.status.stage is not Stage.CHARGE or not passes:
+            return None
+        energy, after = goal.stop_energy - reply.energy, goal.stop_after - self._context.charge_time
+        if (goal.stop_energy and not energy > 0.0) or (goal.stop_after and not after > 0.0):  # also NaN
+            return None
+        return replace(goal, stop_energy=goal.stop_energy and energy, stop_after=goal.stop_after and after)
 
     def _search(self, electrodes: Place | None, distance: float) -> Script[ElectrodePose]:
         """Look for the electrodes from place to place, and return the detection."""

@@ -132,6 +132,7 @@ class ChargerClient(Guest):
         goal.stop_energy = float(request.stop_energy)
         goal.stop_after = duration(request.stop_after)
         goal.request_id = request.request_id
+        goal.target_profile = request.target_profile
         return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
 
     def _named(self, pose: Pose) -> Pose:

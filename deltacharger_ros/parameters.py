@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -21,7 +22,7 @@ _OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 _WIDER = {Parameter.Type.INTEGER: Parameter.Type.DOUBLE, Parameter.Type.INTEGER_ARRAY: Parameter.Type.DOUBLE_ARRAY}
 
 
-def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})") -> T:
+def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})", prefix: str = "") -> T:
     """Declare every parameter of a class on the node, and return their values.
 
     Integers are accepted for floats, because ROS reads `rate:=50` and YAML's `rate: 50` as integers.
@@ -31,6 +32,7 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
         table: a parameter class without groups.
         defaults: object with attributes of the same names, in place of the class's defaults.
         form: format of the descriptions, see `Declaration.description`.
+        prefix: of the parameters' names on the node, for one of several of this class.
 
     Raises:
         StartupError: a given value has another type, lies outside its bounds or contradicts another one.
@@ -38,11 +40,12 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
     values: dict[str, Any] = {}
     for each in declared(table):
         default = each.default if defaults is None else getattr(defaults, each.name)
-        values[each.name] = _declare(node, each, default, each.description(form))
+        named = replace(each, name=prefix + each.name)
+        values[each.name] = _declare(node, named, default, each.description(form))
     try:
         return table(**values)
     except ParameterError as error:
-        raise _refusal(node, error.key, error.problem) from error
+        raise _refusal(node, prefix + error.key, error.problem) from error
 
 
 def was_given(node: Node, name: str) -> bool:
@@ -104,6 +107,7 @@ def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
 
 def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(name=each.name, description=description, read_only=not each.tunable)
+    descriptor.dynamic_typing = each.default == ()  # from an empty list rclpy would infer bytes
     if each.choices:
         descriptor.additional_constraints = "one of: " + ", ".join(each.choices)
     elif not math.isfinite(each.low):

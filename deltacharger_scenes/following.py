@@ -24,6 +24,12 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 """For each node: its parameters, and the keys of the world that they follow."""
+_LITHIUM_7S = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
+SIMULATED_TARGET = {
+    "target_profiles": ["lithium_7s"],
+    **{f"lithium_7s.{key}": value for key, value in _LITHIUM_7S.items()},
+}
+"""Parameters of docking_node: the profile of a simulated or mock target, unless the scene has `target_profiles`."""
 _PARAMETER_VALUES = {"circuit.wired": {False: "board", True: "none"}}
 """For a key of the world: each of its values, and the value of the parameter that follows it."""
 

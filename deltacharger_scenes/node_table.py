@@ -21,6 +21,7 @@ class NodeSpec:
     Attributes:
         path: of its class, with the module.
         parameters: the classes that declare its parameters, with their modules.
+        named: its parameter that lists names, and the class that declares the parameters of each, with its module.
         port: the scene's port for its parameter `port` ("servo", "board" or "" for none).
         stands_in_for: the node whose topics and services it provides, if it is a mock or a simulation.
         plays: the nodes whose topics it publishes from a recording; they cannot run beside it.
@@ -36,6 +37,7 @@ class NodeSpec:
 
     path: str
     parameters: tuple[str, ...] = ()
+    named: tuple[str, str] = ("", "")
     port: str = ""
     stands_in_for: str = ""
     plays: tuple[str, ...] = ()
@@ -168,10 +170,12 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_docking.parameters.DockingParameters",
             "deltacharger_docking.parameters.DockingNodeParameters",
+            "deltacharger_docking.profile.ProfileNames",
             _TRANSFORMS,
             *_GEOMETRY,
             _SERVOS,
         ),
+        named=("target_profiles", "deltacharger_docking.profile.TargetProfile"),
         lacks="no actions dock and undock",
         needs_when_used=("tf2_ros",),
     ),

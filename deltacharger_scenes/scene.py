@@ -19,7 +19,7 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, ParameterError, choice, did_you_mean, from_mapping, number, words
 from deltacharger_core.picklable import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
-from deltacharger_scenes.following import followed
+from deltacharger_scenes.following import SIMULATED_TARGET, followed
 from deltacharger_scenes.node_table import NODES
 from deltacharger_sim.charger.simulation import Simulation
 
@@ -106,6 +106,12 @@ class Scene(SceneContent):
         """Whether it has the actions dock and undock."""
         return "docking_node" in self.nodes
 
+    @property
+    def _simulates_a_target(self) -> bool:
+        """Whether the target that it charges is simulated or a mock."""
+        powered = self.simulation is not None and not self.simulation.world.circuit.wired
+        return powered or any(NODES[name].stands_in_for == "tactile_node" for name in self.nodes)
+
     def start_order(self) -> list[str]:
         """Return the nodes in start order; commanding nodes start last and close first."""
         return sorted(self.nodes, key=list(NODES).index)
@@ -120,6 +126,8 @@ class Scene(SceneContent):
         parameters = {key: _of_one_kind(value) for key, value in self.parameters.get(name, {}).items()}
         if self.simulation is not None:
             parameters = followed(name, self.simulation.world, self.parameters) | parameters
+        if name == "docking_node" and self._simulates_a_target and "target_profiles" not in parameters:
+            parameters = SIMULATED_TARGET | parameters
         if NODES[name].sees_target and self.simulation is not None:
             target = self.simulation.world.target
             parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters
@@ -211,11 +219,27 @@ def parse_scene(content: Any, name: str, file: str = "") -> Scene:
         raise SceneError(file, "", f"is {kind}: give keys and values")
     given = {key: {} if value is None and key in _SECTIONS else value for key, value in content.items()}
     checked = from_mapping({"name": name, **given}, SceneContent)
-    scene = Scene(**{**vars(checked), "description": " ".join(checked.description.split()), "file": file})
+    values = {"description": " ".join(checked.description.split()), "parameters": _flat(checked.parameters)}
+    scene = Scene(**{**vars(checked), **values, "file": file})
     for check in (_nodes, _simulation, _parameters, _ports):
         for key, problem in check(scene):
             raise SceneError(file, key, problem)
     return scene
+
+
+def _flat(parameters: Any) -> Any:
+    """Return nodes' parameters with dotted names in place of nested mappings, as ROS reads them."""
+    if not isinstance(parameters, Mapping):
+        return parameters
+    return {name: _dotted(values) if isinstance(values, Mapping) else values for name, values in parameters.items()}
+
+
+def _dotted(values: Mapping[Any, Any]) -> dict[Any, Any]:
+    found: dict[Any, Any] = {}
+    for key, value in values.items():
+        nested = isinstance(value, Mapping) and value
+        found |= {f"{key}.{inner}": each for inner, each in value.items()} if nested else {key: value}
+    return found
 
 
 def _nodes(scene: Scene) -> Problems:

@@ -2,7 +2,7 @@
 """Talk to emulated servos and an emulated board, as to real ones.
 
 The vendor's dynamixel-sdk pings three emulated MX-64 and turns the first one by 10°. Then the driver's `BoardLink`
-tares the emulated board, reads tactile frames for one second and probes the circuit between the electrodes. The same
+tares the emulated board, reads tactile frames for one second and looks at the port between the electrodes. The same
 calls work on real ports, where the arm moves; only `bench` belongs to the emulator.
 """
 
@@ -13,6 +13,7 @@ from typing import Any
 
 from dynamixel_sdk import PacketHandler, PortHandler
 
+from deltacharger_core.charge_port import port_of
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
@@ -54,10 +55,9 @@ def talk_to_the_board() -> None:
         link.start()
         time.sleep(1.0)
         link.stop()
-        left, right = frames[-1].pads.sum(axis=(1, 2))
-        print(f"  {len(frames)} frames, left {left:.1f} N, right {right:.1f} N")
-        probe = link.probe()
-        print(f"  probe: {probe.resistance:.1f} Ω, target at {probe.target_voltage:.1f} V")
+        print("  {} frames, left {:.1f} N, right {:.1f} N".format(len(frames), *frames[-1].pads.sum(axis=(1, 2))))
+        found = link.probe()
+        print(f"  {port_of(found.resistance, found.target_voltage).name} port, {found.target_voltage:.1f} V")
 
 
 talk_to_servos()

@@ -32,7 +32,7 @@ RUNS = {
     "ik_in_ten_lines.py": ("", "", r"15\.26 15\.26 15\.26.*OK.*nan.*UNREACHABLE_FAR.* 80\.\] mm.*0\.443 0\.443 0\.443"),
     "talk_to_the_emulator.py": (
         *("", ""),
-        r"servo 1 answers: model 311.*moved by 10°.*10x10 taxels at 120 Hz.*left [89]\.\d N.*probe: 2\.0 Ω.*24\.0 V",
+        r"servo 1 answers: model 311.*moved by 10°.*10x10 taxels at 120 Hz.*left [89]\.\d N.*LIVE port, 24\.0 V",
     ),
     "train_a_model.py": (
         "{}/model.npz",

@@ -52,6 +52,8 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
         "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging"
     )
     parser.add_argument("--stop-energy-j", type=NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
+    text = "name of the target's profile (default: the charger's first one)"
+    parser.add_argument("--target-profile", default="", metavar="NAME", help=text)
     parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
     parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
     parser.add_argument(
@@ -119,6 +121,7 @@ def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
         stop_energy=options.stop_energy_j,
         stop_after=options.stop_after_s,
         request_id=options.request_id,
+        target_profile=options.target_profile,
     )
 
 

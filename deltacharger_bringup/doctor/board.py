@@ -25,6 +25,7 @@ WATCHED = 2.0  # s of stream
 _RATE_SHARE = 0.95  # of the board's nominal rate; a lower rate is wrong
 _LOST_SHARE = 0.01  # of frames; more lost frames mean a bad link
 _PINGS = 20
+_BRIDGED = "if nothing is docked, remove what bridges the electrodes"
 _CABLE_ADVICE = "check plugs and cables; close other busy programs"
 
 
@@ -67,14 +68,15 @@ def examine_board(
         if wired:
             yield _wired(powers)
         else:
+            yield _stage(hello)
             yield from _power(powers)
-            yield from _probe(link)
+            yield _probe(link)
     finally:
         link.close()
 
 
 def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
-    from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD, MINOR
+    from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD
 
     trip = statistics.median(link.ping() for _ in range(_PINGS))
     text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
@@ -82,8 +84,6 @@ def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
     if trip > HEARTBEAT_PERIOD:
         slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats are sent every {HEARTBEAT_PERIOD * 1e3:.0f} ms"
         yield hint("board", slow, "find what delays bytes: an adapter's latency timer, a hub, a busy computer")
-    if hello.minor < MINOR:
-        yield hint("board", f"its firmware is older than this driver ({hello.major}.{MINOR})", "flash the current one")
 
 
 def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) -> Iterator[Finding]:
@@ -196,7 +196,15 @@ def _wired(powers: list[Any]) -> Finding:
     return wrong("power", text, "set docking_node's power to board, to use contactor and probe")
 
 
-def _probe(link: BoardLink) -> Iterator[Finding]:
+def _stage(hello: Hello) -> Finding:
+    """Return what the board declares of its stage; compare it with the converter's label."""
+    way = "charges above its battery's voltage" if hello.steps_up else "only steps down"
+    constant = "the board sets its voltage" if math.isnan(hello.stage_voltage) else f"{hello.stage_voltage:.1f} V"
+    return ok("stage", f"{way}; {constant}")
+
+
+def _probe(link: BoardLink) -> Finding:
+    from deltacharger_core.charge_port import Port, port_of
     from deltacharger_driver.board.errors import CommandRefused
     from deltacharger_driver.board.payloads import probe_problem
     from deltacharger_driver.errors import NoAnswer
@@ -204,17 +212,19 @@ def _probe(link: BoardLink) -> Iterator[Finding]:
     try:
         result = link.probe()
     except (CommandRefused, NoAnswer) as error:
-        yield failed("probe", error, "clear the fault and open the contactor; else check the power stage's plug")
-        return
-    if math.isinf(result.resistance):
-        yield ok("probe", "open circuit: nothing touches the electrodes")
-        return
-    problem = probe_problem(result.resistance, result.target_voltage)
-    if problem:
-        what, _, advice = problem.partition("; ")
-        yield wrong("probe", what, f"{advice}; if nothing is docked, remove what bridges the electrodes")
-        return
-    text = (
-        f"{result.resistance:.1f} ohm and {result.target_voltage:.1f} V between the electrodes: a target is connected"
-    )
-    yield hint("probe", text, "undock before you work on it")
+        return failed("probe", error, "clear the fault and open the contactor; else check the power stage's plug")
+    port = port_of(result.resistance, result.target_voltage)
+    if port is Port.OPEN:
+        return ok("probe", "no current flows: nothing touches the electrodes, or a target is off or asleep")
+    if port is Port.LIVE:
+        text = f"{result.target_voltage:.1f} V between the electrodes: a target is connected"
+        return hint("probe", text, "undock before you work on it")
+    if port is Port.DEAD:
+        text = f"{result.resistance:.3g} ohm without voltage between the electrodes: a target that is off or asleep"
+        return hint("probe", text, _BRIDGED)
+    remedies = {
+        Port.SHORT: _BRIDGED,
+        Port.REVERSED: "swap the terminals of the target, or of the board's probe",
+        Port.UNKNOWN: "check the power stage's plug",
+    }
+    return wrong("probe", probe_problem(result.resistance, result.target_voltage), remedies[port])

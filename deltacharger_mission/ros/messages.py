@@ -33,9 +33,12 @@ def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
     base = _suggested_base(pose.pose) if pose is not None and pose.header.frame_id else None
     code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
     ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
-    unmeasured = math.isnan(getattr(result, "energy", 0.0)) and math.isnan(result.charge_current)
+    energy = getattr(result, "energy", 0.0)
+    unmeasured = math.isnan(energy) and math.isnan(result.charge_current)
     message = cut(result.error_message)
-    return TaskReply(number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured)
+    return TaskReply(
+        number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured, energy=energy
+    )
 
 
 def read_drive(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
@@ -82,15 +85,17 @@ def read_state(message: Any) -> DockingReport | None:
     return DockingReport(State(message.state), message.docked, message.charging)
 
 
-def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
-    """Return the result of a docking that did not take place: measurements are NaN, the energy is 0."""
+def unknown_dock(frame_id: str = END_EFFECTOR, energy: float = 0.0) -> Any:
+    """Return the result of a docking that did not take place: measurements are NaN; J of earlier ones."""
     return Dock.Result(
+        energy=energy,
         misalignment=unknown_misalignment(frame_id),
         contact_current=math.nan,
         contact_force=math.nan,
         contact_force_min=math.nan,
         contact_force_max=math.nan,
         charge_current=math.nan,
+        charge_voltage=math.nan,
     )
 
 
@@ -125,7 +130,8 @@ def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped |
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
         where = here.at(*electrodes)
-    return MissionGoal(where, request.stop_energy, seconds(request.stop_after), request.request_id)
+    stop_after = seconds(request.stop_after)
+    return MissionGoal(where, request.stop_energy, stop_after, request.request_id, request.target_profile)
 
 
 def place(message: PoseStamped) -> Place | None:

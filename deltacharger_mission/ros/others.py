@@ -58,6 +58,7 @@ class Others:
         self._lock = threading.Lock()
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
+        self._delivered = 0.0  # J, by earlier dockings of this mission
         self.dock_result = unknown_dock(end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
@@ -118,12 +119,14 @@ class Others:
             return Undock.Goal()
         if request.task is Task.DOCK:
             assert request.goal is not None
-            self.dock_result = unknown_dock(self._end_effector)
+            self._delivered = self.dock_result.energy
+            self.dock_result = unknown_dock(self._end_effector, self._delivered)
             return Dock.Goal(  # an empty frame_id: docking asks the camera again, at rest and near the target
                 hold=True,
                 stop_energy=request.goal.stop_energy,
                 stop_after=duration(request.goal.stop_after),
                 request_id=request.goal.request_id,
+                target_profile=request.goal.target_profile,
             )
         assert request.place is not None
         goal = self._navigate_to_pose.Goal(behavior_tree=self._trees[request.precise])
@@ -142,5 +145,6 @@ class Others:
 
     def _read_dock(self, number: int, end: End, result: Any, feedback: Any) -> TaskReply:
         if result is not None:
+            result.energy += self._delivered
             self.dock_result = result
         return read_dock(number, end, result, feedback)

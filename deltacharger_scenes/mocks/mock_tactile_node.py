@@ -34,13 +34,14 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core.charge_port import port_of
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.payloads import Power
 from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node_io import SamplePublishers
+from deltacharger_driver.board.tactile_node_io import SamplePublishers, limits_of
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import steady_timer
@@ -182,7 +183,7 @@ class MockTactileNode(Node):
         """Return the power stage's state with resistance (ohm) and age (s) of the last probe."""
         stage = self._power
         voltage = TARGET if self._touching() else math.nan
-        power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault)
+        power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault, stage.current)
         return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now)
 
     def _feel(self, message: ServoState) -> None:
@@ -222,6 +223,7 @@ class MockTactileNode(Node):
                 return response
         response.success, response.message = True, "measured"
         response.resistance, response.target_voltage = resistance, voltage
+        response.port = int(port_of(resistance, voltage))
         return response
 
     def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
@@ -237,7 +239,8 @@ class MockTactileNode(Node):
                         self._power.clear_weld()
                     response.success, response.message = True, "open"
                     return response
-                self._power.close(request.holder, seconds(request.lease), time.monotonic(), request.token)
+                lease, now = seconds(request.lease), time.monotonic()
+                self._power.close(request.holder, lease, now, request.token, limits_of(request))
             except LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response

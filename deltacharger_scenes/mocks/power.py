@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault, clearing
 
 BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX
-TARGET = 23.5  # V, open circuit
-CHARGE_CURRENT = 5.0  # A once ramped up
+TARGET = 23.5  # V, of a live port
+CHARGE_CURRENT = 5.0  # A once ramped up, or less if the limits allow less
 _RISE = 0.1  # s, time constant of the ramp
 _GRACE = 0.5  # s after a close until missing current is a fault
-_RESISTANCE = 470.0  # ohm, probe result of a good contact
 
 
 class MockPower:
@@ -23,6 +23,7 @@ class MockPower:
         lease: on the contactor, by the driver's own code.
         closed: whether the contactor is closed.
         current: A into the target.
+        current_max: A, the limit of the lease.
         fault: code of ChargerPower, latched until the next opening command, a weld until it is cleared.
         misbehaviour: "" or one of short, open_circuit, reverse_polarity, no_charge_current, contactor_refusal,
             contactor_welded.
@@ -32,6 +33,7 @@ class MockPower:
         self.lease = ContactorLease()
         self.closed = False
         self.current = 0.0
+        self.current_max = 0.0
         self.fault = 0
         self.misbehaviour = ""
         self._closed_at = 0.0
@@ -44,29 +46,30 @@ class MockPower:
         if self.lease.has_lapsed(now):
             self._open()
         flows = self.closed and contact and self.misbehaviour != "no_charge_current"
-        aim = CHARGE_CURRENT if flows else 0.0
+        aim = min(CHARGE_CURRENT, self.current_max) if flows else 0.0
         self.current = aim + (self.current - aim) * math.exp(-step / _RISE) if flows else 0.0
         if self.closed and not flows and now - self._closed_at > _GRACE and self.misbehaviour != "contactor_welded":
             self.fault = self.fault or BoardFault.NO_CHARGE_CURRENT
             self._open()
 
     def probe(self, now: float, contact: bool) -> tuple[float, float]:
-        """Measure (ohm, V); the result allows a close for 2 s.
+        """Look at the port, as `port_of` takes it; the result allows a close for 2 s.
 
         Raises:
             LeaseRefused: the contactor is closed.
         """
         if self.closed:
             raise LeaseRefused("the contactor is closed: open it before probing")
-        resistance, voltage = (_RESISTANCE, TARGET) if contact else (math.inf, math.nan)
-        if contact:
-            resistance = {"short": 0.05, "open_circuit": math.inf}.get(self.misbehaviour, resistance)
-            voltage = -TARGET if self.misbehaviour == "reverse_polarity" else voltage
+        found = {"short": (0.05, 0.0), "open_circuit": (math.inf, 0.0), "reverse_polarity": (math.nan, -TARGET)}
+        live = (math.nan, TARGET)
+        resistance, voltage = found.get(self.misbehaviour, live) if contact else found["open_circuit"]
         self.lease.probed(resistance, voltage, now)
         return resistance, voltage
 
-    def close(self, holder: str, duration: float, now: float, token: str = "") -> None:
-        """Close or renew.
+    def close(
+        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+    ) -> None:
+        """Close, or renew with another current or the same (0).
 
         Raises:
             LeaseRefused: by the lease, a latched fault, or the mock's misbehaviour.
@@ -75,7 +78,8 @@ class MockPower:
             raise LeaseRefused("the board's interlock keeps the contactor open")
         if self.fault:
             raise LeaseRefused(f"fault {self.fault} is latched; {clearing(self.fault)}")
-        self.lease.take(holder, duration, now, token)
+        self.lease.take(holder, duration, now, token, limits)
+        self.current_max = (0.0 if limits is None else limits.current) or self.current_max
         if not self.closed:
             self.closed, self._closed_at = True, now
 

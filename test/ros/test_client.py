@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,10 +15,12 @@ from rclpy.action import client as action_client
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
+from deltacharger_mission.ros.messages import unknown_dock
 from deltacharger_ros import client as client_module
 from deltacharger_ros.action_caller import ActionCaller
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_ros.sent_goal import LOST
 
@@ -217,3 +220,18 @@ def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(answering: Answ
     for _ in range(2):
         with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
             client.undock("\udcff")
+
+
+@pytest.mark.parametrize(
+    ("end", "voltage", "told"),
+    [
+        ("full", 29.38, "full at 29.4 V; contact"),
+        ("", 26.0, "500 J at 26.0 V; contact"),
+        ("stop_after", math.nan, "500 J, stop_after; contact"),
+        ("", math.nan, "500 J; contact"),
+    ],
+)
+def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: float, told: str) -> None:
+    result = unknown_dock()
+    result.success, result.energy, result.charge_end, result.charge_voltage = True, 500.0, end, voltage
+    assert told in to_outcome("dock", result).figures()

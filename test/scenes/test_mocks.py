@@ -11,6 +11,7 @@ import pytest
 from deltacharger.srv import DetectElectrodes
 from rclpy.node import Node
 
+from deltacharger_core.charge_port import ChargeLimits, Port, port_of
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_core.rotation import rotation
 from deltacharger_driver.board.contactor_lease import LeaseRefused
@@ -26,6 +27,7 @@ from ..nodes import call, options
 pytestmark = pytest.mark.ros
 
 DELTA = ScalarDelta()
+LIMITS = ChargeLimits(10.0, 29.4)
 
 
 def powered(target: MockTarget | None = None) -> MockArm:
@@ -85,7 +87,7 @@ def test_it_stays_without_torque_or_when_jammed() -> None:
 def leased(power: MockPower, now: float = 0.0) -> MockPower:
     power.advance(now, True)
     power.probe(now, True)
-    power.close("docking", 0.25, now)
+    power.close("docking", 0.25, now, limits=LIMITS)
     return power
 
 
@@ -97,6 +99,16 @@ def test_current_flows_only_while_closed_and_in_contact() -> None:
     assert power.current == 0.0
 
 
+def test_current_stays_within_the_limit_and_a_renewal_changes_it() -> None:
+    power, now = leased(MockPower()), 0.0
+    for limit, current in ((2.0, 2.0), (0.0, 2.0), (9.0, CHARGE_CURRENT)):
+        for _ in range(10):
+            power.close("docking", 0.25, now, limits=LIMITS._replace(current=limit))
+            now += 0.1
+            power.advance(now, True)
+        assert power.current == pytest.approx(current, abs=0.01)
+
+
 def test_an_expired_lease_opens_the_contactor() -> None:
     power = leased(MockPower())
     power.advance(0.249, True)
@@ -104,7 +116,7 @@ def test_an_expired_lease_opens_the_contactor() -> None:
     power.advance(0.251, True)
     assert not power.closed
     with pytest.raises(LeaseRefused, match="probe"):
-        power.close("docking", 0.25, 0.26)
+        power.close("docking", 0.25, 0.26, limits=LIMITS)
 
 
 def test_a_short_and_a_reversed_target_refuse_the_close() -> None:
@@ -113,7 +125,7 @@ def test_a_short_and_a_reversed_target_refuse_the_close() -> None:
         power.misbehaviour = misbehaviour
         power.probe(0.0, True)
         with pytest.raises(LeaseRefused, match=expected):
-            power.close("docking", 0.25, 0.0)
+            power.close("docking", 0.25, 0.0, limits=LIMITS)
 
 
 def test_missing_current_is_a_fault_that_opens_and_is_cleared_by_opening() -> None:
@@ -143,10 +155,20 @@ def test_a_welded_contactor_stays_closed_and_reports_it() -> None:
     assert power.fault == 0
 
 
-def test_out_of_contact_the_probe_finds_an_open_circuit() -> None:
-    resistance, voltage = MockPower().probe(0.0, False)
-    assert math.isinf(resistance)
-    assert math.isnan(voltage)
+@pytest.mark.parametrize(
+    ("misbehaviour", "contact", "port"),
+    [
+        ("", True, Port.LIVE),
+        ("", False, Port.OPEN),
+        ("open_circuit", True, Port.OPEN),
+        ("short", True, Port.SHORT),
+        ("reverse_polarity", True, Port.REVERSED),
+    ],
+)
+def test_the_probe_finds_a_live_port_unless_the_mock_misbehaves(misbehaviour: str, contact: bool, port: Port) -> None:
+    power = MockPower()
+    power.misbehaviour = misbehaviour
+    assert port_of(*power.probe(0.0, contact)) is port
 
 
 @pytest.mark.parametrize("fault", ["none", "no_normal"])

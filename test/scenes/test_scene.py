@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from deltacharger_bringup.cli.scene import describe
 from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.following import SIMULATED_TARGET
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import RECORDER, Overrides, override
 from deltacharger_scenes.parameter_check import problems, tables
@@ -49,8 +50,8 @@ def write(folder: Path, text: str) -> Path:
         ("nodes: [recording_player_node, mock_tactile_node]", "nodes[0]", "keep one"),
         ("nodes: [docking_node]\nparameters: {servo_node: {rate: 50.0}}", "parameters.servo_node", "no such node"),
         (
-            "nodes: [docking_node]\nparameters: {docking_node: {a: {b: 1}}}",
-            "parameters.docking_node.a",
+            "nodes: [docking_node]\nparameters: {docking_node: {a: {b: {c: 1}}}}",
+            "parameters.docking_node.a.b",
             "give a number",
         ),
         ("nodes: [servo_node]", "ports.servo", "/dev/ttyUSB0"),
@@ -123,7 +124,7 @@ def test_a_node_gets_its_port_from_the_simulated_charger_else_from_the_scene() -
     bench = load_scene("bench")
     assert bench.node_parameters("servo_node", {}) == {"port": bench.ports.servo}
     assert bench.node_parameters("tactile_node", {"board": "board-port"}) == {"port": "board-port"}
-    assert bench.node_parameters("docking_node", {"board": "board-port"}) == {}
+    assert bench.node_parameters("kinematics_node", {"board": "board-port"}) == {}
 
 
 def test_explain_shows_every_key_of_the_world_with_its_unit_and_range() -> None:
@@ -276,6 +277,36 @@ def test_invalid_parameters_are_found_without_the_node(node: str, parameter: str
     assert problem in message
 
 
+LEAD = {"empty_voltage": 10.5, "full_voltage": 14.4, "current": 5, "end_current": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "problem"),
+    [
+        ({"target_profiles": ["lead"], "lead": LEAD}, "", ""),
+        ({"target_profiles": ["lead"]}, "lead.empty_voltage", "outside 1 to 60 V"),
+        ({"target_profiles": ["lead"], "lead": {**LEAD, "end_current": 6.0}}, "lead.end_current", "below current"),
+        ({"target_profiles": ["lead"], "lead": {**LEAD, "port": "asleep"}}, "lead.port", "not one of live, dead"),
+        ({"target_profiles": ["lead"], "lead": {**LEAD, "gap": 1.0}}, "lead.gap", "did you mean 'lead.gap_time'"),
+        ({"target_profiles": ["lead"], "led": LEAD}, "led.empty_voltage", "did you mean 'lead.empty_voltage'"),
+        ({"target_profiles": ["lead", "lead"], "lead": LEAD}, "target_profiles", "listed twice"),
+        ({"target_profiles": ["7s"], "7s": LEAD}, "target_profiles", "a letter first"),
+        ({"target_profiles": "lead"}, "target_profiles", "not a list"),
+    ],
+)
+def test_a_profile_that_is_incomplete_or_contradicts_itself_is_refused_with_its_key(
+    given: dict[str, Any], key: str, problem: str
+) -> None:
+    scene = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": given}}, "mine")
+    found = list(problems(scene))
+    if key:
+        assert found[0][0] == f"parameters.docking_node.{key}"
+        assert problem in found[0][1]
+    else:
+        assert not found
+        assert scene.parameters["docking_node"]["lead.current"] == 5
+
+
 @pytest.mark.ros
 def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
     given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
@@ -310,10 +341,18 @@ def test_nodes_follow_the_world_unless_the_scene_sets_other_values() -> None:
         "gravity_x": 0.0,
         "gravity_y": -9.0,
         "gravity_z": 0.0,
+        **SIMULATED_TARGET,
     }
     assert scene.node_parameters("servo_node", {}) == {"torque_constant": 1.2}
-    wired = parse_scene({"simulation": {"world": {"circuit": {"wired": True}}}}, "mine")
-    assert wired.node_parameters("docking_node", {})["power"] == "none"
+    wired = parse_scene({"simulation": {"world": {"circuit": {"wired": True}}}}, "mine").node_parameters(
+        "docking_node", {}
+    )
+    assert wired["power"] == "none"
+    assert "target_profiles" not in wired
+    mocks = load_scene("mocks")
+    assert SIMULATED_TARGET.items() <= mocks.node_parameters("docking_node", {}).items()
+    own = replace(mocks, parameters={"docking_node": {"target_profiles": ["lead"]}})
+    assert own.node_parameters("docking_node", {}) == {"target_profiles": ["lead"]}
     assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
 
 

@@ -59,7 +59,16 @@ def parts(findings: Iterable[Finding], level: str) -> set[str]:
 def test_a_healthy_board_is_ok_and_unchanged(board: BoardEmulator, board_port: str) -> None:
     found = board_findings(board_port)
     assert not parts(found, "wrong")
-    assert {f.part for f in found} == {"board", "tactile link", "left pad", "right pad", "tare", "power", "probe"}
+    assert {f.part for f in found} == {
+        "board",
+        "tactile link",
+        "left pad",
+        "right pad",
+        "tare",
+        "stage",
+        "power",
+        "probe",
+    }
     named(found, ("ok", "tactile link", "0 of"), ("ok", "tare", "not done"))
     assert not board.contactor_commanded
 
@@ -108,8 +117,9 @@ def test_lost_frames_are_counted(board: BoardEmulator, board_port: str, monkeypa
 @pytest.mark.parametrize(
     ("plant", "wired", "level", "part", "noun"),
     [
-        ({"resistance": 0.2}, False, "wrong", "probe", "short circuit"),
-        ({"resistance": 25.0}, False, "hint", "probe", "target"),
+        ({"target": -24.0, "resistance": 0.1}, False, "wrong", "probe", "reversed polarity"),
+        ({"target": 24.0, "resistance": 0.1}, False, "hint", "probe", "24.0 V between the electrodes: a target"),
+        ({"resistance": math.inf}, False, "ok", "probe", "nothing touches"),
         ({"battery": 22.6}, False, "wrong", "power", "22.6 V"),
         ({"battery": 22.7}, False, "ok", "power", "22.7 V"),
         ({"battery": 29.8}, False, "ok", "power", "29.8 V"),
@@ -123,7 +133,8 @@ def test_target_and_battery_are_judged_as_docking_judges_them(
     plant: dict[str, float], wired: bool, level: str, part: str, noun: str
 ) -> None:
     bench = BenchPlant()
-    vars(bench).update(plant)
+    for name, value in plant.items():
+        setattr(bench, name, value)
     with PseudoTerminal(BoardEmulator(bench)) as terminal:
         found = board_findings(terminal.path, wired=wired)
     named(found, (level, part, noun))
