@@ -9,7 +9,7 @@ from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
-from deltacharger_lab.campaigns import estimates, judge
+from deltacharger_lab.campaigns import estimates, judge, targets
 from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.estimates import EstimateLog
@@ -112,7 +112,7 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
     for name in scene.drawn():
         key = known_keys()[name]
         found[name] = (key.kind, key.description("{text}, {unit}"))
-    return found | RESULTS | (judge.COLUMNS if scene.hostile else {})
+    return found | RESULTS | (judge.COLUMNS if scene.hostile else targets.COLUMNS if scene.targets else {})
 
 
 def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False) -> dict[str, Any]:
@@ -136,6 +136,8 @@ def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False)
         row |= _nothing()
         row |= {"code": -1, "code_name": CRASHED, "message": f"{type(error).__name__}: {error}"}
         row["error"] = "".join(traceback.format_exception(error))[-_TEXT_MOST:]
+    if scene.targets:
+        row = targets.nothing() | row
     if scene.hostile:
         row = judge.nothing() | row
         row |= trial.judged(row) if trial is not None else {}
@@ -157,18 +159,21 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
     log, effort = EstimateLog(charger, drawn.estimator, drawn.seed), Effort(charger)
     nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
+    limit = LIMIT if drawn.case is None else targets.LIMIT
     try:
         if drawn.published:
             charger.start(published(drawn.goal))
         else:
-            charger.begin(goal or DockGoal(drawn.goal))
+            held = DockGoal(drawn.goal) if drawn.case is None else drawn.case.goal(drawn.goal)
+            charger.begin(goal or held)
     except DockingError as error:
         refused = DockingOutcome(False, error.code, str(error), error.retriable)
-        return result(charger, refused, 0.0) | {"estimates": 0, "servo_push": 0.0}
+        row = result(charger, refused, 0.0) | {"estimates": 0, "servo_push": 0.0}
+        return row if drawn.case is None else row | drawn.case.judged(charger, refused)
     while charger.outcome is None:
         before = charger.now
-        if before > LIMIT:
-            raise TimeoutError(f"no outcome within {LIMIT:g} s; state {charger.machine.status.state.name}")
+        if before > limit:
+            raise TimeoutError(f"no outcome within {limit:g} s; state {charger.machine.status.state.name}")
         charger.tick()
         effort.look()
         if nudging is not None:
@@ -177,6 +182,8 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
             above += charger.now - before
     log.frozen = True
     row = result(charger, charger.outcome, above) | _estimates(log)
+    if drawn.case is not None:
+        return row | drawn.case.judged(charger, charger.outcome) | {"servo_push": effort.most}
     if charger.machine.status.charging:
         watched = SECONDS if trial is None else trial.watched
         if nudging is not None:
@@ -211,13 +218,13 @@ def make_charger(drawn: Drawn, exact: bool, trial: Trial | None = None) -> Virtu
     seeds, assumed, flat = (drawn.seed, drawn.rig_seed), drawn.geometry, drawn.pads == FIRST
     charger: VirtualCharger
     if trial is not None and exact:
-        charger = ExactHostile(trial, drawn.world, drawn.docking, *seeds, felt, assumed)
+        charger = ExactHostile(trial, drawn.world, drawn.docking, *seeds, felt, assumed, drawn.profile)
     elif trial is not None:
-        charger = QuickHostile(trial, drawn.world, drawn.docking, felt, *seeds, assumed, proportional=flat)
+        charger = QuickHostile(trial, drawn.world, drawn.docking, felt, *seeds, assumed, flat, drawn.profile)
     elif exact:
-        charger = VirtualCharger(drawn.world, drawn.docking, *seeds, pads, assumed)
+        charger = VirtualCharger(drawn.world, drawn.docking, *seeds, pads, assumed, drawn.profile)
     else:
-        charger = QuickCharger(drawn.world, drawn.docking, pads, *seeds, assumed, proportional=flat)
+        charger = QuickCharger(drawn.world, drawn.docking, pads, *seeds, assumed, flat, drawn.profile)
     if drawn.high_row:
         charger.excess = high_row(drawn.high_row, drawn.seed)
     return charger

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.disturbances import Nudge
@@ -19,6 +20,8 @@ from deltacharger_lab.campaigns.pads import FIRST
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family, target_lean
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
+from deltacharger_lab.campaigns.targets import CASES, TargetCase
+from deltacharger_lab.campaigns.virtual_charger import PROFILE
 from deltacharger_sim.parameters import TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import SecondParameters
@@ -49,6 +52,8 @@ class Drawn:
         nudge: movement of the target while it charges.
         published: dock by the paper's algorithm as printed.
         scene: name of the scene that was drawn from.
+        profile: of the target.
+        case: the target that is charged to its end; None = docking ends the charge.
     """
 
     number: int
@@ -67,6 +72,8 @@ class Drawn:
     nudge: Nudge = field(default_factory=Nudge)
     published: bool = False
     scene: str = ""
+    profile: TargetProfile = PROFILE
+    case: TargetCase | None = None
 
 
 def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
@@ -95,6 +102,10 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
     goal = _goal(values, source("goal"))
     values |= _derived(values, goal, source)
     world, tactile, docking = build_parts(values)
+    kind = str(values.get("targets", ""))
+    case = CASES[kind](number, source("target")) if kind else None
+    if case is not None:
+        world = case.world(world)
     return Drawn(
         number=number,
         values=values,
@@ -112,6 +123,8 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
         nudge=Nudge(**nested(values, "nudge")),
         published=bool(values.get("published", False)),
         scene=scene.name,
+        profile=replace(PROFILE, **nested(values, "profile")) if case is None else case.profile,
+        case=case,
     )
 
 

@@ -314,7 +314,7 @@ def leaks(a: Acting, seen: Observation) -> Observation:
 def opens(_: Acting, world: Any, on: bool) -> None:
     """Open the contactor at once."""
     if on and world.circuit.closed:
-        world.circuit.open(ramp=False)
+        world.circuit.drop_out()
 
 
 def refuses(_: Acting, world: Any, on: bool) -> None:

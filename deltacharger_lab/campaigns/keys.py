@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from deltacharger_core.parameters import Declaration, choice, declared, flag, like, number
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_lab.campaigns.assumed import Assumed
 from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
 from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
@@ -137,6 +138,11 @@ class _Campaign:
     nudge: Nudge = field(default_factory=Nudge)
     published: bool = flag(False, "true = dock by the paper's algorithm as printed; give estimator.paper too")
     hostile: bool = flag(False, "true = one or two drawn faults act on each docking, which the world judges")
+    targets: str = choice(
+        "",
+        ("", "kinds", "pairs", "gaps"),
+        "charge targets to their end: kinds of ports in turn, packs with any profile, gaps in the current",
+    )
     pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
 
 
@@ -163,9 +169,10 @@ PARTS = {
     "tactile": TactileParameters,
     "second": SecondParameters,
     "docking": DockingParameters,
+    "profile": TargetProfile,
 }
 """Parameter classes by the section of a campaign's scene; '' = the campaign's own keys."""
-_WORDS = ("pads", "estimator.model")  # keys with text values
+_WORDS = ("pads", "targets", "estimator.model")  # keys with text values
 
 
 @functools.cache

@@ -27,16 +27,17 @@ from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.quick_motion import OnePieceFeed, QuickPlanner
-from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger
+from deltacharger_lab.campaigns.virtual_charger import PROFILE, TICK, Pending, VirtualCharger
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
 from deltacharger_tactile.pad_source import PadSource
 
-MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
+MOVING, CHARGING, STANDING = 8, 5, 13  # ticks that one step of the machine may last; each POWER is seen
 SETTLING = 2  # ticks that one step of the world may last while the platform only follows its goal
 _MORE = 0.005  # s before the machine's contact window at which servo readings begin: half a tick
 _NEAR = 0.005  # m of gap, below which the magnets may snap before the machine is stepped again
@@ -66,6 +67,7 @@ class QuickCharger(VirtualCharger):
         geometry: the arm's dimensions that docking assumes; None = the true ones.
         proportional: whether the readings of pads on level faces grow with the force alone, so that an earlier
             reading predicts one under a little more force.
+        profile: of the target.
     """
 
     def __init__(
@@ -77,11 +79,11 @@ class QuickCharger(VirtualCharger):
         rig_seed: int,
         geometry: DeltaGeometry | None = None,
         proportional: bool = True,
+        profile: TargetProfile = PROFILE,
     ) -> None:
         self._pads = pads
         self._proportional = proportional
-        super().__init__(world, parameters, seed, rig_seed, pads, geometry)
-        self.plant = _Unclocked(self.world, clock=lambda: 0.0)
+        super().__init__(world, parameters, seed, rig_seed, pads, geometry, profile)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
         self._segment = 0
@@ -90,15 +92,21 @@ class QuickCharger(VirtualCharger):
         self._largest = 0.0  # N on the taxel with the largest reading
         self._read_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
+    def _make_plant(self) -> SharedWorld:
+        return _Unclocked(self.world, clock=lambda: 0.0)
+
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
         feed = OnePieceFeed(parameters.servo_damping / parameters.servo_stiffness)
-        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
+        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed, self.profiles)
 
     def tick(self) -> None:
         """Advance until the next decision: 10 to 130 ms."""
         standing = self._stands()
-        self._pass(self._stride(STANDING if standing else MOVING), standing)
+        most = STANDING if standing else CHARGING if self._is_live else MOVING
+        self._pass(self._stride(most), standing)
+        if not self._is_live:
+            self._watch_power()
         self._serve()
         self._step()
 
@@ -118,9 +126,13 @@ class QuickCharger(VirtualCharger):
         mechanics = self.world.mechanics
         return min(waits.until, self.now + (mechanics.gap - mechanics.onset - _NEAR) / waits.nearing)
 
+    @property
+    def _is_live(self) -> bool:
+        return self._energised or self.world.circuit.closed
+
     def _stands(self) -> bool:
         """Return whether goal, platform, contactor and charge current are steady."""
-        if self._energised or self.world.circuit.closed:
+        if self._is_live:
             return self._charges_on()
         if self._trajectory and self.now - self._started < self._trajectory[-1].time + TICK:
             return False
@@ -130,11 +142,12 @@ class QuickCharger(VirtualCharger):
         """Return whether the platform stands still and the current has not changed since the last call."""
         world = self.world
         before, self._current = self._current, world.circuit.current
-        return self._current == before and self._current > 0.0 and world.mechanics.still and not world.target_moves
+        steady = world.circuit.port.steady and self._current == before and self._current > 0.0
+        return steady and world.mechanics.still and not world.target_moves
 
     def _world_ticks(self) -> int:
         """Return how many ticks one step of the world may last."""
-        if self._energised or self.world.circuit.closed:
+        if self._is_live:
             return 1
         settles = bool(self._trajectory) and self._arrived is self._trajectory
         # On the target the magnets hold the platform sideways; before, its final position depends on the step.
@@ -186,6 +199,8 @@ class QuickCharger(VirtualCharger):
         from_then_on = decides - (self.parameters.contact_window + _MORE)
         if standing:
             world.step(ticks * TICK)
+            self.now = start + ticks * TICK
+            self._watch_power()
         most = self._world_ticks()
         stepped = 0
         for index in range(1, ticks + 1):
@@ -195,6 +210,8 @@ class QuickCharger(VirtualCharger):
                 self._servos()
                 self._watch_joints()
                 stepped = index
+                if self._is_live:
+                    self._watch_power()
             if index < ticks and self.now >= from_then_on:
                 self._earlier.append((self.now, *self._reading()))
 

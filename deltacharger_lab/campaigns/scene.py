@@ -21,7 +21,7 @@ from deltacharger_scenes.scene import find_file, packaged_files, read_file
 DEFAULT = "default"
 SECTIONS = (
     *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "assumed", "taxels", "pads"),
-    *("published", "hostile", "parked", "nudge", "world", "tactile", "second", "docking"),
+    *("published", "hostile", "targets", "profile", "parked", "nudge", "world", "tactile", "second", "docking"),
 )
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
@@ -55,6 +55,11 @@ class CampaignScene:
     def hostile(self) -> bool:
         """Whether its dockings are judged under faults."""
         return "hostile" in self.spreads
+
+    @property
+    def targets(self) -> bool:
+        """Whether its dockings charge kinds of targets to their end."""
+        return "targets" in self.spreads
 
     def drawn(self) -> list[str]:
         """Return the keys that the scene sets, in the order of the results' columns."""
@@ -216,9 +221,6 @@ def _check_contradictions(scene: CampaignScene) -> None:
         for other in made if name in scene.drawn() else ():
             if other in scene.spreads or any(other in values for values in scene.dockings):
                 raise ParameterError(other, other, f"is drawn by {name}; remove one of them")
-    low, high = (scene.spreads.get(f"world.circuit.voltage_{end}") for end in ("min", "max"))
-    if low is not None and high is not None and float(low.ends[1]) >= float(high.ends[0]):
-        raise ParameterError("world.circuit.voltage_min", low.ends[1], "reaches voltage_max; keep it below")
     refuse_contradictions(scene.spreads, scene.dockings)
     listed: list[Mapping[str, Value]] = [{}, *scene.dockings]
     for values in listed:

@@ -22,6 +22,7 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
+from deltacharger_driver.emulators.stage import Outputs
 from deltacharger_lab.campaigns.faults import Acting, HostileFault, Reading, ServoOrder
 from deltacharger_lab.campaigns.hostile import GOAL, SCENES, SUSPENDED, TIMED, allowed, draw_faults
 from deltacharger_lab.campaigns.judge import BY_HAND, GRACE, GRACE_STALLED, WorldJudge, broken
@@ -29,7 +30,7 @@ from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger
 from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.parameters import CircuitParameters, WorldParameters
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import TactileSource, World
 from deltacharger_tactile.pad_source import Lean, PadSource, Pose
 
@@ -44,27 +45,32 @@ _STILL = (0.0, 0.0, 0.0, 0.0)
 
 
 class FaultyCircuit(Circuit):
-    """A power stage whose contactor refuses, welds or feeds a target that takes nothing.
+    """A power stage whose contactor does not pull in, welds, drops out or feeds a target that takes nothing.
 
     Args:
-        parameters: of the circuit.
+        parameters: of the world.
         trial: is told of the probe and of orders to close.
         world: of the circuit.
 
     Attributes:
-        refuses: whether orders to close have no effect.
+        refuses: whether the contactor's coil has no effect.
     """
 
-    def __init__(self, parameters: CircuitParameters, trial: Trial, world: World) -> None:
-        super().__init__(parameters)
+    def __init__(self, parameters: WorldParameters, trial: Trial, world: World) -> None:
+        super().__init__(parameters.circuit, parameters.port, parameters.stage)
         self.refuses = False
         self._trial, self._world = trial, world
 
-    def close(self) -> None:
-        """Begin to close unless it refuses."""
-        if not self.refuses:
+    def drive(self, outputs: Outputs) -> None:
+        """Take the board's orders."""
+        if outputs.precharge and not self._outputs.precharge:
             self._trial.judge.closing(self._world)
-            super().close()
+        super().drive(outputs._replace(contactor=outputs.contactor and not self.refuses))
+
+    def drop_out(self) -> None:
+        """Open the contactor although its coil is driven."""
+        self._pulled = math.inf
+        self._break()
 
     def probe(self) -> tuple[float, float]:
         """Return what the probe measures."""
@@ -78,7 +84,7 @@ class FaultyCircuit(Circuit):
 
     def take_current(self, on: bool) -> None:
         """Let the target take current, or none."""
-        self._parameters = replace(self._parameters, target_accepts=on)
+        self.port.parameters = replace(self.port.parameters, accepts=on)
 
 
 class FaultyWorld(World):
@@ -91,7 +97,7 @@ class FaultyWorld(World):
 
     def __init__(self, trial: Trial, *given: Any) -> None:
         super().__init__(*given)
-        self.circuit: FaultyCircuit = FaultyCircuit(self.parameters.circuit, trial, self)
+        self.circuit: FaultyCircuit = FaultyCircuit(self.parameters, trial, self)
         self._trial = trial
         self._orders = [ServoOrder(False, angle, 0.0, 1.0, 1.0) for angle in self.mechanics.angles]
         self._displaced = _STILL
@@ -218,7 +224,7 @@ class _Suffers(VirtualCharger):
             self._stepped = self.now
             self._trial.outcomes += self.outcome is not None and self.outcome is not before
         if self._energised and self.now - self._stepped > LONGEST_LEASE:
-            self.plant.open_contactor(False)
+            self.power.open(self.now)
 
     def _accept(self, request: Request) -> None:
         super()._accept(request)
@@ -258,7 +264,8 @@ class QuickHostile(_Suffers, QuickCharger):
     def _make_machine(self) -> DockingMachine:
         if not self._trial.nodelike:
             return QuickCharger._make_machine(self)
-        return DockingMachine(self.parameters, self.geometry, QuickPlanner(self.parameters, self.geometry))
+        planner = QuickPlanner(self.parameters, self.geometry)
+        return DockingMachine(self.parameters, self.geometry, planner, profiles=self.profiles)
 
     def _stride(self, most: int) -> int:
         if self._trial.nodelike or self._trial.lasts():

@@ -45,6 +45,9 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
+from deltacharger_driver.board.protocol import POWER_RATE, AckError
+from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.orders import late
 from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
 from deltacharger_driver.servos.snapshot import BusSettings
@@ -57,6 +60,9 @@ from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.source import ContactSource
 
 TICK = 0.01
+PROFILE = TargetProfile(empty_voltage=19.0, full_voltage=29.4, current=10.0, end_current=0.5)
+"""Of the simulated target: a 7S lithium battery."""
+_PROBE_TIME = 0.15  # s
 FRAME = 1.0 / FRAME_RATE
 GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
 _ORDERS = (Service.TORQUE_ON, Service.TORQUE_OFF, Service.TARE, Service.PROBE)  # refused if they come too late
@@ -95,8 +101,10 @@ class VirtualCharger:
         rig_seed: seed of the device with the pads.
         tactile: the pads; None = those of `rig_seed` and `seed`.
         geometry: the arm's dimensions that docking assumes; None = the true ones.
+        profile: of the target.
 
     Attributes:
+        power: the board's power stage.
         excess: excess reading of taxels after each tare (2, 10, 10) N; None = none.
     """
 
@@ -108,13 +116,17 @@ class VirtualCharger:
         rig_seed: int = 900,
         tactile: TactileSource | None = None,
         geometry: DeltaGeometry | None = None,
+        profile: TargetProfile = PROFILE,
     ) -> None:
         self.now = 0.0
+        self.profile = profile
         world = world or WorldParameters()
         self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
         self.geometry = geometry or DeltaGeometry()
         self.world = self._make_world(world, tactile or ContactSource(None, rig_seed, seed), seed)
-        self.plant = SharedWorld(self.world, clock=lambda: self.now)
+        self.plant = self._make_plant()
+        self.power = self._make_power()
+        self._power, self._reported = self.power.report(), 0.0  # the last POWER and its time (s)
         self.machine = self._make_machine()
         self.distort: Callable[[Observation], Observation] = lambda observation: observation
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
@@ -134,7 +146,10 @@ class VirtualCharger:
         self._replies: list[Reply] = []
         self._earlier: list[Reading] = []  # of the servos, since the machine's last step
         self._waits = NEXT  # pending condition of the machine
-        self._energised = False
+        self._energised, self._limit = False, 0.0  # whether the lease is held, and its largest current (A)
+        self._refusal = ""  # why the board did not close
+        self._probing = AckError.DONE  # its answer to the last request to probe
+        self._probed: tuple[float, float] | None = None  # Ω and V of the last probe, if it has ended
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
         stiffness, damping = self.parameters.servo_stiffness, self.parameters.servo_damping
@@ -145,8 +160,19 @@ class VirtualCharger:
     def _make_world(self, world: WorldParameters, tactile: TactileSource, seed: int) -> World:
         return World(world, tactile, seed)
 
+    def _make_plant(self) -> SharedWorld:
+        return SharedWorld(self.world, clock=lambda: self.now)
+
+    def _make_power(self) -> EmulatedPower:
+        return EmulatedPower(self.plant, _PROBE_TIME, self.world.parameters.stage)
+
+    @property
+    def profiles(self) -> dict[str, TargetProfile]:
+        """Docking's profiles by name; none for electrodes that are wired to the battery."""
+        return {} if self.parameters.always_live else {"lithium_7s": self.profile}
+
     def _make_machine(self) -> DockingMachine:
-        return DockingMachine(self.parameters, self.geometry)
+        return DockingMachine(self.parameters, self.geometry, profiles=self.profiles)
 
     def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> DockingOutcome:
         """Serve a Dock goal to its end."""
@@ -198,6 +224,7 @@ class VirtualCharger:
         self.now += TICK
         self._servos()
         self._sample()
+        self._watch_power()
         self._serve()
         self._step()
 
@@ -222,16 +249,31 @@ class VirtualCharger:
         for request in command.requests:
             self._accept(request)
         if command.energise != self._energised:
-            self._energised = command.energise
-            if command.energise:
-                self.plant.close_contactor()
-            else:
-                self.plant.open_contactor(True)
+            self._energised, self._refusal = command.energise, ""
+            if not command.energise:
+                self.power.open(self.now)
+            elif command.limits is not None:
+                self.power.heartbeat(self.now)
+                error = self.power.close(command.limits, self.now)
+                self._refusal = f"the board refused: {error.name}" if error else ""
+                self._limit = command.limits.current
+        elif self._energised and command.limits is not None and command.limits.current != self._limit:
+            self._limit = command.limits.current
+            self.power.limit(self._limit)
+
+    def _watch_power(self) -> None:
+        """Let the board look at its power stage, while docking holds the lease with a heartbeat, and report."""
+        if self._energised:
+            self.power.heartbeat(self.now)
+        self.power.poll(self.now)
+        self._probed = self.power.poll_probe(self.now) or self._probed
+        if self.now - self._reported >= 1.0 / POWER_RATE - 1e-6:
+            self._power, self._reported = self.power.report(), self.now
 
     def observe(self) -> Observation:
         """Return the observation that the topics would carry."""
         angles, currents = self._reading()
-        battery, target, current, closed, fault = self.world.circuit.measured()
+        power, stage = self._power, self.power.parameters
         return Observation(
             time=self.now,
             angles=angles,
@@ -242,12 +284,16 @@ class VirtualCharger:
             tactile_age=0.0,
             tactile_contact=self._feels(),
             tared=self._tared,
-            power_age=0.0,
-            contactor_closed=closed,
-            charge_current=current,
-            target_voltage=target,
-            battery_voltage=battery,
-            power_fault=fault,
+            power_age=self.now - self._reported,
+            contactor_closed=power.contactor_closed,
+            charge_current=power.charge_current,
+            least_current=power.least_current,
+            target_voltage=power.target_voltage,
+            battery_voltage=power.battery_voltage,
+            power_fault=power.fault,
+            stage_steps_up=stage.steps_up,
+            stage_voltage=stage.stage_voltage or math.nan,
+            contactor_refusal=self._refusal,
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),
             stopped=self._stopped,
@@ -293,7 +339,7 @@ class VirtualCharger:
         if fault and not self._stopped:
             self._stopped, self._stop_at = fault, self.now + STOP_TIME
             self._trajectory, self._goal = (), [a, b, c]
-            self.plant.open_contactor(True)
+            self.power.open(self.now)
         if self.now >= self._stop_at:
             self._torque, self._stop_at = False, math.inf
 
@@ -309,6 +355,8 @@ class VirtualCharger:
     def _accept(self, request: Request) -> None:
         delay = {Service.TARE: 0.2, Service.PROBE: 0.2, Service.ESTIMATE: (request.frames + 1) * FRAME}
         self._pending.append(Pending(request, self.now, self.now + delay.get(request.service, 0.02), []))
+        if request.service is Service.PROBE:
+            self._probing, self._probed = self.power.start_probe(self.now), None
 
     def _serve(self) -> None:
         for pending in [pending for pending in self._pending if self.now >= pending.due]:
@@ -333,10 +381,12 @@ class VirtualCharger:
             if self.excess is not None:
                 self.baseline -= self.excess
         elif service is Service.OPEN:
-            self.plant.open_contactor(True)  # clears a latched fault
+            self.power.open(self.now)  # clears a latched fault
         elif service is Service.PROBE:
-            ohm, volt = self.plant.probe()
-            return Reply(number, True, resistance=ohm, target_voltage=volt)
+            found = None if self._probing else self._probed or self.power.poll_probe(self.now)
+            if found is None:
+                return Reply(number, False, f"the board refused: {(self._probing or AckError.NOT_NOW).name}")
+            return Reply(number, True, resistance=found[0], target_voltage=found[1])
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
             return Reply(number, True, estimate=MisalignmentEstimate.of(self.model.predict(left, right)))

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from deltacharger_core.parameters import Declaration, declared
+from deltacharger_docking.profile import TargetProfile
 from deltacharger_lab.campaigns.keys import FACTS, PARTS, known_keys
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
@@ -19,6 +20,7 @@ def sections() -> str:
     parts = tuple(f"{name}." for name in PARTS if name)
     campaigns = [key for name, key in known_keys().items() if not name.startswith(parts)]
     tables = {
+        "Target profiles": declared(TargetProfile),
         "Simulated world": declared(WorldParameters),
         "First contact physics": declared(TactileParameters),
         "Second contact physics": second,
@@ -30,7 +32,8 @@ def sections() -> str:
 def _table(title: str, keys: Iterable[Declaration]) -> str:
     lines = [f"## {title}", "", "| key | default | allowed | unit | meaning |", "|---|---|---|---|---|"]
     for key in keys:
-        lines.append(f"| {key.name} | {text(key.default)} | {_allowed(key)} | {key.unit} | {key.text} |")
+        default = "must be given" if key.problem(key.default) else text(key.default)
+        lines.append(f"| {key.name} | {default} | {_allowed(key)} | {key.unit} | {key.text} |")
     return "\n".join([*lines, ""])
 
 

@@ -32,6 +32,7 @@ Node parameters marked * can be set while the node runs ([tuning](bringup.md#tun
 | section | where its keys stand |
 |---|---|
 | names of nodes | `parameters: {node: {name: value}}` of a scene |
+| [Target profiles](#target-profiles) | `name: {...}` under docking_node, for each name in `target_profiles` |
 | [Simulated world](#simulated-world) | `simulation.world` of a scene; `world` of a campaign's scene |
 | [First contact physics](#first-contact-physics) | `tactile` of a campaign's scene |
 | [Second contact physics](#second-contact-physics) | `second` of a campaign's scene |
@@ -73,8 +74,8 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
 
     others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
     names = [*STANDARD_NODES, *others]
-    defaults = {"docking_recorder_node": {"scene": ""}}  # a scene would set it
-    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
+    unset = {"docking_recorder_node": {"scene": ""}, "docking_node": {"target_profiles": []}}  # by the scene
+    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": unset}, "parameters")
     with Composition(scene, context, namespace) as composition, ExitStack() as stack:
         nodes: list[Any] = [running.node for running in composition.nodes]
         joints = PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)

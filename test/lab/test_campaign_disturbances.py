@@ -175,7 +175,7 @@ def test_the_nudge_occurs_once_at_its_time() -> None:
         nudging.look()
         places.append((charger.world.record.energised, charger.world.parameters.target.x))
     moves = [live for (live, before), (_, x) in pairwise(places) if x != before]
-    assert moves[0] == pytest.approx(1.0, abs=0.09)
+    assert moves[0] == pytest.approx(1.0, abs=0.14)
     assert moves[-1] <= moves[0] + LASTS + 0.2
     assert places[-1][1] == pytest.approx(places[0][1] + 0.002)
     assert math.isnan(nudging.opened)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_docking.codes import Code
 from deltacharger_docking.observation import Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
@@ -20,6 +21,7 @@ from deltacharger_lab.campaigns.faults import Acting, HostileFault
 from deltacharger_lab.campaigns.hostile import FAULTS, KINDS, SCENES, allowed, draw_fault, draw_faults
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.parameters import StandParameters, TargetParameters, WorldParameters
 from deltacharger_tactile.source import ContactSource
 
@@ -77,13 +79,21 @@ class Bench:
         for number, service in enumerate((Service.TARE, Service.ESTIMATE, Service.PROBE), 3):
             charger._accept(Request(number, service, frames=3))
             charger.run(0.25)
-        charger.plant.close_contactor()
+        close(charger)
         charger.run(0.3)
-        charger.plant.open_contactor(False)
+        charger.machine._context.energise = False
         charger.run(0.02)
         target, mechanics = world.parameters.target, world.mechanics
         true = (target, mechanics.position, mechanics.rubs, world.circuit.closed, mechanics.gap, mechanics.torques)
         return [*map(repr, self.seen), repr(true), repr(vars(mechanics._stand))]
+
+
+def close(charger: VirtualCharger) -> None:
+    """Close the contactor as if a probe had found a live port."""
+    charger.power._probed, charger.power._probe_deadline = (math.nan, 24.0), math.inf
+    charger.power.heartbeat(charger.now)
+    assert not charger.power.close(ChargeLimits(10.0, 29.4), charger.now)
+    charger._energised = charger.machine._context.energise = True
 
 
 def test_the_table_is_complete() -> None:
@@ -152,12 +162,12 @@ def test_a_removed_fault_leaves_nothing_behind(name: str) -> None:
     bench = Bench(one(name))
     charger, world = bench.charger, bench.charger.world
     charger.run(0.2)
-    charger.plant.close_contactor()
+    close(charger)
     charger.run(0.3)
     bench.trial.remove()
     charger.run(0.5)
-    charger.plant.open_contactor(False)
-    charger.run(0.05)
+    charger.machine._context.energise = False
+    charger.run(0.1)
     target = world.parameters.target
     assert (target.x, target.y, target.z % 0.08, target.roll) == pytest.approx((0.0,) * 4, abs=1e-9)
     assert world.mechanics.rubs == (world.parameters.servo.friction,) * 3
@@ -171,9 +181,8 @@ def test_a_turning_target_shifts_the_bars_of_electrodes_that_stand_still() -> No
     touching = dataclasses.replace(TOUCHING, stand=StandParameters())
     pads = trial.pads(ContactSource(None, 900, 1))
     charger = QuickHostile(trial, touching, DockingParameters(), pads, 1, 900)
-    charger._energised = charger.machine._context.energise = True
     charger.run(0.05)
-    charger.plant.close_contactor()
+    close(charger)
     charger.run(0.4)
     assert not charger.world.circuit.closed, "its own stage detects the short"
     assert charger.world.record.energised_shorts == 1
@@ -182,7 +191,7 @@ def test_a_turning_target_shifts_the_bars_of_electrodes_that_stand_still() -> No
 
 def test_an_order_to_open_clears_a_latched_fault() -> None:
     bench = Bench()
-    bench.charger.world.circuit.fault = 2
+    bench.charger.power.trip(2)
     bench.charger._accept(Request(1, Service.OPEN))
     bench.charger.run(0.1)
     assert bench.seen[-1].power_fault == 0
@@ -207,8 +216,7 @@ def test_a_fault_flickers_between_onset_and_end() -> None:
 
 def test_a_suspended_docking_is_not_stepped_and_loses_its_lease() -> None:
     bench = Bench(one("suspended", lasts=0.6))
-    bench.charger.plant.close_contactor()
-    bench.charger._energised = bench.charger.machine._context.energise = True
+    close(bench.charger)
     bench.charger.run(0.3)
     assert bench.charger.world.circuit.closed
     before = len(bench.seen)

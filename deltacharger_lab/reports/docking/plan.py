@@ -113,6 +113,9 @@ PARTS = (
     CampaignPart("worn_arm_exact", "worn_arm", 500, "`worn_arm`, every tick and frame computed", exact=True),
     CampaignPart("yielding_exact", "yielding", 500, "`yielding`, every tick and frame computed", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
+    CampaignPart("targets", "targets", 500, "25 kinds of charging ports in turn, charged to their end"),
+    CampaignPart("target_pairs", "target_pairs", 1_000, "packs of six kinds, each with the profile of one of them"),
+    CampaignPart("target_gaps", "target_gaps", 100, "ten minutes of charging through gaps of 1 ms to 5 s"),
     CampaignPart("hostile", "hostile", 20_000, "four scenes under one or two drawn faults"),
     CampaignPart("hostile_exact", "hostile", 1_000, "the same, every tick and frame computed", exact=True),
 )

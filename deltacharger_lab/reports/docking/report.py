@@ -15,7 +15,7 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import arms, grounds, hostile, lean, summary
+from deltacharger_lab.reports.docking import arms, grounds, hostile, lean, summary, targets
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
@@ -91,6 +91,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
     folders = {name: directory / CAMPAIGNS / name for name in rows}
     settings = {name: read_settings(folder) for name, folder in folders.items()}
     faulty = {name: rows.pop(name) for name in hostile.SCENES if name in rows}
+    ports = {name: rows.pop(name) for name in targets.SCENES if name in rows}
     progress("figures")
     every, near = summary.joined(rows, "random", "upright"), summary.joined(rows, "zero", "edge")
     upright = None if every is None else summary.part(every, every["degrees"] <= summary.UPRIGHT)
@@ -115,6 +116,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "lean": {name: lean.figures(rows[name]) for name in lean.SCENES if name in rows},
         "lean_map": {name: lean.by_lean(rows[name]) for name in lean.MAP if name in rows},
         "hostile": {name: hostile.figures(each) for name, each in faulty.items()},
+        "ports": {name: targets.figures(each) for name, each in ports.items()},
         "near_zero": summary.near_zero(near) if near is not None else {},
         "pairs": _pairs(folders),
     }
@@ -123,6 +125,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         *arms.targets(results["arms"]),
         *lean.targets(results["lean"]),
         *hostile.targets(results["hostile"]),
+        *targets.targets(results["ports"]),
     ]
     progress("pictures")
     report.draw(PICTURES, directory, without(rows), rows=rows)

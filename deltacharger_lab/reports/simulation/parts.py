@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from deltacharger_driver.emulators.target_port import PortParameters
 from deltacharger_lab.reports.simulation.models import complete_docking
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm
 from deltacharger_sim.parameters import (
     CableParameters,
-    CircuitParameters,
     ContactParameters,
     MagnetParameters,
     PlatformParameters,
@@ -42,7 +42,7 @@ PARTS: dict[str, WorldParameters] = {
     "with a platform that tilts, 5 mrad/(N·m)": WorldParameters(platform=PlatformParameters(compliance=0.005)),
     "with a cable, 100 N/m and 2 N": WorldParameters(cable=CableParameters(stiffness=100.0, drag=2.0)),
     "with robots that give way, 5 kN/m": WorldParameters(stand=StandParameters(stiffness=5000.0)),
-    "with a target that takes no current": WorldParameters(circuit=CircuitParameters(target_accepts=False)),
+    "with a target that takes no current": WorldParameters(port=PortParameters(accepts=False)),
 }
 PADS = "with the pads' model, 120 Hz"
 
