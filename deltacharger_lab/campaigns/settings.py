@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core import environment
 from deltacharger_core.bounded_file import brief, parse_json
 from deltacharger_core.version import package_version
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
@@ -21,6 +22,8 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
     *("driver/errors.py", "driver/orders.py", "driver/parameters.py"),
+    *(f"driver/board/{name}.py" for name in ("cobs", "payloads", "protocol")),
+    *(f"driver/emulators/{name}.py" for name in ("power", "stage", "target_port")),
     *(f"driver/servos/{name}.py" for name in ("joint_watch", "mx64", "snapshot", "trajectory")),
     *(
         f"lab/campaigns/{name}.py"
@@ -28,7 +31,7 @@ _ALSO = (
     ),
     *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "published", "quick_charger", "quick_motion")),
     *(f"lab/campaigns/{name}.py" for name in ("scene", "servo_load", "spread", "assumed", "virtual_charger")),
-    *(f"lab/campaigns/{name}.py" for name in ("faults", "hostile", "judge", "trial")),
+    *(f"lab/campaigns/{name}.py" for name in ("faults", "hostile", "judge", "targets", "trial")),
 )
 
 
@@ -135,6 +138,7 @@ def computing() -> Iterator[tuple[str, Path]]:
     for name in _ALSO:
         package, _, rest = name.partition("/")
         yield name, _root(package) / rest
+    yield "config/target_kinds.yaml", environment.config("target_kinds.yaml")[0]
 
 
 def _root(package: str) -> Path:

@@ -57,7 +57,7 @@ def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch,
     for edited[:] in ([path] for path in edits):
         found.add(settings._digest())
     assert len(found | {first}) == len(edits) + 1
-    assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "driver", "lab"}
+    assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "config", "driver", "lab"}
 
 
 def test_comments_and_docstrings_do_not_change_the_digest_and_numbers_do(tmp_path: Path) -> None:

@@ -63,5 +63,10 @@ def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
         each = found.get(name)
         yield at_least(f"targets: {about}", each["right"] / each["n"] if each else None, 1.0, "of them")
     count = f"of {sum(each['n'] for each in found.values())}"
-    for what in ("told_full", "over", "unsafe"):
-        yield none(f"targets: {what}", sum(each[what] for each in found.values()) if found else None, count)
+    never = {
+        "told_full": "told full, was not",
+        "over": f"more than {_OVER} V above full",
+        "unsafe": "live without clearance, shorted or parted",
+    }
+    for what, about in never.items():
+        yield none(f"targets: {about}", sum(each[what] for each in found.values()) if found else None, count)
