@@ -69,7 +69,7 @@ def random_packet(source: random.Random) -> Packet:
 
 def made_up(source: random.Random) -> bytes:
     """Return an intact packet with a random header and payload."""
-    size = source.choice((0, 1, 4, 8, 12, 16, 64, 200, 300, 400, source.randrange(500)))
+    size = source.choice((0, 1, 4, 8, 12, 16, 20, 64, 200, 300, 400, source.randrange(500)))
     payload = source.choice((bytes(size), source.randbytes(size), b"\x7f\x80" * (size // 2)))
     header = struct.pack(
         "<BBHQBBH",
