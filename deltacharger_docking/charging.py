@@ -17,6 +17,7 @@ from deltacharger_docking.touch import Target, keep_evidence, with_pitch
 
 _FULL = 0.01  # of the profile's full voltage that a full target may lack
 _JUMP = 0.3  # V by which a voltage shows that something has changed
+_RISES = 10.0  # s below full voltage, by which a dead port shows its battery; a regulated input fills in one
 _QUIET = 30.0  # s of little current that show that it stays little
 _PULSES = 10.0  # s between two gaps of a battery management that pulses
 _CONSTANT, _CURRENT_SAME, _VOLTAGE_SAME = 600.0, 0.05, 0.03  # s; share and V by which a steady load changes in it
@@ -29,7 +30,7 @@ _HEAT, _LEAST = 10.0, 1.0  # W in contacts that became dirty; A, below which the
 _CLEAN = 0.5  # Ω, most of a loop that counts as clean if no better one was seen
 _DIP, _DIP_LEAST, _DIP_MOST = 0.15, 0.5, 0.6  # share by which the current dips; A at least, but share at most
 _PERIOD, _SOON = 10.0, 3.0  # s between dips; s if something changed
-_SETTLED, _LONGEST, _FELL = 0.2, 0.6, 0.5  # s of a dip; s at most; share of it by which the current must fall
+_SETTLED, _LONGEST, _MOVED = 0.2, 0.6, 0.5  # s of a dip, as of what follows; s at most; share that the current moves
 _CHANGED, _SAME = 0.5, 0.2  # share of a rise by which it changed, so that the next dip comes soon; by which it has not
 
 
@@ -86,14 +87,16 @@ class Charged:
         self._measurable = min(_MEASURABLE, 0.5 * profile.current)
         self._rest = math.nan if context.closing is None else context.closing.rest_voltage
         self._ramps = self._is_live = math.isfinite(self._rest)  # ramps: the loop has not been measured yet
-        self._sampled = self._broken = self._pulses = -math.inf  # s; broken: when last; pulses: since when
+        self._sampled = context.time  # s, of the last charger_power
+        self._broken = self._pulses = -math.inf  # s; broken: when last; pulses: since when
         self._gap = math.inf  # s, date of the first sample without current
         self._quiet = self._constant = context.time  # s, since when
         self._was_full = False
         self._own = self._port = math.nan, math.nan  # V of the last two unbroken samples: target's own, behind dirt
         self._told = math.nan  # V, the target's own at most, by the last dip
         self._smooth = self._before = math.nan, math.nan  # A and V: smoothed; at the start of `_constant`
-        self._dip: tuple[float, float, float] | None = None  # under way: its start (s), current (A) and voltage (V)
+        self._below = 0.0  # s in which current flowed below full voltage
+        self._dip: list[tuple[float, float, float]] = []  # under way: s, A and V before it, and at its end
         self._is_shallow = False  # every other one: a resistance shows as the same in both
         self._dipped = -math.inf, context.time  # s, the last two dips
         self._due, self._seen = context.time + _SOON, math.nan  # s, of the next dip; V at the last one, or the ramp
@@ -102,6 +105,11 @@ class Charged:
     def at_full(self) -> bool:
         """Whether the target's own voltage is the profile's full one, twice in a row."""
         return self._is_full(self._own)
+
+    @property
+    def _is_shown(self) -> bool:
+        """Whether the port's voltage is its battery's."""
+        return self._is_live or self._below >= _RISES
 
     def _is_full(self, volts: tuple[float, float]) -> bool:
         return min(volts) >= (1.0 - _FULL) * self._profile.full_voltage
@@ -121,20 +129,21 @@ class Charged:
         unbroken = whole and current >= self._measurable
         self._gap = math.inf if current >= NO_CURRENT else min(self._gap, now)
         if now - self._gap >= profile.gap_time:
-            if self.at_full:
+            if self.at_full and self._is_shown:
                 return "cut by the target"
             raise self._not_full("current ended", "the target's battery management, its input or a contact cut it off")
         broken = min(current, seen.least_current if current >= self._measurable else current) < NO_CURRENT
-        if broken and self.at_full:
+        if broken and self.at_full and self._is_shown:
             self._pulses = self._pulses if now - self._broken <= _PULSES else now
             self._broken = now
             if now - self._pulses >= _QUIET:
                 return "cut by the target"
-        if unbroken and self._dip is None:
+        if unbroken and not self._dip:
             self._add(current, volts)
+            self._below += 0.0 if self._is_full(self._port) else elapsed
         if self._is_live:
             self._look(now, current, volts, whole)
-        return "" if self._dip is not None else self._ends(now, elapsed, current, volts)
+        return "" if self._dip else self._ends(now, elapsed, current, volts)
 
     def _ends(self, now: float, elapsed: float, current: float, volts: float) -> str:
         """Return why the target is full by a current that stays small or does not change."""
@@ -147,7 +156,7 @@ class Charged:
         amperes, volts = (old + share * (new - old) for old, new in zip(self._smooth, (current, volts), strict=True))
         self._smooth, (before, then) = (amperes, volts), self._before
         same = abs(amperes - before) <= _CURRENT_SAME * before and abs(volts - then) <= _VOLTAGE_SAME
-        if not (at_port and same) or current >= _LIMITED * self.limit:
+        if not (at_port and same and self._is_shown) or current >= _LIMITED * self.limit:
             self._before, self._constant = self._smooth, now
         if current >= little or full is not self._was_full:
             self._quiet = now
@@ -184,27 +193,36 @@ class Charged:
 
     def _look(self, now: float, current: float, volts: float, whole: bool) -> None:
         """Begin, continue or end a dip of the current limit."""
-        if self._dip is None:
+        if not self._dip:
             jumped = now >= self._dipped[1] + _SOON and abs(volts - self._seen) > _JUMP
             if whole and current >= self._measurable and (now >= self._due or jumped):
-                self._dip, self._is_shallow = (now, current, volts), not self._is_shallow
+                self._dip, self._is_shallow = [(now, current, volts)], not self._is_shallow
                 depth = min(max(_DIP * current, _DIP_LEAST), _DIP_MOST * current)
                 self._set_limit(current - (0.5 * depth if self._is_shallow else depth))
             return
-        begun, before, high = self._dip
-        fell = current <= before - _FELL * (before - self._context.limits.current)
-        settled = now >= begun + _SETTLED and whole and fell
-        if not settled and now < begun + _LONGEST:
+        (_, before, high), (since, last, _) = self._dip[0], self._dip[-1]
+        ends = len(self._dip) > 1
+        moved = (last - current) / (last - (before if ends else self._context.limits.current)) >= _MOVED
+        settled = now >= since + _SETTLED and whole and moved
+        if not settled and now < since + _LONGEST:
+            return
+        self._set_limit(self.limit)
+        if settled and not ends:
+            self._dip.append((now, current, volts))
             return
         known = self.rise
         if settled:
-            self._loop = max((high - volts) / (before - current), 0.0)
-            self.rise, self._told = max(self._loop - self._clean, 0.0), volts - current * min(self._loop, self._clean)
+            self._measure(current, volts)
             if before >= _LIMITED * self.limit or abs(self.rise - known) <= _SAME * self.rise:
                 self._allow(known)
-        self._dip, self._dipped, self._seen = None, (self._dipped[1], now), high
+        self._dip, self._dipped, self._seen = [], (self._dipped[1], now), high
         self._due = now + (_SOON if abs(self.rise - known) > _CHANGED * self.rise else _PERIOD)
-        self._set_limit(self.limit)
+
+    def _measure(self, after: float, volts: float) -> None:
+        """Learn from a dip; A and V after it cancel what the voltage gains by charging meanwhile."""
+        (_, before, high), (_, current, low) = self._dip
+        self._loop = max((high + volts - 2.0 * low) / (before + after - 2.0 * current), 0.0)
+        self.rise, self._told = max(self._loop - self._clean, 0.0), low - current * min(self._loop, self._clean)
 
     def _allow(self, before: float) -> None:
         """Limit the current so that what the loop's resistance rose by, from `before` Ω, stays cool if it grows on.
@@ -222,6 +240,8 @@ class Charged:
         self._context.limits = self._context.limits._replace(current=current)
 
     def _not_full(self, what: str, cause: str) -> NoChargeCurrent:
+        if not self._is_shown:
+            return NoChargeCurrent(f"{what}; whether the target is full is unknown: its port does not show its battery")
         volts = self._told if math.isfinite(self._told) else self._context.observation.target_voltage
         return NoChargeCurrent(f"{what} at {volts:.1f} V of {self._profile.full_voltage:.1f} V: not full; {cause}")
 

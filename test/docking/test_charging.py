@@ -177,6 +177,18 @@ def test_a_robot_that_stays_on_is_full_by_its_standing_load() -> None:
     assert Charge().run(Target(29.4, load=17.0), 650.0) == "steady load"
 
 
+def test_a_regulated_input_whose_port_shows_no_battery_is_full_only_by_a_small_current() -> None:
+    """It takes the same power from full voltage all the time; switched off, it looks like a battery that is full."""
+    dead = replace(SEVEN, port="dead")
+    assert Charge(dead).run(Target(29.4, load=60.0), 900.0) == ""
+    assert Charge(dead).run(Target(29.4, load=10.0), 60.0) == "current below 0.5 A"
+    target = Target(29.4, load=60.0)
+    with pytest.raises(NoChargeCurrent, match="whether the target is full is unknown"):
+        Charge(dead).run(target, 60.0, set_at(target, 40.0, load=0.0))
+    diode = Target(26.0, rate=0.002, load=17.0)
+    assert Charge(dead).run(diode, 1500.0) == "steady load"
+
+
 def test_a_slow_constant_current_below_full_voltage_is_no_steady_load() -> None:
     """Also where the board's own limit is lower than docking's."""
     target, charge = Target(29.0, inner=0.04, rate=5e-5), Charge()
