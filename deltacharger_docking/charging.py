@@ -18,6 +18,7 @@ from deltacharger_docking.touch import Target, keep_evidence, with_pitch
 _FULL = 0.01  # of the profile's full voltage that a full target may lack
 _JUMP = 0.3  # V by which a voltage shows that something has changed
 _RISES = 10.0  # s below full voltage, by which a dead port shows its battery; a regulated input fills in one
+_TAPERS = 1.0  # s of little current before a cut, by which a regulated input shows that its battery is full
 _QUIET = 30.0  # s of little current that show that it stays little
 _PULSES = 10.0  # s between two gaps of a battery management that pulses
 _CONSTANT, _CURRENT_SAME, _VOLTAGE_SAME = 600.0, 0.05, 0.03  # s; share and V by which a steady load changes in it
@@ -129,7 +130,7 @@ class Charged:
         unbroken = whole and current >= self._measurable
         self._gap = math.inf if current >= NO_CURRENT else min(self._gap, now)
         if now - self._gap >= profile.gap_time:
-            if self.at_full and self._is_shown:
+            if self.at_full and (self._is_shown or self._gap - self._quiet >= _TAPERS):
                 return "cut by the target"
             raise self._not_full("current ended", "the target's battery management, its input or a contact cut it off")
         broken = min(current, seen.least_current if current >= self._measurable else current) < NO_CURRENT

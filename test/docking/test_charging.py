@@ -185,6 +185,9 @@ def test_a_regulated_input_whose_port_shows_no_battery_is_full_only_by_a_small_c
     target = Target(29.4, load=60.0)
     with pytest.raises(NoChargeCurrent, match="whether the target is full is unknown"):
         Charge(dead).run(target, 60.0, set_at(target, 40.0, load=0.0))
+    target = Target(29.4, load=60.0)
+    tapers: Callable[[float], None] = lambda at: vars(target).update(load=max(60.0 - 2.0 * at, 0.0))  # noqa: E731
+    assert Charge(dead).run(target, 60.0, tapers) == "cut by the target"
     diode = Target(26.0, rate=0.002, load=17.0)
     assert Charge(dead).run(diode, 1500.0) == "steady load"
 
