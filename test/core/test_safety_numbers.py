@@ -386,7 +386,7 @@ class Battery(NamedTuple):
 def ends_as(battery: Battery, seconds: float, before: float = 24.0, period: float = 0.05) -> str:
     """Return how charging ends within so many seconds at this current and voltage; '' = it goes on."""
     shared = scene(contactor_closed=True)
-    shared.closing, shared.limits = context.Live(0.0), ChargeLimits(10.0, 29.4)
+    shared.closing, shared.limits = context.Live(0.0, 24.0), ChargeLimits(10.0, 29.4)
     charged = charging.Charged(shared, PROFILES["seven"])
     for number, at in enumerate(np.arange(0.0, 2.0 + seconds, period)):
         now = Battery(5.0, before) if number < 2.0 / period else battery
