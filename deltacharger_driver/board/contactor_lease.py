@@ -96,20 +96,16 @@ class ContactorLease:
         if self.is_live(now):
             if holder != self.holder or not self._is_known(token):
                 raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
-            self._check_current(0.0 if limits is None else limits.current)
+            low, high = LIMITS["current"]
+            current = 0.0 if limits is None else limits.current
+            if current != 0.0 and not low <= current <= high:  # also NaN
+                raise LeaseRefused(f"current is {current:g}: give {low:g} to {high:g}, or 0 to leave it")
             return
         if limits is None:
             raise LeaseRefused("a close needs limits of current and voltage: give current_max and voltage_max")
         if problem := limits_problem(limits):
             raise LeaseRefused(f"a close needs limits: {problem}")
         self._check_probe(now, limits.dead)
-
-    @staticmethod
-    def _check_current(current: float) -> None:
-        """Refuse a renewal whose current (A) is out of range; 0 = unchanged."""
-        low, high = LIMITS["current"]
-        if current != 0.0 and not low <= current <= high:  # also NaN
-            raise LeaseRefused(f"current is {current:g}: give {low:g} to {high:g}, or 0 to leave it")
 
     def _is_known(self, token: str) -> bool:
         """Return whether `token` is the lease's own; for a lease without token, the name suffices."""

@@ -117,7 +117,7 @@ class TactileNode(Node):
         hello = self._keeper.link.greeting  # None: a report that overtook the greeting, of a stage not yet known
         if self.context.ok() and hello is not None:
             record = self._keeper.guard.probe_record()
-            self._samples.power(sample, *record, hello.steps_up, hello.stage_voltage)
+            self._samples.power(sample, *record, (hello.steps_up, hello.stage_voltage))
 
     def _fresh_power(self) -> PowerSample | None:
         """Return the newest sample of the power stage; None if it is stale."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 
 from deltacharger.msg import ChargerPower, TactileFrame
@@ -69,17 +68,10 @@ class SamplePublishers:
             bytes((sample.tared,)),
         )
 
-    def power(
-        self,
-        sample: PowerSample,
-        probe_resistance: float,
-        probe_age: float,
-        steps_up: bool = True,
-        stage_voltage: float = math.nan,
-    ) -> None:
+    def power(self, sample: PowerSample, probe_resistance: float, probe_age: float, stage: tuple[bool, float]) -> None:
         """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void).
 
-        `steps_up` and `stage_voltage` (V) are the stage's as in `Hello`.
+        `stage` is its `steps_up` and `stage_voltage` (V) as in `Hello`.
         """
         power = sample.power
         measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
@@ -89,6 +81,6 @@ class SamplePublishers:
             *(array("f", (value,)) for value in measured),
             bytes((power.fault,)),
             array("f", (power.least_current,)),
-            bytes((steps_up,)),
-            array("f", (stage_voltage,)),
+            bytes(stage[:1]),
+            array("f", stage[1:]),
         )

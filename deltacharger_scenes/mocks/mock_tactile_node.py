@@ -147,7 +147,7 @@ class MockTactileNode(Node):
     def _publish_batteries(self) -> None:
         silent = self._fault.active() == "power_silence"
         with self._lock:
-            sample, _, _ = self._power_sample(time.monotonic())
+            sample, *_ = self._power_sample(time.monotonic())
         self._batteries.publish(None if silent else sample)
 
     def _touching(self) -> bool:
@@ -179,12 +179,12 @@ class MockTactileNode(Node):
         device_time = int((now - self._began) * 1e6)
         return TactileSample(now, self._sequence, device_time, pads, self._tare is not None, False)
 
-    def _power_sample(self, now: float) -> tuple[PowerSample, float, float]:
-        """Return the power stage's state with resistance (ohm) and age (s) of the last probe."""
+    def _power_sample(self, now: float) -> tuple[PowerSample, float, float, tuple[bool, float]]:
+        """Return the power stage's state, ohm and age (s) of the last probe, and the stage as in `Hello`."""
         stage = self._power
         voltage = TARGET if self._touching() else math.nan
         power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault, stage.current)
-        return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now)
+        return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now), (True, math.nan)
 
     def _feel(self, message: ServoState) -> None:
         """Follow the arm to its place and push."""
