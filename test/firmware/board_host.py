@@ -10,13 +10,14 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.protocol import SampleFormat
+from deltacharger_driver.emulators.stage import StageReading
 from deltacharger_driver.emulators.wire_faults import WireFaults
 
 from ..borrowed import anew, borrowed_tests
@@ -66,17 +67,6 @@ class BoardHost:
         """End the process; any output on its standard error, such as a sanitizer's, is a failure."""
         _, errors = self._process.communicate("quit\n" if self._process.poll() is None else None, timeout=10.0)
         assert (self._process.returncode, errors) == (0, "")
-
-
-class StageReading(NamedTuple):
-    """The power stage's readings; NaN = not measured."""
-
-    battery: float
-    target: float
-    output: float
-    current: float
-    closed: bool
-    fault: int
 
 
 class FirmwarePlant:
