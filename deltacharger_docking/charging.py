@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from deltacharger_core.script import Script
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import CriticalAngle, DockingError, EstimateUnsure, NoChargeCurrent, TactileStale
-from deltacharger_docking.context import Context
+from deltacharger_docking.context import SAME_SAMPLE, Context
 from deltacharger_docking.energy import NO_CURRENT
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.profile import TargetProfile
@@ -26,7 +26,6 @@ _SMOOTHED = 30.0  # s, time constant of what is compared over them; a load steps
 _LIMITED = 0.95  # share of the limit from which the limit sets the current
 _KEEPS, _NOISE = 0.5, 0.1  # share of its mean that an unbroken current keeps, less noise, A
 _MEASURABLE = 0.2  # A from which a current shows resistance
-_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
 _HEAT, _LEAST = 10.0, 1.0  # W in contacts that became dirty; A, below which they are not worth charging through
 _CLEAN = 0.5  # Ω, most of a loop that counts as clean if no better one was seen
 _DIP, _DIP_LEAST, _DIP_MOST = 0.15, 0.5, 0.6  # share by which the current dips; A at least, but share at most
@@ -123,7 +122,7 @@ class Charged:
         """
         context, profile, seen = self._context, self._profile, self._context.observation
         now, current, volts = context.time - seen.power_age, seen.charge_current, seen.target_voltage
-        if not (now > self._sampled + _SAME_SAMPLE and math.isfinite(current + volts)):
+        if not (now > self._sampled + SAME_SAMPLE and math.isfinite(current + volts)):
             return ""  # other checks handle what is not measured
         elapsed, self._sampled = now - self._sampled, now
         whole = current >= NO_CURRENT and seen.least_current >= _KEEPS * current - _NOISE

@@ -37,7 +37,7 @@ from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between, pull
 
-_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
+SAME_SAMPLE = 0.001  # s between two dates of one charger_power
 SHOWS = 0.5  # of empty_voltage, that a live port shows where nothing bridges it
 _READING = 0.01  # s between two readings: the servos' cycle
 _SIGMAS = 2.0  # of the readings' noise that are no drift
@@ -285,7 +285,7 @@ class Context:
     def is_dark(self) -> bool:
         """Whether two charger_power of this contact lack the voltage that a live port has shown before."""
         live, sampled = self.profile is not None and self.profile.port == "live", self.time - self.observation.power_age
-        return live and self.port_shown and sampled > self._dark + _SAME_SAMPLE
+        return live and self.port_shown and sampled > self._dark + SAME_SAMPLE
 
     @property
     def evidence_lost(self) -> str:

@@ -36,7 +36,7 @@ from deltacharger_docking.codes import (
     TactileStale,
     VoltageOutOfRange,
 )
-from deltacharger_docking.context import SHOWS, YIELDS, Context, Live
+from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.release import rolls
 
@@ -44,7 +44,6 @@ _OVERCHARGES, _NEVER_FILLS = 0.1, 0.3  # V of a stage's constant voltage above a
 _ABOVE, _BELOW = 0.3, 1.0  # V that a charging target may be above full, and below empty while its load steps
 _OVER, _BACK, _MUCH_BACK = 0.5, -0.5, -5.0  # A above the profile's; out of the target for 0.1 s, and at once
 _COLLAPSED, _THIRD = 2.0, 1.0 / 3.0  # V, or share of a live port's voltage, that remains
-_SAME_SAMPLE = 0.001  # s between two dates of one charger_power
 _REVERSE, WELD = 6, 7  # ChargerPower.FAULT_REVERSE_CURRENT, FAULT_CONTACTOR_WELDED
 _OUTSIDE = 0.002  # m beyond the workspace box; faultless dockings stay 0.1 mm within below, 20 mm elsewhere
 _BESIDE = 0.030  # m beside its line; faultless dockings 14 at most, with worn gears
@@ -218,7 +217,7 @@ class Watches:
             self._collapse = math.inf
             return None
         self._collapse = min(self._collapse, sampled)
-        if sampled <= self._collapse + _SAME_SAMPLE:
+        if sampled <= self._collapse + SAME_SAMPLE:
             return None
         return ShortCircuit(
             f"the port's voltage fell from {self._port:.1f} to {seen.target_voltage:.1f} V in contact: a bar bridges "

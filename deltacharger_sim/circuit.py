@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.charge_port import LIVE_VOLTAGE
 from deltacharger_driver.emulators.stage import Outputs, StageParameters, StageReading
 from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
 from deltacharger_sim.bars import Bars
@@ -161,7 +162,7 @@ class Circuit:
     @property
     def port_shorted(self) -> bool:
         """Whether a bar bridges a live port, which shorts the target's battery whatever the contactor does."""
-        return self._shorted and abs(self.port.undriven) >= 1.0
+        return self._shorted and abs(self.port.undriven) >= LIVE_VOLTAGE
 
     @property
     def _shorted(self) -> bool:
