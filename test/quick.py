@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking parameters that reduce a docking from 25 s to 5 s, for laws that hold at any speed."""
+"""Parameters that reduce a docking from 25 s to 5 s and forgive a busy computer, for laws that hold at any speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_scenes.scene import Scene, load_scene
+
+from .waiting import host
 
 STEPS = {
     "standoff": 0.008,
@@ -22,14 +25,29 @@ STEPS = {
     "landing_limit": 0.006,
 }
 """Parameters of docking_node."""
-SCENE = {
-    "simulation": {"seed": 1, "rig_seed": 1},
-    "parameters": {"docking_node": STEPS},
+PATIENT_MARGIN = min(host(REPLY_MARGIN), 0.05)
+"""Of servo_node; with a longer one, lost replies cost too much time."""
+PATIENT: dict[str, dict[str, Any]] = {
+    "docking_node": {
+        "servo_age_max": 1.0,
+        "live_servo_age_max": min(host(0.2), 0.5),  # the default at night: the contactor opens in time
+        "tactile_age_max": 1.0,
+        "power_age_max": 1.0,
+    },
+    "servo_node": {"reply_margin": PATIENT_MARGIN},
+    "misalignment_node": {"max_age": 1.0, "timeout": 2.5},
 }
-"""A complete simulated charger whose target is exactly at the given pose."""
+"""Parameters of each node that judges ages: a busy computer is not a broken cable."""
+QUICK = {
+    "simulation": {"seed": 1, "rig_seed": 1},
+    "parameters": {**PATIENT, "docking_node": {**STEPS, **PATIENT["docking_node"]}},
+}
+"""Content of a scene: five nodes on a simulated charger whose target is exactly at the given pose."""
 
 
 def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
-    """Return a packaged scene of the simulated charger with these steps, or with given ones."""
+    """Return a packaged scene of the simulated charger, quick and patient, with other parameters of docking_node."""
     packaged = load_scene(name)
-    return replace(packaged, parameters={**packaged.parameters, "docking_node": {**STEPS, **steps}})
+    quick = {node: {**packaged.parameters.get(node, {}), **given} for node, given in QUICK["parameters"].items()}
+    quick["docking_node"] = {**QUICK["parameters"]["docking_node"], **steps}
+    return replace(packaged, parameters={**packaged.parameters, **quick})

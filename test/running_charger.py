@@ -21,7 +21,6 @@ from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFram
 from rclpy.parameter import Parameter
 
 from deltacharger_docking.ros import services as docking_services
-from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.on_demand import LatestMessage
@@ -31,29 +30,9 @@ from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Ports, Scene
 
 from .chargers import DEADLINE, Process, new_namespace, patience, wait_until
-from .quick import SCENE, STEPS
 from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld
-from .waiting import host
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
-PATIENT = {
-    "servo_age_max": 1.0,
-    "live_servo_age_max": min(host(0.2), 0.5),  # the default at night: the contactor opens in time
-    "tactile_age_max": 1.0,
-    "power_age_max": 1.0,
-}
-"""Of docking_node: a busy computer is not a broken cable."""
-PATIENT_MARGIN = min(host(REPLY_MARGIN), 0.05)
-"""Of servo_node; with a longer one, lost replies cost too much time."""
-QUICK = {
-    **SCENE,
-    "parameters": {
-        "docking_node": {**STEPS, **PATIENT},
-        "servo_node": {"reply_margin": PATIENT_MARGIN},
-        "misalignment_node": {"max_age": 1.0, "timeout": 2.5},
-    },
-}
-"""Content of a scene: five nodes on a simulated charger whose target is exactly at GOAL, quick and patient."""
 _LOOK = 1.0  # s between docking_node's checks for second sources while it rests
 
 CommandLine = Callable[[Path, str], Sequence[str]]

@@ -121,7 +121,10 @@ def _identify_one(link: ServoLink, servo: int) -> str | None:
 
 
 def _locate(link: ServoLink, servo: int) -> str:
-    """Return at which speed a servo answers that does not answer at the link's speed."""
+    """Return at which speed a servo answers that did not answer at the link's speed; "" for one that answers now.
+
+    The supply may be switched on together with the computer: a servo that was still starting is asked once more.
+    """
     try:
         if link.ping_protocol_1(servo):
             return f"servo {servo} uses Protocol 1.0; {_UPDATE_ADVICE}"
@@ -139,7 +142,8 @@ def _locate(link: ServoLink, servo: int) -> str:
             return f"{found}; set its speed with 'deltacharger doctor --set-baud' or correct 'baud_rate'"
     finally:
         link.set_speed(link.baud_rate)
-    return f"servo {servo} does not answer at any speed; check its supply, its cable and its id"
+    silent = f"servo {servo} does not answer at any speed; check its supply, its cable and its id"
+    return silent if (fault := _identify_one(link, servo)) is None else fault
 
 
 def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:

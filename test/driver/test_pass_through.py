@@ -38,7 +38,7 @@ from ..behind_board import BehindEmulator
 from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..nodes import call, options
-from ..running_charger import PATIENT_MARGIN
+from ..quick import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
 
 pytestmark = pytest.mark.ros

@@ -142,6 +142,21 @@ def test_all_faults_are_in_one_message(closed: ServoBus, emulator: ServoBusEmula
     assert not closed.is_open
 
 
+def test_a_servo_that_starts_during_the_set_up_is_found(
+    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator.faults.missing = {2}
+    change = closed.clock.setBaudRate
+
+    def start(speed: int) -> bool:
+        emulator.faults.missing = set()
+        return bool(change(speed))
+
+    monkeypatch.setattr(closed.clock, "setBaudRate", start)
+    closed.open()
+    assert closed.read().complete
+
+
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [

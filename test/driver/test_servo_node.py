@@ -36,7 +36,7 @@ from deltacharger_ros.node_support import StartupError
 
 from ..chargers import Spin, new_namespace, patience
 from ..nodes import TELLS_PUBLISHERS, call, options
-from ..running_charger import PATIENT_MARGIN
+from ..quick import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
 from .servo_rig import START
 

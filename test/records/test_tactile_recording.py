@@ -27,7 +27,8 @@ from deltacharger_scenes.scene import parse_scene
 from deltacharger_tactile.dataset import SUBSET_POSITION, Dataset
 
 from ..marks import night, rest
-from ..running_charger import PATIENT, RunningCharger
+from ..quick import PATIENT
+from ..running_charger import RunningCharger
 
 pytestmark = pytest.mark.ros
 
@@ -44,7 +45,7 @@ WORLD = {"target": {"x": 0.0, "y": 0.0, "z": 0.080, "roll": 0.0}}
 SCENE = {
     "nodes": ["servo_node", "tactile_node", "docking_node"],
     "simulation": {"seed": 3, "rig_seed": 602, "world": WORLD},
-    "parameters": {"docking_node": {**STEPS, **PATIENT}, "servo_node": {"reply_margin": 0.1}},
+    "parameters": {"docking_node": {**STEPS, **PATIENT["docking_node"]}, "servo_node": {"reply_margin": 0.1}},
 }
 """A simulated charger with its target level at (0, 0, 80) mm."""
 Recorder = Callable[..., Process]

@@ -32,7 +32,8 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import DEADLINE, Process, Spin, new_namespace, wait_until
 from ..nodes import call, options
-from ..running_charger import QUICK, RunningCharger
+from ..quick import QUICK
+from ..running_charger import RunningCharger
 from .processes import ALARM, CONTAINER, LEADER, OPEN, ROOT, TERMINAL, first, left, needs_containers
 
 pytestmark = [pytest.mark.ros, pytest.mark.night]

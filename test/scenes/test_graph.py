@@ -22,7 +22,7 @@ from deltacharger_ros.outcomes import DockRequest
 from ..chargers import Spin, wait_until
 from ..nodes import options
 from ..quick import quick_simulation
-from ..running_charger import PATIENT, RunningCharger
+from ..running_charger import RunningCharger
 
 pytestmark = [pytest.mark.ros, pytest.mark.rest]
 
@@ -98,7 +98,7 @@ class Listener(Node):
 def listener(context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Listener:
     """A charger of all nodes but the mission's, with all its messages from the first to the end of a goal."""
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    scene = quick_simulation("camera", PATIENT)
+    scene = quick_simulation("camera")
     recorder = {"docking_recorder_node": {"folder": str(tmp_path)}}
     nodes = (*scene.nodes, "camera_node", "docking_recorder_node")
     scene = replace(scene, nodes=nodes, parameters={**scene.parameters, **recorder})

@@ -20,7 +20,8 @@ from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import parse_scene
 
 from ..chargers import wait_until
-from ..running_charger import GOAL, QUICK, RunningCharger
+from ..quick import QUICK
+from ..running_charger import GOAL, RunningCharger
 from ..waiting import host
 
 pytestmark = pytest.mark.ros

@@ -18,8 +18,8 @@ from deltacharger_ros.outcomes import DockRequest, Progress
 from deltacharger_scenes.scene import Scene, SceneError, parse_scene
 
 from ..marks import rest
-from ..quick import quick_simulation
-from ..running_charger import GOAL, PATIENT, QUICK, RunningCharger
+from ..quick import QUICK, quick_simulation
+from ..running_charger import GOAL, RunningCharger
 
 pytestmark = pytest.mark.ros
 
@@ -44,7 +44,7 @@ def test_it_docks_and_charges_and_a_cancel_of_the_next_goal_ends_safely(context:
 @pytest.mark.rest
 def test_it_docks_on_real_bytes_and_reports_no_charge(context: Any) -> None:
     powers: list[ChargerPower] = []
-    with RunningCharger(quick_simulation("published_robot", PATIENT), context) as charger:
+    with RunningCharger(quick_simulation("published_robot"), context) as charger:
         node = charger.client.node
         node.create_subscription(ChargerPower, "charger_power", powers.append, QoSProfile(depth=10))
         outcome = charger.dock()
@@ -72,7 +72,7 @@ BY_CAMERA = DockRequest(None)
 def scene(steps: Mapping[str, Any] = MappingProxyType({}), **target: Any) -> Scene:
     """The packaged scene with quick steps, other parameters of docking_node, and another target."""
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    packaged = quick_simulation("camera", {**PATIENT, **steps})
+    packaged = quick_simulation("camera", steps)
     assert packaged.simulation is not None
     world = packaged.simulation.world
     moved = replace(world, target=replace(world.target, **target))

@@ -24,7 +24,8 @@ from deltacharger_scenes.scene import load_scene, parse_scene
 
 from ..chargers import Process, wait_until
 from ..marks import rest
-from ..running_charger import GOAL, QUICK, RunningCharger, node_command, up
+from ..quick import QUICK
+from ..running_charger import GOAL, RunningCharger, node_command, up
 from ..running_charger import node_command as arguments
 from ..waiting import host
 from .processes import ALARM, CONTAINER, OPEN, first, lives, needs_containers

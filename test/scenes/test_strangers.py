@@ -26,7 +26,8 @@ from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import Spin, new_namespace, wait_until
 from ..nodes import TELLS_PUBLISHERS, options
-from ..running_charger import QUICK, RunningCharger, up
+from ..quick import QUICK
+from ..running_charger import RunningCharger, up
 
 pytestmark = pytest.mark.ros
 

@@ -30,7 +30,7 @@ from deltacharger_ros.executor import Spinner
 from ..chargers import wait_until
 from ..nodes import options
 from ..quick import quick_simulation
-from ..running_charger import PATIENT, RunningCharger
+from ..running_charger import RunningCharger
 
 pytestmark = [pytest.mark.ros, pytest.mark.night]
 
@@ -140,7 +140,7 @@ class Stranger(Node):
 
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[RunningCharger]:
-    scene = quick_simulation("simulated", {**PATIENT, "duplicate_source_timeout": 0.5})
+    scene = quick_simulation("simulated", {"duplicate_source_timeout": 0.5})
     with RunningCharger(scene, context) as charger:
         yield charger
 

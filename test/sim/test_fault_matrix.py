@@ -73,7 +73,8 @@ class Diagnostics:
 def charger(context: Any) -> Iterator[Any]:
     from deltacharger_scenes.scene import parse_scene
 
-    from ..running_charger import QUICK, RunningCharger
+    from ..quick import QUICK
+    from ..running_charger import RunningCharger
 
     with RunningCharger(parse_scene(QUICK, "faults"), context) as charger:
         charger.diagnostics = Diagnostics(charger)
