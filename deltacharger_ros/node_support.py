@@ -84,4 +84,5 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
                 node.destroy_node()
         return 0 if stop.is_set() else 1
     finally:
-        rclpy.try_shutdown()
+        # To uninstall handlers, even none, rclpy restores the default for an instant, and a second signal would kill.
+        rclpy.try_shutdown(uninstall_handlers=False)

@@ -99,6 +99,22 @@ def test_nodes_as_processes_log_a_docking_and_end_with_0_after_any_number_of_sig
     assert any("contactor open" in line for line in lines)
 
 
+def test_a_node_that_ends_never_restores_the_default_action_of_a_signal(start: Start) -> None:
+    """rclpy restores it whenever it uninstalls its handlers; a second signal would kill the node then."""
+    code = (
+        "import os, signal, sys, rclpy\n"
+        "from rclpy.node import Node\n"
+        "from deltacharger_ros import node_support\n"
+        "rclpy.uninstall_signal_handlers = lambda: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "class Stopped(Node):\n"
+        "    def __init__(self):\n"
+        "        super().__init__('stopped')\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.exit(node_support.run(Stopped))\n"
+    )
+    assert start(sys.executable, "-c", code).end() == 0
+
+
 @pytest.mark.witness
 def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) -> None:
     code = (
