@@ -146,7 +146,8 @@ def _swing(context: Context, farthest: float, current: float) -> Script[list[Swi
     a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.angles)
     held = kinematics.holding_torque(x, y, z, parameters.gravity)
     bound = context.planner.bound(held)
-    seen: list[tuple[float, Vector, Vector]] = []
+    observation = context.observation
+    seen = [(context.time - observation.servo_age, observation.angles, observation.currents)]  # before the jump
     # It swings only once it has heard of the jump, which its angles show.
     lasts, latest, end = _SWINGS / springs.frequency, context.time + _LATE, math.inf
     while context.time < end:

@@ -49,15 +49,18 @@ def swing_readings(
 ) -> list[SwingReading]:
     """Return the readings that count, with rates from the readings on either side.
 
-    Not those at a servo's bound, nor those before its current shows that it has heard of the jump.
+    Not those at a servo's bound, nor those before its current shows that it has heard of the jump; none of a servo that
+    has not turned, since it may never have heard.
 
     Args:
-        seen: time (s), angles (rad) and currents (A) in order, from the jump on.
+        seen: time (s), angles (rad) and currents (A) in order, the first before the jump.
         goals: after the jump, rad.
         most: current of each servo at which its bound may cut, A.
     """
     found = []
     for index, (goal, bound) in enumerate(zip(goals, most, strict=True)):
+        if max((abs(row[1][index] - seen[0][1][index]) for row in seen), default=0.0) < _LEAST_TURN:
+            continue
         changes = [abs(row[2][index] - seen[0][2][index]) for row in seen]
         heard = next((number for number, each in enumerate(changes) if each > _HEARD * max(changes)), 1)
         for before, now, after in zip(seen[heard - 1 :], seen[heard:], seen[heard + 1 :], strict=False):

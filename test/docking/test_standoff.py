@@ -53,6 +53,13 @@ def test_a_swing_shows_how_each_of_three_servos_springs_and_brakes() -> None:
         assert found.damping == pytest.approx(damping, rel=0.2)
 
 
+def test_a_jump_that_no_servo_heard_of_says_nothing() -> None:
+    """Its goals may have been lost: noise beside goals that never arrived looks like a servo without a spring."""
+    draw, goals = random.Random(1), (0.09,) * 3
+    still = [(0.01 * n, (TICK * (n % 2),) * 3, tuple(draw.gauss(0.0, 0.02) for _ in range(3))) for n in range(30)]
+    assert swing_readings(still, goals, (2.0,) * 3) == []  # type: ignore[arg-type]
+
+
 def refused(run: VirtualCharger, code: Code, *words: str, home: float = 0.01) -> None:
     """Dock: it is refused before contact for this reason, and the arm is limp, within `home` (m) of its home."""
     outcome = run.dock(DockGoal(GOAL))
