@@ -33,14 +33,19 @@ PATIENT: dict[str, dict[str, Any]] = {
         "live_servo_age_max": min(host(0.2), 0.5),  # the default at night: the contactor opens in time
         "tactile_age_max": 1.0,
         "power_age_max": 1.0,
+        "detection_age_max": 10.0,
     },
     "servo_node": {"reply_margin": PATIENT_MARGIN},
     "misalignment_node": {"max_age": 1.0, "timeout": 2.5},
+    "electrode_detector_node": {"image_age_max": 10.0},
 }
 """Parameters of each node that judges ages: a busy computer is not a broken cable."""
 QUICK = {
     "simulation": {"seed": 1, "rig_seed": 1},
-    "parameters": {**PATIENT, "docking_node": {**STEPS, **PATIENT["docking_node"]}},
+    "parameters": {
+        "docking_node": {**STEPS, **PATIENT["docking_node"]},
+        **{node: PATIENT[node] for node in ("servo_node", "misalignment_node")},
+    },
 }
 """Content of a scene: five nodes on a simulated charger whose target is exactly at the given pose."""
 
@@ -48,6 +53,6 @@ QUICK = {
 def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
     """Return a packaged scene of the simulated charger, quick and patient, with other parameters of docking_node."""
     packaged = load_scene(name)
-    quick = {node: {**packaged.parameters.get(node, {}), **given} for node, given in QUICK["parameters"].items()}
-    quick["docking_node"] = {**QUICK["parameters"]["docking_node"], **steps}
+    quick = {node: {**packaged.parameters.get(node, {}), **given} for node, given in PATIENT.items()}
+    quick["docking_node"] = {**STEPS, **PATIENT["docking_node"], **steps}
     return replace(packaged, parameters={**packaged.parameters, **quick})
