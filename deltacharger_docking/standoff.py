@@ -146,8 +146,9 @@ def _swing(context: Context, farthest: float, current: float) -> Script[list[Swi
     a, b, c = (min(max(angle + jump, geometry.joint_min), geometry.joint_max) for angle in context.angles)
     held = kinematics.holding_torque(x, y, z, parameters.gravity)
     bound = context.planner.bound(held)
-    observation = context.observation
-    seen = [(context.time - observation.servo_age, observation.angles, observation.currents)]  # before the jump
+    observation, seen = context.observation, []
+    if observation.servos_valid:  # the reference, before the jump
+        seen.append((context.time - observation.servo_age, observation.angles, observation.currents))
     # It swings only once it has heard of the jump, which its angles show.
     lasts, latest, end = _SWINGS / springs.frequency, context.time + _LATE, math.inf
     while context.time < end:

@@ -14,8 +14,10 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
+from deltacharger_docking import standoff
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import DockGoal
+from deltacharger_docking.context import Context
+from deltacharger_docking.observation import NAN3, DockGoal
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
@@ -100,6 +102,21 @@ def test_a_computer_that_stalls_is_no_servo_that_swings(longest: int) -> None:
     (swing,) = (dict(each.values) for each in decisions(sent, "swing"))
     found = [swing[f"damping_{number}_Nms_per_rad"] for number in (1, 2, 3)]
     assert all(math.isnan(damping) or damping > 0.3 for damping in found), found
+
+
+def test_a_reading_that_failed_before_the_jump_is_no_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, swing = charger(coarse=False), standoff._swing
+
+    def failed(context: Context, *rest: Any) -> Any:
+        context.observation = replace(context.observation, servos_valid=False, angles=NAN3, currents=NAN3)
+        return swing(context, *rest)
+
+    monkeypatch.setattr(standoff, "_swing", failed)
+    sent = commands(run)
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: bool(decisions(sent, "friction")), 20.0)
+    (found,) = (dict(each.values) for each in decisions(sent, "swing"))
+    assert all(found[f"damping_{number}_Nms_per_rad"] > 0.3 for number in (1, 2, 3)), found
 
 
 def wear(run: VirtualCharger, number: int, friction: float) -> None:
