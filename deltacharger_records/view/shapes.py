@@ -15,7 +15,7 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import PAD_DISTANCE
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry
-from deltacharger_records.view.mechanism import elbows, feet, motors, rods
+from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, elbows, feet, motors, rods
 from deltacharger_vision.terminal import Terminal
 
 Color = tuple[int, int, int]
@@ -35,10 +35,9 @@ ARM_RADIUS, ROD_RADIUS = 0.0075, 0.003
 _MOTOR = (0.0611, 0.0402, 0.041)  # MX-64 along radius, tangent and z
 _MOTOR_BACK = 0.0105  # of its centre behind its axis, inward
 _RING = 0.0255  # of the setup ring behind the motors' plane
-_PLATE = (0.125, 0.045, 0.014)
-_PLATE_BACK = 0.013
 _PAD = (0.024, 0.024, 0.006)
-_CAMERA = (0.110, 0.0545, 0.033)  # OAK-D
+_POST_BACK = 0.0105  # of the posts behind the joints that they carry, inward, where no rod leans
+_CAMERA = (0.036, 0.036, 0.025)  # assumed; limb 1 leaves no room for a wide one at the usual mount
 _TARGET_PLATE = (0.200, 0.120, 0.005)
 
 
@@ -73,13 +72,13 @@ def base(geometry: DeltaGeometry) -> Boxes:
         azimuth = 2.0 * math.pi * index / LIMB_COUNT
         outward = np.array([*LIMB_DIRECTIONS[index], 0.0])
         boxes.add(middle - _MOTOR_BACK * outward, _MOTOR, DARK, azimuth)
-        boxes.add(middle - 0.012 * outward - (0.0, 0.0, _RING), (0.074, 0.030, 0.008), ALUMINIUM, azimuth)
+        boxes.add(middle - 0.022 * outward - (0.0, 0.0, _RING), (0.054, 0.030, 0.008), ALUMINIUM, azimuth)
     return boxes
 
 
 def ring(geometry: DeltaGeometry) -> Array:
     """Return the setup ring's line (n, 3) m in charger_base."""
-    radius = geometry.base_radius + 0.019
+    radius = geometry.base_radius + 0.002
     turn = np.linspace(0.0, 2.0 * math.pi, 49)
     height = np.full_like(turn, -geometry.z_offset - _RING)
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
@@ -88,11 +87,17 @@ def ring(geometry: DeltaGeometry) -> Array:
 def platform(geometry: DeltaGeometry) -> Boxes:
     """Return the platform with electrodes, pads and joint posts, in end_effector."""
     boxes, terminal = Boxes(), Terminal()
-    boxes.add((0.0, 0.0, -_PLATE_BACK), _PLATE, DARK)
+    boxes.add((0.0, 0.0, -0.013), (0.074, 0.045, 0.014), DARK)
+    boxes.add((0.0, 0.0, -0.008), (0.120, 0.012, 0.004), DARK)
+    post = geometry.platform_radius - _POST_BACK
     for index, foot in enumerate(feet(geometry)):
         azimuth = 2.0 * math.pi * index / LIMB_COUNT
-        boxes.add((0.5 * foot[0], 0.5 * foot[1], -0.0225), (geometry.platform_radius, 0.024, 0.005), ALUMINIUM, azimuth)
-        boxes.add((foot[0], foot[1], -0.0125), (0.006, 0.046, 0.025), ALUMINIUM, azimuth)
+        outward = foot / geometry.platform_radius
+        boxes.add(0.5 * post * outward - (0.0, 0.0, 0.022), (post, 0.044, 0.004), ALUMINIUM, azimuth)
+        for _, share in SIDES:
+            joint = foot + share * ROD_SPACING * np.array([-outward[1], outward[0], 0.0])
+            boxes.add(joint - _POST_BACK * outward - (0.0, 0.0, 0.012), (0.006, 0.006, 0.024), ALUMINIUM, azimuth)
+            boxes.add(joint - 0.5 * _POST_BACK * outward, (_POST_BACK, 0.004, 0.004), DARK, azimuth)
     for side in (1.0, -1.0):
         bar = (terminal.bar_length, terminal.bar_height, terminal.bar_thickness)
         boxes.add((0.0, side * terminal.spacing / 2, -terminal.bar_thickness / 2), bar, ELECTRODE)
@@ -114,8 +119,7 @@ def camera() -> Boxes:
     """Return the camera's body in camera_color_optical_frame."""
     boxes = Boxes()
     boxes.add((0.0, 0.0, -_CAMERA[2] / 2), _CAMERA, ALUMINIUM)
-    for place in (-0.0375, 0.0, 0.0375):
-        boxes.add((place, 0.0, 0.001), (0.014, 0.014, 0.002), BLACK)
+    boxes.add((0.0, 0.0, 0.001), (0.014, 0.014, 0.002), BLACK)
     return boxes
 
 

@@ -21,7 +21,7 @@ from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, passive_joints
-from deltacharger_records.view.shapes import moving
+from deltacharger_records.view.shapes import camera, moving, platform
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 
@@ -198,6 +198,17 @@ def test_limits_dimensions_and_names_equal_the_geometrys() -> None:
     mimics = tree.mimics()  # only linear joints
     assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
     assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
+
+
+def test_the_view_draws_its_boxes() -> None:
+    root = ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
+    for link, drawn in (("end_effector", platform(DeltaGeometry())), ("camera_color_optical_frame", camera())):
+        boxes = [each for each in root.findall(f"link[@name='{link}']/visual") if each.find("geometry/box") is not None]
+        assert boxes
+        view = [(*centre, *size) for centre, size in zip(drawn.centres, drawn.sizes, strict=True)]
+        for box in boxes:
+            own = (*_numbers(box.find("origin"), "xyz"), *_numbers(box.find("geometry/box"), "size"))
+            assert any(own == pytest.approx(each, abs=1e-9) for each in view), own
 
 
 def two_chargers() -> ElementTree.Element:
