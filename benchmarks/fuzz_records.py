@@ -23,8 +23,7 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
 
     environment.prepare()
     sys.path.insert(0, str(ROOT / "test" / "records"))
-    from docking_tapes import KINDS as EVERY
-    from docking_tapes import NAMES, docking, measured, refused, result, write
+    from docking_tapes import NAMES, RECORDED, docking, measured, refused, result, write
     from mcap.writer import CompressionType, Writer
 
     from deltacharger_core.mcap_file import McapFile, RecordingError
@@ -35,10 +34,10 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
     from deltacharger_records.replay.record import replay
 
     tape = docking(measured(2.7, 12.5), *refused(Code.CRITICAL_ANGLE, "tilted", at=2.9), until=0.05)
-    kinds = {NAMES[name]: EVERY[NAMES[name]] for name in ("docking_state", "docking_decision", "tactile_frame")}
+    topics = {NAMES[name]: RECORDED[NAMES[name]] for name in ("docking_state", "docking_decision", "tactile_frame")}
     parameters = {"position_tolerance": 0.002, "geometry_file": "none.yaml"}
     end = result(Code.CRITICAL_ANGLE, "tilted")
-    record = written(folder, "r.mcap", lambda path: write(path, tape, end, parameters=parameters, kinds=kinds))
+    record = written(folder, "r.mcap", lambda path: write(path, tape, end, parameters=parameters, topics=topics))
 
     def plain(path: Path, **options: Any) -> None:
         """Write as other programs do: without checksums, so that damage stays undetected, with or without chunks."""
@@ -49,7 +48,7 @@ def of_recordings(folder: Path) -> Iterator[Reader]:
                 writer.add_metadata(name, values)
             file = McapFile(folder / "r.mcap")
             channels = {}
-            for topic in kinds:
+            for topic in topics:
                 schema = writer.register_schema(file.types[topic], "ros2msg", file.definitions[topic].encode())
                 channels[topic] = writer.register_channel(topic, "cdr", schema)
             for each in file.messages():

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_ros.on_demand import PolledTopic
@@ -16,11 +17,24 @@ from deltacharger_ros.on_demand import PolledTopic
 
 @dataclass(frozen=True)
 class Topic:
-    """A recorded topic: relative name, message class and quality of service."""
+    """A topic of a charger.
+
+    Attributes:
+        name: relative.
+        kind: message class.
+        qos: quality of service that its publisher offers.
+        queue: messages that a polling reader keeps; 500 lose none if the disk hangs for seconds.
+    """
 
     name: str
     kind: Any
-    qos: Any
+    qos: QoSProfile
+    queue: int = 500
+
+    @property
+    def polled(self) -> QoSProfile:
+        """Quality of service of a reader that polls."""
+        return QoSProfile(depth=self.queue, reliability=self.qos.reliability, durability=self.qos.durability)
 
 
 def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None]) -> None:
@@ -49,11 +63,11 @@ class PolledTopics:
 
     Args:
         node: subscriber.
-        topics: names relative to its namespace; their depths bound the time between two calls of `take`.
+        topics: names relative to its namespace; their queues bound the time between two calls of `take`.
     """
 
     def __init__(self, node: Node, topics: Sequence[Topic]) -> None:
-        self._topics = [PolledTopic(node, topic.kind, topic.name, topic.qos, raw=True) for topic in topics]
+        self._topics = [PolledTopic(node, topic.kind, topic.name, topic.polled, raw=True) for topic in topics]
 
     def take(self) -> list[Raw]:
         """Return the messages since the last call, in order of reception."""

@@ -104,7 +104,7 @@ def _player(context: Context, namespace: str) -> Any:
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "every_topic.mcap"
-        with McapWriter(path, {f"/{topic.name}": topic.kind for topic in TOPICS}) as writer:
+        with McapWriter(path, {f"/{topic.name}": topic for topic in TOPICS}) as writer:
             for topic in TOPICS:
                 writer.add_message(f"/{topic.name}", topic.kind(), 1, 1)
         node = RecordingPlayerNode(

@@ -25,6 +25,7 @@ from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import SETS, Part
 from deltacharger_records.recording.mcap_recording import McapWriter
+from deltacharger_ros.raw_topics import Topic
 from deltacharger_tactile.dataset import Dataset
 
 _JOURNAL_VERSION = 1
@@ -123,7 +124,7 @@ class Journal:
         write_text(self.folder / _HEADER, json.dumps(content, indent=1))
 
     def store(
-        self, docking: Docking, part: Part, settings: Settings, kinds: Mapping[str, Any], messages: Iterable[Raw]
+        self, docking: Docking, part: Part, settings: Settings, topics: Mapping[str, Topic], messages: Iterable[Raw]
     ) -> None:
         """Write a docking durably; it is on the disk when this returns.
 
@@ -131,7 +132,7 @@ class Journal:
             docking: to write.
             part: that it belongs to.
             settings: as passed to `check`.
-            kinds: message class of each topic.
+            topics: by their full names.
             messages: of the complete docking.
 
         Raises:
@@ -139,7 +140,7 @@ class Journal:
         """
         if part.name not in self.parts:
             self._begin(part, settings)
-        with McapWriter(self.folder / f"docking-{docking.attempt:06}.mcap", kinds) as writer:
+        with McapWriter(self.folder / f"docking-{docking.attempt:06}.mcap", topics) as writer:
             for message in messages:
                 writer.add(message)
             values = {key: json.dumps(value) for key, value in vars(docking).items() if key != "frames"}

@@ -7,10 +7,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
-from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
+from deltacharger.msg import TactileFrame
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
@@ -20,15 +19,11 @@ from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal
 from deltacharger_records.datasets.plan import Part
 from deltacharger_records.datasets.session import NotKept, Rested
-from deltacharger_ros import qos
-from deltacharger_ros.raw_topics import Topic
+from deltacharger_records.recording import docking_topics
+from deltacharger_records.recording.docking_topics import STATE
 
-TOPICS = (
-    Topic("tactile_frame", TactileFrame, qos.SENSOR),
-    Topic("servo_state", ServoState, qos.LATEST),
-    Topic("charger_power", ChargerPower, qos.LATEST),
-    Topic("docking_state", DockingState, qos.STATE),
-)
+_RECORDED = ("tactile_frame", "servo_state", "charger_power", STATE)
+TOPICS = tuple(topic for topic in docking_topics.TOPICS if topic.name in _RECORDED)
 """Topics recorded of each docking, as received."""
 _SIDE = 10  # taxels
 
@@ -101,7 +96,7 @@ class SessionKeeper:
         self._numbers, self._poses = numbers, part.poses()
         self._tape, self._now, self._report = tape, now, report
         self._tactile = names["tactile_frame"]
-        self._kinds: dict[str, Any] = {names[topic.name]: topic.kind for topic in TOPICS}
+        self._topics = {names[topic.name]: topic for topic in TOPICS}
         self._session = journal.next_session
         self._number = 0
         self._since = 0
@@ -173,7 +168,7 @@ class SessionKeeper:
         self.kept()
 
     def _write(self, docking: Docking, messages: Sequence[Raw]) -> Docking:
-        self._journal.store(docking, self._part, self._settings, self._kinds, messages)
+        self._journal.store(docking, self._part, self._settings, self._topics, messages)
         return docking
 
 

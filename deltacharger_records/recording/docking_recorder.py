@@ -24,6 +24,7 @@ from deltacharger_records.recording.mcap_recording import McapStream, pack
 from deltacharger_records.recording.own import ABOUT, head
 from deltacharger_records.recording.session import Seen, Session
 from deltacharger_ros.outcomes import Outcome
+from deltacharger_ros.raw_topics import Topic
 
 _FLUSH = 1.0  # s of messages that a killed recorder loses at most
 _PRUNE = 10.0  # s between checks of the folder's size while recording
@@ -46,8 +47,8 @@ class DockingRecorder:
     Args:
         folder: of the records.
         gate: selects the messages to keep; built by `gate_for`.
-        topics: full name by relative one.
-        kinds: message class by full name.
+        names: full name by relative one.
+        topics: by their full names.
         about: metadata of every record: version, scene, namespace.
 
     Attributes:
@@ -58,15 +59,15 @@ class DockingRecorder:
         self,
         folder: RecordFolder,
         gate: Gate,
-        topics: Mapping[str, str],
-        kinds: Mapping[str, Any],
+        names: Mapping[str, str],
+        topics: Mapping[str, Topic],
         about: Mapping[str, str],
     ) -> None:
         self.problem = ""
         self._folder = folder
         self._gate = gate
-        self._state, self._decision = topics[STATE], topics[DECISION]
-        self._kinds = kinds
+        self._state, self._decision = names[STATE], names[DECISION]
+        self._topics = topics
         self._about = about
         self._session = Session()
         self._file: _File | None = None
@@ -89,7 +90,7 @@ class DockingRecorder:
         body: Any = None
         if message.topic in (self._state, self._decision):
             try:
-                body = deserialize_message(message.data, self._kinds[message.topic])
+                body = deserialize_message(message.data, self._topics[message.topic].kind)
             except RuntimeError:  # raised by the middleware
                 return
         if message.topic == self._state:
@@ -157,7 +158,7 @@ class DockingRecorder:
             about = head(self._about, message.received, seen.request_id)
             path, stream = self._folder.create(message.received, seen.request_id)
             try:
-                mcap = McapStream(stream, self._kinds, live=True, metadata=[(ABOUT, about)])
+                mcap = McapStream(stream, self._topics, live=True, metadata=[(ABOUT, about)])
                 flush(stream)  # from now on the head shows that the file is ours, even after a crash
             except OSError:
                 self._folder.forget(path, stream)
@@ -184,7 +185,7 @@ class DockingRecorder:
                         contextlib.suppress(OSError, RecordingError),  # then the record stays unpacked
                         self._folder.rewriting(path, file.stream) as packed,
                     ):
-                        pack(path, packed, self._kinds)
+                        pack(path, packed, self._topics)
                 file.stream.close()
                 self._folder.prune()
         self._file = None
@@ -231,13 +232,13 @@ class DockingRecorder:
                 file.stream.close()
 
 
-def gate_for(topics: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate:
+def gate_for(names: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate:
     """Return the gate of a recorder.
 
     Args:
-        topics: full name by relative one.
+        names: full name by relative one.
         before: s kept before an event.
         rate: messages of each topic per second, kept while charging.
         folder_bytes: limit of the folder; one record takes at most half of it.
     """
-    return Gate(before, rate, folder_bytes // 2, [topics[name] for name in ALWAYS])
+    return Gate(before, rate, folder_bytes // 2, [names[name] for name in ALWAYS])

@@ -61,16 +61,16 @@ class DockingRecorderNode(Node):
                 schema_text(topic.kind)  # report a missing definition now, not at the first docking
         except RecordingError as error:
             raise node_support.StartupError(f"docking_recorder_node: {error}") from error
-        topics = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
+        names = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
         self._recorder = DockingRecorder(
             RecordFolder(self._folder_path, given.max_files, largest),
-            gate_for(topics, given.before, given.charging_rate, largest),
-            topics,
-            {topics[topic.name]: topic.kind for topic in TOPICS},
+            gate_for(names, given.before, given.charging_rate, largest),
+            names,
+            {names[topic.name]: topic for topic in TOPICS},
             {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
         )
-        self._state = topics[STATE]
-        self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
+        self._state = names[STATE]
+        self._feedback = {names[f"{action}/_action/feedback"]: action for action in ACTIONS}
         self._named: set[str] = set()
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
         self._received: deque[Callable[[], None]] = deque()

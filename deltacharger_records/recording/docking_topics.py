@@ -15,35 +15,33 @@ from deltacharger.msg import (
     TactileFrame,
 )
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_ros import qos
 from deltacharger_ros.raw_topics import Topic
 
-_DEPTH = 500  # no loss if the disk hangs for seconds
-_EVERY = QoSProfile(depth=_DEPTH)
-_LATCHED = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_SENSOR = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+_DEFAULT = QoSProfile(depth=qos.DEFAULT_DEPTH)
 
 STATE = "docking_state"
 DECISION = "docking_decision"
 ACTIONS = ("dock", "undock")
 
 TOPICS: tuple[Topic, ...] = (
-    Topic(STATE, DockingState, _LATCHED),
-    Topic(DECISION, DockingDecision, _EVERY),
-    Topic("servo_state", ServoState, _EVERY),
-    Topic("tactile_frame", TactileFrame, _SENSOR),
-    Topic("charger_power", ChargerPower, _EVERY),
-    Topic("misalignment", Misalignment, _EVERY),
-    Topic("electrode_detection", ElectrodeDetection, _EVERY),
-    Topic("joint_trajectory", JointTrajectory, _EVERY),
-    Topic("contact_wrench", WrenchStamped, _EVERY),
-    Topic("end_effector_pose", PoseStamped, _EVERY),
-    Topic("dock/_action/feedback", Dock.Impl.FeedbackMessage, _EVERY),
-    Topic("dock/_action/status", GoalStatusArray, _LATCHED),
-    Topic("undock/_action/feedback", Undock.Impl.FeedbackMessage, _EVERY),
-    Topic("undock/_action/status", GoalStatusArray, _LATCHED),
+    Topic(STATE, DockingState, qos.STATE),
+    Topic(DECISION, DockingDecision, _DEFAULT),
+    Topic("servo_state", ServoState, qos.LATEST),
+    Topic("tactile_frame", TactileFrame, qos.SENSOR),
+    Topic("charger_power", ChargerPower, qos.LATEST),
+    Topic("misalignment", Misalignment, _DEFAULT),
+    Topic("electrode_detection", ElectrodeDetection, _DEFAULT),
+    Topic("joint_trajectory", JointTrajectory, qos.LATEST),
+    Topic("contact_wrench", WrenchStamped, _DEFAULT),
+    Topic("end_effector_pose", PoseStamped, _DEFAULT),
+    Topic("dock/_action/feedback", Dock.Impl.FeedbackMessage, _DEFAULT),
+    Topic("dock/_action/status", GoalStatusArray, qos.STATE),
+    Topic("undock/_action/feedback", Undock.Impl.FeedbackMessage, _DEFAULT),
+    Topic("undock/_action/status", GoalStatusArray, qos.STATE),
 )
 """In a record, each has its full name."""
 

@@ -15,17 +15,32 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_core.files import atomic_write
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.own import LIBRARY
+from deltacharger_ros.raw_topics import Topic
 
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
 _PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
+# As `ros2 bag record` writes it: numbers, which all its versions read, and no history, which a recorder never learns.
+_OFFERED = """\
+- history: 3
+  depth: 0
+  reliability: {reliability:d}
+  durability: {durability:d}
+  deadline: {forever}
+  lifespan: {forever}
+  liveliness: 1
+  liveliness_lease_duration: {forever}
+  avoid_ros_namespace_conventions: false
+"""
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
 class McapStream:
@@ -33,7 +48,7 @@ class McapStream:
 
     Args:
         stream: to write to.
-        kinds: message class of each topic, by its full name.
+        topics: by their full names.
         live: write message by message, so that flushed data outlive this process; False = in chunks.
         metadata: records by name, written in this order directly after the header.
 
@@ -45,7 +60,7 @@ class McapStream:
     def __init__(
         self,
         stream: BinaryIO,
-        kinds: Mapping[str, Any],
+        topics: Mapping[str, Topic],
         *,
         live: bool,
         metadata: Iterable[tuple[str, Mapping[str, str]]] = (),
@@ -59,9 +74,10 @@ class McapStream:
         self._writer.start(profile="ros2", library=LIBRARY)
         for name, values in metadata:
             self.add_metadata(name, values)
-        for topic, message in kinds.items():
-            schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+        for full, topic in topics.items():
+            schema = self._writer.register_schema(type_name(topic.kind), "ros2msg", schema_text(topic.kind).encode())
+            offered = {"offered_qos_profiles": _offered(topic.qos)}
+            self._channels[full] = self._writer.register_channel(full, "cdr", schema, offered)
 
     def add(self, message: Raw) -> None:
         """Append a message; KeyError for an undeclared topic."""
@@ -97,16 +113,16 @@ class McapWriter(McapStream):
 
     Args:
         path: of the file; an existing file is replaced at the end.
-        kinds: message class of each topic, by its full name.
+        topics: by their full names.
 
     Raises:
         RecordingError: mcap or a message's .msg file is not installed.
         OSError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, topics: Mapping[str, Topic]) -> None:
         with ExitStack() as undo:
-            super().__init__(undo.enter_context(undo.enter_context(atomic_write(path)).open("wb")), kinds, live=False)
+            super().__init__(undo.enter_context(undo.enter_context(atomic_write(path)).open("wb")), topics, live=False)
             undo.push(self._complete)
             self._exit = undo.pop_all()
 
@@ -121,23 +137,28 @@ class McapWriter(McapStream):
             self.finish()
 
 
-def pack(path: Path, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
+def pack(path: Path, stream: BinaryIO, topics: Mapping[str, Topic]) -> None:
     """Rewrite in chunks a file that McapStream wrote live: a third of the size, and `ros2 bag` plays it by time.
 
     Args:
         path: of the file.
         stream: to write to.
-        kinds: message class of each topic, by its full name.
+        topics: by their full names.
 
     Raises:
         RecordingError: it is damaged.
         OSError: the disk does not accept it.
     """
     file = McapFile(path)
-    writer = McapStream(stream, kinds, live=False, metadata=file.metadata)
+    writer = McapStream(stream, topics, live=False, metadata=file.metadata)
     for message in file.messages():
         writer.add(message)
     writer.finish()
+
+
+def _offered(qos: QoSProfile) -> str:
+    """Return a publisher's quality of service as YAML in the form of `ros2 bag`, which offers it when it plays."""
+    return _OFFERED.format(reliability=qos.reliability, durability=qos.durability, forever=_FOREVER)
 
 
 def decode(data: bytes, kind: Any) -> Any:

@@ -19,7 +19,6 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
@@ -27,14 +26,12 @@ from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.replay.file import Recording
-from deltacharger_ros import node_support, qos
+from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.raw_topics import Topic
 
 _COMMANDS = "joint_trajectory"
-_NEWEST = ("servo_state", "charger_power", _COMMANDS)
 _OF_A_CHARGER = ("servo_state", "tactile_frame", "charger_power", STATE)
 _LOOK = 0.2  # s between searches for a charger while it plays
 _LEAST_GAP = 0.01  # s between two passes
@@ -60,7 +57,7 @@ class RecordingPlayerNode(Node):
         self._place = 0  # ns since 1970 of the last message played
         self._others_seen = 0.0
         self._played = {
-            topic.name: self.create_publisher(topic.kind, topic.name, quality(topic))
+            topic.name: self.create_publisher(topic.kind, topic.name, topic.qos)
             for topic in TOPICS
             if topic.name in self._recording.counts
         }
@@ -160,17 +157,6 @@ class RecordingPlayerNode(Node):
             level, text = WARN, f"{text}; {recording.damage}"
         values = {"file": recording.path, "passes": self.passes, "rate": self._given.rate, "messages": self._count}
         self._diagnostics.report(level, text, values, "playback", str(recording.path))
-
-
-def quality(topic: Topic) -> QoSProfile:
-    """Return the quality of service of a recorded topic, as on the charger."""
-    if topic.name in _NEWEST:
-        return qos.LATEST
-    if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-        return qos.STATE
-    if topic.qos.reliability == ReliabilityPolicy.BEST_EFFORT:
-        return qos.SENSOR
-    return QoSProfile(depth=qos.DEFAULT_DEPTH)
 
 
 def _survey(file: str, charger: str) -> tuple[Recording, int, int]:

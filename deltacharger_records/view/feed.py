@@ -37,8 +37,8 @@ ALWAYS_THERE = (SERVOS, PADS, POWER, STATE)
 _SHOWN = (SERVOS, PADS, POWER, FELT, SEEN, STATE, DECISION, FEEDBACK)
 TOPICS: tuple[Topic, ...] = (
     *(topic for topic in RECORDED if topic.name in _SHOWN),
-    Topic(DETECTION_IMAGE, Image, qos.SENSOR),
-    Topic(COLOR_IMAGE, Image, qos.SENSOR),
+    Topic(DETECTION_IMAGE, Image, qos.SENSOR, queue=5),
+    Topic(COLOR_IMAGE, Image, qos.SENSOR, queue=5),
 )
 """Displayed topics and their types."""
 

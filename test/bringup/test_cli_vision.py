@@ -201,6 +201,8 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
     from sensor_msgs.msg import Image
 
     from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_ros import qos
+    from deltacharger_ros.raw_topics import Topic
     from deltacharger_vision.ros.messages import camera_info_message
 
     messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)] * info
@@ -210,7 +212,7 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
         message.data = array("B", pixels.tobytes())
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         messages.append((topic, message, stamp))
-    with McapWriter(path, {topic: type(message) for topic, message, _ in messages}) as writer:
+    with McapWriter(path, {topic: Topic(topic, type(message), qos.SENSOR) for topic, message, _ in messages}) as writer:
         for number, (topic, message, stamp) in enumerate(messages):
             writer.add_message(topic, message, stamp + number, stamp)
     return path

@@ -22,11 +22,12 @@ from deltacharger_records.recording.folder import PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.own import ABOUT
 from deltacharger_ros.outcomes import Outcome
+from deltacharger_ros.raw_topics import Topic
 from deltacharger_ros.unknown import unknown_misalignment
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}
-KINDS = {NAMES[topic.name]: topic.kind for topic in TOPICS}
+RECORDED = {NAMES[topic.name]: topic for topic in TOPICS}
 MEASURED = (
     *("angle_rad", "angle_stddev_rad", "vertical_m", "vertical_stddev_m", "horizontal_m", "horizontal_stddev_m"),
     *("across_m", "across_stddev_m"),
@@ -126,14 +127,14 @@ def write(
     path: Path,
     messages: Iterable[Raw],
     *results: Outcome,
-    kinds: Mapping[str, Any] = KINDS,
+    topics: Mapping[str, Topic] = RECORDED,
     parameters: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """Write a recording of messages."""
-    with McapWriter(path, kinds) as writer:
+    with McapWriter(path, topics) as writer:
         writer.add_metadata(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
         for message in messages:
-            if message.topic in kinds:
+            if message.topic in topics:
                 writer.add(message)
         writer.add_metadata(PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
         for each in results:

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from .docking_tapes import BEGAN, KINDS, NAMES, docking, in_order, measured, raw, readings, refused, result, state
+from .docking_tapes import BEGAN, NAMES, RECORDED, docking, in_order, measured, raw, readings, refused, result, state
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
@@ -40,7 +40,7 @@ TILTED = "the target is rolled by 12.6°"
 def recorder(folder: Path, max_bytes: int = 10**8, rate: float = 1.0) -> DockingRecorder:
     gate = gate_for(NAMES, 2.0, rate, max_bytes)
     about = {"version": "0", "scene": "tape", "namespace": "/a"}
-    return DockingRecorder(RecordFolder(folder, 10, max_bytes), gate, NAMES, KINDS, about)
+    return DockingRecorder(RecordFolder(folder, 10, max_bytes), gate, NAMES, RECORDED, about)
 
 
 def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:

@@ -10,19 +10,23 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import DockingState, TactileFrame
 from mcap.reader import make_reader
+from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
+from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_records.recording.mcap_recording import McapStream, McapWriter, pack, schema_text, type_name
 
 pytestmark = pytest.mark.ros
 
-KINDS = {"/a/tactile_frame": TactileFrame, "/a/docking_state": DockingState}
+RECORDED = {f"/a/{topic.name}": topic for topic in TOPICS}
+ENDLESS = {"sec": 2**63 // 10**9, "nsec": (2**63 - 1) % 10**9}  # of rmw, as `ros2 bag` writes it
 
 
 def frame(number: int) -> TactileFrame:
@@ -38,7 +42,7 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(60)]
     state = DockingState(state=DockingState.STATE_CONTACT, request_id="é")
-    with McapWriter(path, KINDS) as writer:
+    with McapWriter(path, RECORDED) as writer:
         for message in written:
             writer.add(message)
         writer.add_message("/a/docking_state", state, 400, 399)
@@ -61,11 +65,29 @@ def test_other_readers_can_read_the_file(tmp_path: Path) -> None:
     assert [deserialize_message(each.data, DockingState) for each in file.messages("/a/docking_state")] == [state]
 
 
+def test_each_topic_tells_what_its_publisher_offers_so_that_ros2_bag_offers_it_too() -> None:
+    stream = io.BytesIO()
+    writer = McapStream(stream, RECORDED, live=True)
+    writer.finish()
+    stream.seek(0)
+    summary = make_reader(stream).get_summary()
+    assert summary is not None
+    offered = {each.topic: yaml.safe_load(each.metadata["offered_qos_profiles"]) for each in summary.channels.values()}
+    unknown = {"history": 3, "depth": 0, "liveliness": 1, "avoid_ros_namespace_conventions": False}
+    unknown |= dict.fromkeys(("deadline", "lifespan", "liveliness_lease_duration"), ENDLESS)
+    assert offered == {
+        name: [{**unknown, "reliability": int(topic.qos.reliability), "durability": int(topic.qos.durability)}]
+        for name, topic in RECORDED.items()
+    }
+    late = {"/a/docking_state", "/a/dock/_action/status", "/a/undock/_action/status"}
+    assert {name for name, (each,) in offered.items() if each["durability"] == DurabilityPolicy.TRANSIENT_LOCAL} == late
+
+
 def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(60)]
     with path.open("wb") as stream:
-        writer = McapStream(stream, KINDS, live=True)
+        writer = McapStream(stream, RECORDED, live=True)
         for message in written[:40]:
             writer.add(message)
         writer.add_metadata("docking", {"attempt": "3"})
@@ -74,11 +96,11 @@ def test_packing_a_live_file_changes_only_its_size(tmp_path: Path) -> None:
         writer.flush()
         assert McapFile(path).counts["/a/tactile_frame"] == 60, "a kill loses no flushed data"
         with pytest.raises(DamagedRecording, match=CUT_SHORT):
-            pack(path, io.BytesIO(), KINDS)
+            pack(path, io.BytesIO(), RECORDED)
         writer.finish()
     size = path.stat().st_size
     packed = io.BytesIO()
-    pack(path, packed, KINDS)
+    pack(path, packed, RECORDED)
     path.write_bytes(packed.getvalue())
     file = McapFile(path)
     assert list(file.messages()) == written
@@ -101,13 +123,13 @@ def test_a_schema_contains_the_definitions_of_all_parts() -> None:
 def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"before")
-    with contextlib.suppress(ZeroDivisionError), McapWriter(path, KINDS) as writer:
+    with contextlib.suppress(ZeroDivisionError), McapWriter(path, RECORDED) as writer:
         writer.add(Raw("/a/tactile_frame", 1, 1, serialize_message(frame(1))))
         raise ZeroDivisionError
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
     assert path.read_bytes() == b"before"
     with pytest.raises(OSError, match="nowhere"):
-        McapWriter(tmp_path / "nowhere" / "run.mcap", KINDS)
+        McapWriter(tmp_path / "nowhere" / "run.mcap", RECORDED)
 
 
 def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -115,5 +137,5 @@ def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.Mon
     with pytest.raises(RecordingError, match=r"deltacharger\[record\]"):
         require_mcap()
     with pytest.raises(RecordingError, match="install"):
-        McapWriter(tmp_path / "run.mcap", KINDS)
+        McapWriter(tmp_path / "run.mcap", RECORDED)
     assert not list(tmp_path.iterdir())

@@ -36,7 +36,7 @@ from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
 
-from .docking_tapes import KINDS, decision, docking, in_order, raw, refused, write
+from .docking_tapes import RECORDED, decision, docking, in_order, raw, refused, write
 
 pytestmark = pytest.mark.ros
 
@@ -47,7 +47,7 @@ AGE = 5_000_000  # ns between sampling and reception of the recorded messages
 
 def stamped(message: Raw) -> Raw:
     """Return a message with a stamp in its header, if it has one."""
-    content = deserialize_message(message.data, KINDS[message.topic])
+    content = deserialize_message(message.data, RECORDED[message.topic].kind)
     if not hasattr(content, "header"):
         return message
     content.header.stamp.sec, content.header.stamp.nanosec = divmod(message.received - AGE, 10**9)
@@ -69,7 +69,7 @@ class Audience:
         self.diagnostics: list[DiagnosticStatus] = []
         self.node = Node("audience", **options(context, self.namespace))
         for topic in TOPICS:
-            self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
+            self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.polled)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._executor = SingleThreadedExecutor(context=context)  # Spinner's passes no MessageInfo
         self._executor.add_node(self.node)
@@ -131,7 +131,9 @@ def test_all_messages_are_played_in_order_at_their_rate_with_their_age(
         assert audience.diagnostic("the recording is over").level == DiagnosticStatus.OK
         wait_until(lambda: len(audience.received["docking_state"]) >= 6, "the last state")
     for name, field in (("docking_state", "state"), ("docking_decision", "kind")):
-        wanted = [deserialize_message(each.data, KINDS[each.topic]) for each in tape() if each.topic == f"/a/{name}"]
+        wanted = [
+            deserialize_message(each.data, RECORDED[each.topic].kind) for each in tape() if each.topic == f"/a/{name}"
+        ]
         assert audience.values(name, field) == [getattr(each, field) for each in wanted]
     assert [list(each.uuid) for each in audience.values("dock/_action/feedback", "goal_id")[:1]] == [[7] * 16]
     ages, stamps = [], []
@@ -156,7 +158,11 @@ def test_misalignment_is_estimated_from_a_looped_recording(audience: Audience, r
         assert asked.result().misalignment.contact, asked.result()
         wait_until(lambda: composition.node(PLAYER).passes >= 2, "a second pass")
     states = audience.values("docking_state", "state")
-    once = [deserialize_message(each.data, KINDS[each.topic]).state for each in tape() if "docking_state" in each.topic]
+    once = [
+        deserialize_message(each.data, RECORDED[each.topic].kind).state
+        for each in tape()
+        if "docking_state" in each.topic
+    ]
     assert states[: 2 * len(once)] == 2 * once
 
 
@@ -190,9 +196,9 @@ def damaged(folder: Path) -> Path:
 
 
 def of_two(folder: Path) -> Path:
-    other = {topic.replace("/a/", "/b/"): kind for topic, kind in KINDS.items()}
+    other = {topic.replace("/a/", "/b/"): kind for topic, kind in RECORDED.items()}
     twins = [each._replace(topic=each.topic.replace("/a/", "/b/")) for each in tape()]
-    return write(folder / "two.mcap", in_order([*tape(), *twins]), kinds={**KINDS, **other})
+    return write(folder / "two.mcap", in_order([*tape(), *twins]), topics={**RECORDED, **other})
 
 
 @pytest.mark.parametrize(

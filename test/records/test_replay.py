@@ -21,7 +21,7 @@ import pytest
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
-from .docking_tapes import KINDS, NAMES, decision, docking, measured, raw, readings, refused, result, state, write
+from .docking_tapes import NAMES, RECORDED, decision, docking, measured, raw, readings, refused, result, state, write
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 
@@ -164,7 +164,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """What a recorder has written in blocks, to its end."""
     path = tmp_path_factory.mktemp("live") / "a.mcap"
     with path.open("wb") as stream:
-        writer = McapStream(stream, KINDS, live=True)
+        writer = McapStream(stream, RECORDED, live=True)
         for number, message in enumerate(docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)):
             writer.add(message)
             if number % 20 == 0:
@@ -188,13 +188,13 @@ def test_a_truncated_or_damaged_record_is_read_up_to_that_place(
 
 def test_a_recording_of_docking_state_alone_is_enough(tmp_path: Path) -> None:
     tape = docking(*refused(Code.NO_CONTACT, "nothing is there"))
-    found = replay(write(tmp_path / "a.mcap", tape, kinds={NAMES["docking_state"]: DockingState}))
+    found = replay(write(tmp_path / "a.mcap", tape, topics={NAMES["docking_state"]: RECORDED[NAMES["docking_state"]]}))
     assert found.outcome()["name"] == "NO_CONTACT"
     assert set(found.as_dict()["dropped"]["missing"]) == set(NAMES) - {"docking_state"}
 
 
 def test_a_recording_without_states_is_refused(tmp_path: Path, capsys: Capture) -> None:
-    write(tmp_path / "a.mcap", readings(0.0, 0.1), kinds={NAMES["servo_state"]: ServoState})
+    write(tmp_path / "a.mcap", readings(0.0, 0.1), topics={NAMES["servo_state"]: RECORDED[NAMES["servo_state"]]})
     write(tmp_path / "b.mcap", [])
     for name in ("a", "b"):
         refuses(capsys, f"replay {tmp_path}/{name}.mcap", "docking_state")
@@ -202,9 +202,9 @@ def test_a_recording_without_states_is_refused(tmp_path: Path, capsys: Capture) 
 
 def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "two.mcap"
-    kinds = {"/left/docking_state": DockingState, "/right/docking_state": DockingState}
-    with McapWriter(path, kinds) as writer:
-        for topic, code in zip(kinds, (302, 305), strict=True):
+    topics = dict.fromkeys(("/left/docking_state", "/right/docking_state"), RECORDED[NAMES["docking_state"]])
+    with McapWriter(path, topics) as writer:
+        for topic, code in zip(topics, (302, 305), strict=True):
             for time, state_message in ((1, DockingState(state=2)), (2, DockingState(state=0, error_code=code))):
                 writer.add(Raw(topic, time * 10**9, time * 10**9, serialize_message(state_message)))
     refuses(capsys, f"replay {path}", "--namespace")
@@ -277,7 +277,7 @@ def test_a_changed_definition_is_no_older_one_and_is_named(tmp_path: Path) -> No
     for text in ("uint8 state\nfloat64 gone", "uint16 state"):
         assert not is_older(fields(text), now)
     assert not is_older({**now, "deltacharger/Gone": ["float64 x"]}, now)
-    kind = KINDS[NAMES["charger_power"]]
+    kind = RECORDED[NAMES["charger_power"]].kind
     definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
     path = older(tmp_path / "a.mcap", kind, definition)
     assert "definition" in Recording(path).unreadable["charger_power"]

@@ -24,10 +24,12 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_ros import qos
+from deltacharger_ros.raw_topics import Topic
 
 from ..bringup.command import Capture, answer, refuses, run
 from ..chargers import Process, new_namespace, wait_until
-from .docking_tapes import KINDS, NAMES, decision, in_order, raw, state, write
+from .docking_tapes import NAMES, RECORDED, decision, in_order, raw, state, write
 
 pytestmark = [
     pytest.mark.ros,
@@ -54,7 +56,7 @@ def charge() -> list[Any]:
         power = ChargerPower(contactor_closed=felt, charge_current=5.0 * felt, target_voltage=24.0)
         found += [raw(now, "servo_state", servos), raw(now, "tactile_frame", pads)]
         if tick % 10 == 0:
-            feedback = KINDS[NAMES["dock/_action/feedback"]]()
+            feedback = RECORDED[NAMES["dock/_action/feedback"]].kind()
             feedback.feedback.contact_current = 0.45 * felt
             found += [raw(now, "charger_power", power), raw(now, "dock/_action/feedback", feedback)]
     phases = (State.IDLE, State.APPROACH, State.CONTACT, State.MEASURE, State.ENERGISE, State.CHARGING)
@@ -159,10 +161,14 @@ def test_messages_are_counted_and_of_two_chargers_one_is_chosen(tmp_path: Path, 
     from std_msgs.msg import Header
 
     both, other = tmp_path / "both.mcap", tmp_path / "other.mcap"
-    twins = {f"/{side}/docking_state": KINDS[NAMES["docking_state"]] for side in ("left", "right")}
+    twins = {f"/{side}/docking_state": RECORDED[NAMES["docking_state"]] for side in ("left", "right")}
     tape = [state(0.1 * number, State.IDLE)._replace(topic=topic) for topic in twins for number in range(3)]
-    write(both, in_order(tape), kinds=twins)
-    write(other, [raw(0.0, "docking_state", Header())._replace(topic="/chatter")], kinds={"/chatter": Header})
+    write(both, in_order(tape), topics=twins)
+    write(
+        other,
+        [raw(0.0, "docking_state", Header())._replace(topic="/chatter")],
+        topics={"/chatter": Topic("chatter", Header, qos.SENSOR)},
+    )
     save = f"--save {tmp_path}/a.rrd"
     refuses(capsys, f"view --recording {both} {save}", "/left, /right")
     refuses(capsys, f"view --recording {both} --namespace elsewhere {save}", "elsewhere")

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
+from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_ros.outcomes import DockRequest
 
 from ..chargers import Spin, wait_until
@@ -66,6 +67,7 @@ class Listener(Node):
         frames: frame_ids of every header so far, by topic.
         statuses: so far, of this namespace.
         heard: names of the subscribed topics.
+        offered: quality of service of the first publisher of each.
     """
 
     def __init__(self, context: Any, namespace: str) -> None:
@@ -73,6 +75,7 @@ class Listener(Node):
         self.frames: dict[str, set[str]] = defaultdict(set)
         self.statuses: list[DiagnosticStatus] = []
         self.heard: set[str] = set(QUIET)
+        self.offered: dict[str, QoSProfile] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.create_timer(0.2, self._look)
 
@@ -85,6 +88,7 @@ class Listener(Node):
             quality = QoSProfile(depth=100, reliability=offered[0].reliability, durability=offered[0].durability)
             self.create_subscription(type_of(kind), name, self._receiver(name), quality)
             self.heard.add(name)
+            self.offered[name.removeprefix(f"{self.get_namespace()}/")] = quality
 
     def _receiver(self, topic: str) -> Callable[[Any], None]:
         return lambda message: self.frames[topic].update(each.frame_id for each in headers(message))
@@ -134,3 +138,8 @@ def test_every_header_has_a_frame_and_every_diagnostic_known_values_only(listene
         if not re.fullmatch(HARDWARE.get(node, ".*"), status.hardware_id):
             wrong.append(f"{status.name}: hardware_id '{status.hardware_id}'")
     assert sorted(set(wrong)) == []
+    recorded = {topic.name: topic.qos for topic in TOPICS if topic.name in listener.offered}
+    assert set(recorded) > OF_A_GOAL, "a recording tells what their publishers offer"
+    for name, told in recorded.items():
+        offered = listener.offered[name]
+        assert (name, told.reliability, told.durability) == (name, offered.reliability, offered.durability)

@@ -19,7 +19,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
+from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
+from deltacharger_ros.raw_topics import Topic
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
 from deltacharger_vision.cameras.keeper import CameraUnavailable
@@ -121,7 +123,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     kinds = {"/old/color/image_raw": Image, "/old/depth/image_raw": Image, "/old/color/camera_info": CameraInfo}
     path = tmp_path_factory.mktemp("recording") / "rec.mcap"
-    with McapWriter(path, kinds) as writer:
+    with McapWriter(path, {name: Topic(name, kind, qos.SENSOR) for name, kind in kinds.items()}) as writer:
         for number in range(5):
             stamp, image = 10**9 + number * 20 * MS, picture(number)
             now, later = (rclpy.time.Time(nanoseconds=stamp + each).to_msg() for each in (0, 3 * MS))
@@ -162,7 +164,7 @@ def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, replay: s
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
     from deltacharger_records.recording.mcap_recording import McapWriter
 
-    with McapWriter(tmp_path / "empty.mcap", {"/color/image_raw": Image}):
+    with McapWriter(tmp_path / "empty.mcap", {"/color/image_raw": Topic("color/image_raw", Image, qos.SENSOR)}):
         pass
     with pytest.raises(StartupError, match=noun):
         start(replay=str(tmp_path / replay) if replay else "", rate=60.0, exposure_us=10_000 if replay else 30_000)
