@@ -7,6 +7,7 @@ Messages stay CDR bytes; callers that have ROS decode them. Needs the package mc
 from __future__ import annotations
 
 import os
+import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -30,7 +31,13 @@ from deltacharger_core.picklable import Picklable
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Reason for a truncated but otherwise valid file."""
 
+BAGS = (".mcap", ".db3", ".zstd")
+"""Endings of the files that `ros2 bag record` writes."""
+
 _LONGEST = 300  # characters of a reason
+_NAMED_MAX = 5  # files of a folder named in an error
+_ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins compressed data; CDR begins with 0
+_FOREIGN = {b"SQLite format 3\0": "is a bag in SQLite (db3)", _ZSTANDARD: "is compressed as a whole (zstd)"}
 
 
 class RecordingError(Picklable, RuntimeError):
@@ -70,9 +77,10 @@ class McapFile:
     """An MCAP file, described by its index. Without an index (recorder killed, damage) the complete file is scanned.
 
     Args:
-        path: file.
+        path: file, or a folder with one, as `ros2 bag record` writes.
 
     Attributes:
+        path: the file.
         types: message type of each topic, such as std_msgs/msg/Header; '' = untyped.
         definitions: message definition of each topic.
         counts: number of messages of each topic.
@@ -81,13 +89,13 @@ class McapFile:
         damage: why the scan stopped early; '' = the file has an index or is complete.
 
     Raises:
-        RecordingError: mcap is not installed, or this is no MCAP file.
+        RecordingError: mcap is not installed, this is no MCAP file, or its messages are compressed one by one.
         OSError: the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         require_mcap()
-        self.path = path
+        self.path = path = _only_recording(path) if path.is_dir() else path
         self.types: dict[str, str] = {}
         self.definitions: dict[str, str] = {}
         self.counts: Counter[str] = Counter()
@@ -95,11 +103,16 @@ class McapFile:
         self.first = self.last = 0
         self.damage = ""
         with open_file(path, LARGEST_FILE) as stream:
-            empty = not os.fstat(stream.fileno()).st_size
-        if empty:
-            raise RecordingError(f"{path} is empty: its recorder stopped before it wrote anything")
+            if not os.fstat(stream.fileno()).st_size:
+                raise RecordingError(f"{path} is empty: its recorder stopped before it wrote anything")
+            begin = stream.read(max(map(len, _FOREIGN)))
+        for magic, what in _FOREIGN.items():
+            if begin.startswith(magic):
+                raise RecordingError(f"{path} {what}: {_conversion(path)}")
         if not self._read_index():
             self._scan()
+        if self._begins_compressed():
+            raise RecordingError(f"{path} holds compressed messages (zstd): {_conversion(path)}")
 
     def metadata_named(self, name: str) -> list[dict[str, str]]:
         """Return all metadata with this name."""
@@ -177,6 +190,14 @@ class McapFile:
                 raise RecordingError(f"{self.path} is no MCAP file") from error
             self.damage = error.reason
 
+    def _begins_compressed(self) -> bool:
+        """Whether the first message is compressed, so that its bytes are not CDR."""
+        try:
+            first = next(self.messages(), None)
+        except DamagedRecording:  # whoever reads it is told
+            return False
+        return first is not None and first.data.startswith(_ZSTANDARD)
+
     def _add_channel(self, channel: Any, schema: Any) -> None:
         self.types.setdefault(channel.topic, schema.name if schema else "")
         self.definitions.setdefault(channel.topic, schema.data.decode(errors="replace") if schema else "")
@@ -192,6 +213,30 @@ class McapFile:
                 raise
             except Exception as error:  # on damage zstandard, lz4, struct or mcap raise their own errors
                 raise DamagedRecording(self.path, f"the file is damaged from here on: {error}"[:_LONGEST]) from error
+
+
+def recordings_in(path: Path) -> list[Path]:
+    """Return the files that are named like recordings, in order: those of a folder, or the file itself."""
+    return sorted(each for each in (path.iterdir() if path.is_dir() else [path]) if each.suffix.lower() in BAGS)
+
+
+def _only_recording(folder: Path) -> Path:
+    """Return the recording in a folder; RecordingError unless there is exactly one."""
+    found = recordings_in(folder)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise RecordingError(f"{folder} holds no recording (*{BAGS[0]}): give a file, or a folder of `ros2 bag record`")
+    names = ", ".join(path.name for path in found[:_NAMED_MAX])
+    more = " …" if len(found) > _NAMED_MAX else ""
+    raise RecordingError(f"{folder} holds {len(found)} recordings: give one of its files, {names}{more}")
+
+
+def _conversion(path: Path) -> str:
+    """Return what to do with a bag that this package does not read."""
+    bag = path.parent if (path.parent / "metadata.yaml").is_file() else path
+    command = f"rosbags-convert --src {shlex.quote(str(bag))} --dst NEW --dst-storage mcap"
+    return f"convert it to MCAP with `{command}` (pip install rosbags)"
 
 
 def require_mcap() -> None:

@@ -97,7 +97,7 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
     if node not in scene.nodes:
         raise SceneError(scene.file, key, f"this scene starts no {node}: leave it out, or choose a scene with one")
     path = given_path(file).absolute()
-    if not path.is_file():
+    if not path.exists():
         raise SceneError(scene.file, key, f"'{file}': there is no such file")
     return _with_parameter(scene, node, parameter, str(path))
 

@@ -13,8 +13,8 @@ _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 def file_to_read(flag: str, name: str) -> Path:
-    """Return the path of an existing file; CommandError with exit code 2 if there is none."""
-    if not Path(name).is_file():
+    """Return an existing path, which its reader checks; CommandError with exit code 2 if there is none."""
+    if not Path(name).exists():
         raise CommandError(f"{flag} {name}: there is no such file", WRONG_INPUT)
     return Path(name)
 

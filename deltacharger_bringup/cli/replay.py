@@ -21,9 +21,11 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment, streams
-from deltacharger_core.mcap_file import McapFile, RecordingError
+from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
 from deltacharger_records.recording.folder import END
-from deltacharger_records.recording.own import ABOUT, PARTIAL, SUFFIX, look
+from deltacharger_records.recording.own import ABOUT, PARTIAL, look
+
+_STATE = "deltacharger/msg/DockingState"
 
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +76,7 @@ def _file(options: argparse.Namespace, path: Path) -> int:
 def _folder(options: argparse.Namespace, folder: Path) -> int:
     if options.picture:
         raise CommandError("--picture draws one record; give a file, not a folder", WRONG_INPUT)
-    names = sorted(path for path in folder.iterdir() if path.name.endswith((SUFFIX, PARTIAL)))
+    names = sorted(path for path in folder.iterdir() if path.name.endswith((*BAGS, PARTIAL)))
     entries = [_entry(path) for path in names if not path.name.startswith(".")]
     if options.json:
         write_json({"folder": str(folder), "records": entries})
@@ -90,7 +92,7 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
         alone = f"; the recorder does not manage it: {entry['left_alone']}" if entry["left_alone"] else ""
         print_text(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
-            f"{entry['outcome']:<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
+            f"{entry['outcome'] or '–':<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
         )
     return DONE
 
@@ -101,13 +103,16 @@ def _entry(path: Path) -> dict[str, Any]:
     try:
         entry |= {"bytes": path.stat().st_size, "left_alone": look(path).problem}
         file = McapFile(path)
+        states = [topic for topic, kind in file.types.items() if kind == _STATE]
+        if not any(file.counts[topic] for topic in states):
+            raise RecordingError("it holds no docking_state, so it is no record of a docking")
     except (RecordingError, OSError) as error:
         return entry | {"problem": str(error)} | nothing
     about, end = (file.metadata_named(name) or [{}] for name in (ABOUT, END))
     return entry | {
         "time": file.first * 1e-9,
         "duration": (file.last - file.first) * 1e-9,
-        "outcome": end[-1].get("ending", "unfinished"),
+        "outcome": end[-1].get("ending", "unfinished" if about[-1] else ""),
         "request_id": about[-1].get("request_id", ""),
     }
 

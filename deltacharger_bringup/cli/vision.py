@@ -26,7 +26,7 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_core import environment
-from deltacharger_core.mcap_file import RecordingError
+from deltacharger_core.mcap_file import RecordingError, recordings_in
 from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.cameras.recording import CameraRecording, CameraTopics
 from deltacharger_vision.detector.annotate import annotated
@@ -45,7 +45,6 @@ from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME, Mount
 from deltacharger_vision.terminal import Terminal
 
-_RECORDING = ".mcap"
 _ONE = ("depth", "picture")
 _TOPICS = ("color_topic", "depth_topic", "info_topic")
 _MANY = ("pictures", *_TOPICS)
@@ -155,7 +154,7 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
 def _many(options: argparse.Namespace, finder: _Finder) -> int:
     pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
     path = Path(options.path)
-    source = _recorded(options, path) if path.suffix.lower() == _RECORDING else _stored(options, path)
+    source = _recorded(options, path) if recordings_in(path) else _stored(options, path)
     results: list[dict[str, Any]] = []
     progress = _Progress(source.count)
     try:
@@ -197,11 +196,8 @@ def _report_many(options: argparse.Namespace, results: list[dict[str, Any]], cou
 
 def _stored(options: argparse.Namespace, folder: Path) -> _Images:
     """Return the images of a folder."""
-    if folder.is_file():
-        raise CommandError(f"{folder}: give a folder or a recording (*{_RECORDING}), or --color", WRONG_INPUT)
-    recording = next(iter(sorted(folder.glob(f"*{_RECORDING}"))), None)
-    if recording is not None:  # `ros2 bag` writes folders
-        raise CommandError(f"{folder} contains a recording; give {recording}", WRONG_INPUT)
+    if folder.exists() and not folder.is_dir():
+        raise CommandError(f"{folder}: give a folder or a recording (*.mcap), or --color", WRONG_INPUT)
     for name in _TOPICS:
         if getattr(options, name):
             raise CommandError(f"{_flag(name)} is for a recording", WRONG_INPUT)

@@ -24,7 +24,7 @@ class Recording:
     """One charger's dockings in a file.
 
     Args:
-        path: of the file.
+        path: of the file, or of a folder with one.
         namespace: of the charger; None = the only one in the file.
 
     Attributes:
@@ -40,8 +40,8 @@ class Recording:
     """
 
     def __init__(self, path: Path, namespace: str | None = None) -> None:
-        self.path = path
         self.file = McapFile(path)
+        self.path = path = self.file.path
         self.namespace = _charger(self.file, namespace)
         self.damage = self.file.damage
         self.counts: dict[str, int] = {}

@@ -48,7 +48,7 @@ class ShownRecording:
     """The displayed content of an MCAP file.
 
     Args:
-        path: of the file.
+        path: of the file, or of a folder with one.
         namespace: of the charger; '' = the only one in the file.
 
     Attributes:
@@ -61,6 +61,7 @@ class ShownRecording:
 
     def __init__(self, path: Path, namespace: str = "") -> None:
         self._file = McapFile(path)
+        path = self._file.path
         self.settings = recorded_settings(self._file)
         chargers: dict[str, dict[str, Topic]] = {}
         for full, kind in self._file.types.items():

@@ -57,7 +57,7 @@ class CameraRecording:
     depth/image_raw or aligned_depth_to_color/image_raw. The intrinsics are the camera_info next to the colour.
 
     Args:
-        path: of the file.
+        path: of the file, or of a folder with one.
         asked: requested topics, with or without the leading slash; the class finds those that are "".
 
     Attributes:
@@ -70,8 +70,8 @@ class CameraRecording:
     """
 
     def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
-        self.path = path
         self._file = McapFile(path)
+        self.path = path = self._file.path
         self.topics = _Topics(path, self._file.types).choose(asked or CameraTopics())
         self.images = self._file.counts[self.topics.color]
 

@@ -18,6 +18,9 @@ from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, R
 MESSAGES = [Raw(f"/{'ab'[n % 2]}", 1000 + n, 900 + n, f"message {n}".ljust(50).encode()) for n in range(100)]
 
 
+COMPRESSED = b"\x28\xb5\x2f\xfd" + bytes(20)
+
+
 def write(path: Path, chunk_size: int = 600, messages: list[Raw] = MESSAGES, **options: Any) -> Path:
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size, CompressionType.NONE, **options)
@@ -90,3 +93,37 @@ def test_damage_inside_ends_the_messages_with_an_error_and_other_files_are_refus
             McapFile(path)
     with pytest.raises(FileNotFoundError):
         McapFile(tmp_path / "none.mcap")
+
+
+def test_of_a_folder_the_only_recording_is_read(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"holds no recording"):
+        McapFile(tmp_path)
+    (tmp_path / "metadata.yaml").touch()
+    path = write(tmp_path / "bag_0.mcap")
+    assert (McapFile(tmp_path).path, McapFile(tmp_path).counts.total()) == (path, len(MESSAGES))
+    write(tmp_path / "bag_1.mcap")
+    with pytest.raises(RecordingError, match=r"holds 2 recordings.* bag_0\.mcap, bag_1\.mcap"):
+        McapFile(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind"),
+    [
+        ("bag.db3", b"SQLite format 3\0", "SQLite"),
+        ("bag.mcap.zstd", COMPRESSED, "as a whole"),
+        ("bag.mcap", None, "compressed messages"),
+    ],
+)
+def test_another_kind_of_bag_is_named_with_the_command_that_converts_it(
+    tmp_path: Path, name: str, content: bytes | None, kind: str
+) -> None:
+    bag = tmp_path / "my bag"
+    bag.mkdir()
+    write(bag / name, messages=[each._replace(data=COMPRESSED) for each in MESSAGES])
+    if content is not None:
+        (bag / name).write_bytes(content)
+    with pytest.raises(RecordingError, match=rf"{kind}.*rosbags-convert --src '.*{name}' --dst NEW --dst-storage mcap"):
+        McapFile(bag / name)
+    (bag / "metadata.yaml").touch()
+    with pytest.raises(RecordingError, match=rf"{kind}.*rosbags-convert --src '.*my bag' "):
+        McapFile(bag)

@@ -199,9 +199,11 @@ def test_files_reach_their_nodes_with_their_full_path(tmp_path: Path, monkeypatc
     Path("mine.npz").touch()
     scene = override(load_scene("bench"), Overrides(model="mine.npz"))
     assert scene.node_parameters("misalignment_node", {}) == {"model": str(tmp_path / "mine.npz")}
-    Path("one.mcap").touch()
-    scene = override(load_scene("replay"), Overrides(recording="one.mcap"))
-    assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / "one.mcap")
+    Path("bag").mkdir()
+    for name in ("bag", "bag/one.mcap"):  # the reader takes the recording of a folder
+        Path("bag/one.mcap").touch()
+        scene = override(load_scene("replay"), Overrides(recording=name))
+        assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / name)
 
 
 def test_records_go_to_the_given_folder_or_nowhere(tmp_path: Path) -> None:
