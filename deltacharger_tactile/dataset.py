@@ -136,8 +136,14 @@ _OPTIONAL = ("dead", "contact_pose", "force")
 _INTEGERS = ("attempt", "session", "rig", "subset")
 _FRAME = (ROWS, COLUMNS)
 _SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
-_FINITE = ("left", "right", "angle", "vertical", "horizontal")
-_LARGEST = {"left": 1e3, "right": 1e3, "angle": 3.2, "vertical": 0.1, "horizontal": 0.1}
+_LARGEST: dict[str, float | tuple[float, ...]] = {
+    "left": 1e3,
+    "right": 1e3,
+    "angle": 3.2,
+    "vertical": 0.1,
+    "horizontal": 0.1,
+    "contact_pose": (0.1, 0.1, 3.2),
+}
 """N, rad, m; larger values are in other units."""
 
 
@@ -161,12 +167,14 @@ def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
             raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold integers")
         if not np.issubdtype(array.dtype, np.number) and array.dtype != bool:
             raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold numbers")
-        if name in _FINITE:
-            wrong = np.flatnonzero(~(np.abs(array.reshape(count, -1)).max(axis=1) <= _LARGEST[name]))
+        if name in _LARGEST:
+            size = np.abs(array.reshape(count, -1))
+            fits = (size <= _LARGEST[name]) | (np.isnan(size) if name in _OPTIONAL else False)
+            wrong = np.flatnonzero(~fits.all(axis=1))
             if len(wrong):
                 raise DatasetError(
                     source,
-                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]:g}; use N, rad and m, "
+                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]}; use N, rad and m, "
                     "and 0 for a dead taxel",
                 )
     _check_attempts(source, arrays)

@@ -102,19 +102,20 @@ class PoseEstimator:
             progress: called with the share done and the current step.
 
         Raises:
-            ModelError: too few dockings with contact on both pads or on one, in the training or held-out data.
+            ModelError: too few different dockings on both pads or on one, in the training or held-out data.
         """
         random = np.random.default_rng([0xF17, seed])
-        inputs, holds, touched = self._prepare(np.asarray(frames, dtype=float))
-        seats = to_seat(np.asarray(pose, dtype=float))
-        for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, touched & ~holds), strict=True)):
-            self._require(int(np.sum(rows)), _FEWEST, f"dockings in contact with {name} pad(s)")
+        readings, seats = np.asarray(frames, dtype=float), to_seat(np.asarray(pose, dtype=float))
+        inputs, holds, touched = self._prepare(readings)
+        within, single = holds & _within(seats), touched & ~holds
+        self._require(readings, within, single, _FEWEST, "dockings")
+        for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, single), strict=True)):
             progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings in contact with {name} pad(s)")
             self._experts[name] = Expert.learn(
                 inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
             )
         progress(2.0 / 3.0, f"{self.name}: typical frames")
-        usual = inputs[:, holds & _within(seats)]
+        usual = inputs[:, within]
         seen = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
         self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), seen, self.epochs, random)
         self._calibrate(np.asarray(held_out[0], dtype=float), to_seat(np.asarray(held_out[1], dtype=float)))
@@ -204,19 +205,22 @@ class PoseEstimator:
         holding = (force >= self.limits.pad_force) & (active >= self.limits.pad_active) & usable
         return inputs, holding.all(axis=1), force.sum(axis=1) > 0.0
 
-    def _require(self, found: int, needed: int, what: str) -> None:
-        if found < needed:
-            raise ModelError(self.name, f"{found} {what}, at least {needed} are needed")
+    def _require(self, frames: Array, within: Mask, single: Mask, needed: int, what: str) -> None:
+        for rows, where in ((within, "on both pads, in range"), (single, "on one pad")):
+            found = len(features.distinct(frames[rows], self.threshold))
+            if found < needed:
+                raise ModelError(self.name, f"{found} different {what} {where}, at least {needed} are needed")
 
     def _calibrate(self, frames: Array, seat: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
-        for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
-            self._require(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings in contact with {name} pad(s)")
+        within, single = holds & _within(seat), touched & ~holds
+        self._require(frames, within, single, _FEWEST_HELD_OUT, "held-out dockings")
+        for name, rows in zip(_EXPERTS, (holds, single), strict=True):
             self._experts[name] = self._experts[name].scaled(inputs[:, rows], seat[rows])
-        usual = inputs[:, holds & _within(seat)]
+        usual = inputs[:, within]
         mean, spread = self._experts["both"].predict(usual)
         self._support = self._learnt.limited(usual[0], mean)
-        error = to_pose(mean) - to_pose(seat[holds & _within(seat)])
+        error = to_pose(mean) - to_pose(seat[within])
         ratio = np.sort(np.abs(error) / _pose_stddev(mean, spread), axis=0)
         self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
 

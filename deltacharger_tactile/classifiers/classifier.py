@@ -19,7 +19,7 @@ from deltacharger_tactile import features
 from deltacharger_tactile.classifiers import files, labels, pretrained, reliability
 from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.classifiers.runtime import KINDS
-from deltacharger_tactile.errors import ModelError
+from deltacharger_tactile.errors import DatasetError, ModelError
 
 Progress = Callable[[float, str], None]
 """Called with the share done and the current step."""
@@ -56,6 +56,7 @@ NAMES: dict[str, tuple[str, str]] = {
 """Training module and inputs of each: all taxels, features, or features and the outputs of `pretrained`."""
 DEFAULT = "pose"
 """The best on the frozen data."""
+_FEWEST = 5  # different frames of a class: as many as cross-validation has folds, and knn neighbours
 _PRETRAINED = "pretrained"  # key in a file: digest of the packaged models used in training
 
 
@@ -100,14 +101,21 @@ class Classifier:
             progress: called with the share done.
 
         Raises:
-            ModelError: a class has no examples or does not belong to the target.
+            DatasetError: too few frames of a class differ and are in contact.
+            ModelError: a class does not belong to the target.
             ModuleNotFoundError: the trainer's library is missing; `deltacharger[train]` has it.
         """
         known = np.asarray(classes, dtype=np.int64)
         count = labels.classes(self.target)
-        if not np.array_equal(np.unique(known), np.arange(count)):
-            found = sorted(set(known.tolist()))
-            raise ModelError(self.name, f"it needs examples of every class 0 to {count - 1} and found {found}")
+        if not np.isin(known, np.arange(count)).all():
+            raise ModelError(self.name, f"{self.target} has the classes 0 to {count - 1}")
+        usable = np.bincount(known[features.distinct(_readings(frames), self.threshold)], minlength=count)
+        if usable.min() < _FEWEST:
+            raise DatasetError(
+                self.target,
+                f"class {usable.argmin()} (of 0 to {count - 1}) has {usable.min()} different frames in contact, at "
+                f"least {_FEWEST} are needed: check the pads, and record more dockings",
+            )
         module = importlib.import_module(f"deltacharger_tactile.classifiers.{NAMES[self.name][0]}")
         inputs = self._inputs(frames)
         started = time.perf_counter()
@@ -123,14 +131,18 @@ class Classifier:
         is subtracted, shrunk if it may be chance (James and Stein 1961).
 
         Raises:
-            ModelError: the classifier does not use features, or there are fewer than two dockings.
+            ModelError: the classifier does not use features, or fewer than two dockings differ and are in contact.
         """
         if "means" not in self._arrays:
             raise ModelError(self.name, "it cannot learn from reference dockings; train lda or pose")
-        known = np.asarray(classes, dtype=np.int64)
-        if len(known) < 2:
-            raise ModelError(self.name, f"{len(known)} reference dockings are too few; give at least two, better ten")
-        deviation = np.nan_to_num(self._inputs(frames) - self._arrays["means"][known])
+        readings = _readings(frames)
+        rows = features.distinct(readings, self.threshold)
+        if len(rows) < 2:
+            raise ModelError(
+                self.name, f"{len(rows)} different reference dockings are too few; give at least two, better ten"
+            )
+        known = np.asarray(classes, dtype=np.int64)[rows]
+        deviation = np.nan_to_num(self._inputs(readings[rows]) - self._arrays["means"][known])
         scores = deviation @ self._arrays["weights"]
         scores -= scores.mean(axis=1, keepdims=True)
         mean, chance = scores.mean(axis=0), scores.var(axis=0, ddof=1).sum() / len(known)
@@ -233,10 +245,15 @@ class Classifier:
 
     def _inputs(self, frames: ArrayLike) -> Array:
         """Return the model's inputs: (N, 200) N, (N, F) features, or features and pretrained inputs; NaN unknown."""
-        readings = np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
+        readings = _readings(frames)
         sees = NAMES[self.name][1]
         if sees == "taxels":
             return np.where(readings >= self.threshold, readings, 0.0).reshape(len(readings), -1)  # NaN gives 0
         if sees == "features":
             return features.extract(features.fill_dead(readings), self.threshold).values
         return pretrained.inputs(readings, self.target, self.threshold)
+
+
+def _readings(frames: ArrayLike) -> Array:
+    """Return frames as (N, 2, 10, 10) N."""
+    return np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)

@@ -16,10 +16,14 @@ import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import ROWS
+from deltacharger_tactile.errors import ModelError
+from deltacharger_tactile.features import distinct
 from deltacharger_tactile.parameters import PadContactParameters
 
 WINDOW = 50
 """Fewest dockings judged together."""
+FEWEST = 20
+"""Fewest frames to learn from; fewer do not show one in twenty."""
 _FOLDS = 5
 _DRAWS = 2000  # windows drawn from the remainders of training
 _TAIL = 0.002  # share of them that may look strange
@@ -123,7 +127,15 @@ def learn(frames: Array, threshold: float) -> Familiarity:
     Args:
         frames: of one rig or several; the more dockings, the better.
         threshold: readings below it count as 0, N.
+
+    Raises:
+        ModelError: too few of them differ and are in contact.
     """
+    frames = frames[distinct(frames, threshold)]
+    if len(frames) < FEWEST:
+        raise ModelError(
+            "reliability", f"{len(frames)} different frames in contact are too few; give at least {FEWEST}"
+        )
     random = np.random.default_rng(0)  # only for folds and windows
     fold = random.permutation(len(frames)) % _FOLDS
     remainders, whitened, distances, reaches = [], [], [], []

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_tactile.classifiers import familiarity
-from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
+from deltacharger_tactile.classifiers.familiarity import FEWEST, WINDOW, Familiarity
 from deltacharger_tactile.errors import ModelError
 
 NOMINAL = 0.95
-_FEWEST = 20  # held-out frames; fewer do not show one in twenty
 
 
 @dataclass(frozen=True)
@@ -81,11 +80,11 @@ def learn(
             classifier's output.
 
     Raises:
-        ModelError: too few frames.
+        ModelError: too few frames, or too few of them differ and are in contact.
     """
     count = len(labels)
-    if count < _FEWEST:
-        raise ModelError("reliability", f"{count} held-out frames are too few; give at least {_FEWEST}")
+    if count < FEWEST:
+        raise ModelError("reliability", f"{count} held-out frames are too few; give at least {FEWEST}")
     scores = np.sort(1.0 - probabilities[np.arange(count), labels])
     rank = math.ceil((count + 1) * NOMINAL)
     quantile = float(scores[rank - 1]) if rank <= count else 1.0

@@ -127,11 +127,42 @@ def test_unknown_names_classes_without_examples_and_references_to_a_tree_are_ref
     for name, target in (("cnn2", "angle"), ("cnn", "pose")):
         with pytest.raises(ModelError, match="known"):
             Classifier(name, target)
-    some = angle.part(angle.labels < 4)
-    with pytest.raises(ModelError, match="class 0 to 5"):
-        Classifier(SIMPLE, "angle").fit(some.frames, some.labels)
+    with pytest.raises(ModelError, match="classes 0 to 4"):
+        Classifier(SIMPLE, "vertical").fit(angle.frames, angle.labels)
     with pytest.raises(ModelError, match="train lda or pose"):
         packaged.load("tree")["vertical"].refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
+
+
+USELESS = {
+    "no contact": lambda rows: 0.0 * rows.frames,
+    "dead": lambda rows: np.full_like(rows.frames, np.nan),
+    "one frame": lambda rows: np.repeat(rows.frames[:1], len(rows), axis=0),
+    "one frame of each class": lambda rows: rows.frames[np.unique(rows.labels, return_index=True)[1][rows.labels]],
+    "rounding": lambda rows: 3.0 + np.random.default_rng(0).uniform(0.0, 1e-9, rows.frames.shape),
+}
+
+
+@pytest.mark.parametrize("frames", USELESS.values(), ids=USELESS)
+def test_frames_that_teach_nothing_are_refused_with_what_to_do(frames: Any, angle: Examples) -> None:
+    useless = frames(angle)
+    with pytest.raises(DatasetError, match=r"class \d .* [01] different frames in contact.* record more"):
+        Classifier(SIMPLE, "angle").fit(useless, angle.labels)
+    model = packaged.load("tree")["angle"]
+    with pytest.raises(ModelError, match=r"[016] different frames in contact"):
+        model.calibrate(useless, angle.labels)
+
+
+@pytest.mark.parametrize("rows", [slice(0), slice(2), [0] * 40, slice(4 * 6)], ids=["none", "two", "one class", "few"])
+def test_each_class_needs_five_frames(rows: Any, angle: Examples) -> None:
+    some = angle.part(np.argsort(angle.labels, kind="stable").reshape(6, 40).T.ravel()[rows])
+    with pytest.raises(DatasetError, match=r"class \d .* [0-4] different frames in contact, at least 5"):
+        Classifier(SIMPLE, "angle").fit(some.frames, some.labels)
+
+
+def test_copies_and_frames_without_contact_change_nothing(angle: Examples) -> None:
+    usual = familiarity.learn(np.nan_to_num(angle.frames), THRESHOLD)
+    more = np.concatenate([angle.frames, angle.frames[:50], 0.0 * angle.frames[:50]])
+    assert familiarity.learn(np.nan_to_num(more), THRESHOLD).to_dict() == usual.to_dict()
 
 
 def test_probabilities_of_independent_dockings_multiply() -> None:
@@ -188,8 +219,9 @@ def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
     new, usual = (dockings(device, 0.005 * wanted - 0.010, 3) for device in (tilted, rig))
     before, as_trained = accuracy(new), accuracy(usual)
     ten = np.full(10, 2)
-    with pytest.raises(ModelError, match="too few"):
-        model.refer(new[:1], wanted[:1])
+    for useless in (new[:1], np.repeat(new[:1], 10, axis=0), 0.0 * new):
+        with pytest.raises(ModelError, match=r"[01] different reference dockings are too few"):
+            model.refer(useless, wanted[: len(useless)])
     model.refer(dockings(rig, np.zeros(10), 4), ten)
     assert accuracy(usual) > as_trained - 0.04, "little loss without a change"
     model.refer(dockings(tilted, np.zeros(10), 5), ten)

@@ -167,6 +167,8 @@ def spoilt(value: float) -> Callable[[Any], Any]:
         ("angle", spoilt(np.inf), "row 3 of angle"),
         ("angle", np.degrees, "rad"),
         ("vertical", lambda vertical: 1e3 * vertical, "m"),
+        ("contact_pose", lambda pose: 1e3 * pose, "row . of contact_pose"),
+        ("contact_pose", spoilt(np.inf), "row 3 of contact_pose"),
         ("attempt", lambda attempt: attempt % 10, "two values of rig"),
         ("left", lambda left: left.astype(object), "damaged"),
     ],
