@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
+import sysconfig
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import NoReturn
@@ -16,6 +18,9 @@ SIMULATION_DOMAIN = 87
 
 RUNS_ON = "ROS 2 Jazzy with rclpy 7.1.4 or newer, or Kilted"
 """Supported ROS versions, as text."""
+
+NEW_SHELL = "start in a new shell, or unset PYTHONPATH, AMENT_PREFIX_PATH and LD_LIBRARY_PATH"
+"""What to do if another ROS is sourced."""
 
 LARGEST_DOMAIN = 232
 """The UDP ports of a larger domain would exceed 65535."""
@@ -72,10 +77,15 @@ def announce() -> None:
 
 def config(name: str) -> list[Path]:
     """Return the existing paths of a file or folder of config/: first the source tree, then each installation."""
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     found = [Path(__file__).resolve().parents[1] / "config" / name]
-    found += [prefix / "share" / "deltacharger" / "config" / name for prefix in [*prefixes, Path(sys.prefix)]]
+    found += [prefix / "share" / "deltacharger" / "config" / name for prefix in _prefixes()]
     return [path for path in dict.fromkeys(found) if path.exists()]
+
+
+def _prefixes() -> list[Path]:
+    """Return the installations of ROS packages: those that are sourced, then this one."""
+    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(prefix) for prefix in [*filter(None, sourced), sys.prefix]]
 
 
 def isolate(variables: MutableMapping[str, str] = os.environ) -> None:
@@ -100,6 +110,34 @@ def openness(variables: Mapping[str, str] = os.environ) -> str:
     peers = variables.get("ROS_STATIC_PEERS", "")
     beyond = f" and to {peers}" if peers and chosen not in ("OFF", "SYSTEM_DEFAULT") else ""
     return _REACHED.get(chosen, _REACHED["LOCALHOST"]) + beyond
+
+
+def problem() -> str:
+    """Return why ROS cannot start in this environment and what to do; '' = nothing found.
+
+    Call it before the first import of rclpy, which may end the process.
+    """
+    return domain_problem() or _middleware_problem() or _mixture()
+
+
+def _middleware_problem() -> str:
+    """Return the error in RMW_IMPLEMENTATION, or ''. rcl ends a process that imports it with code 102."""
+    chosen = os.environ.get("RMW_IMPLEMENTATION", "")
+    index = [prefix / "share/ament_index/resource_index/rmw_typesupport" for prefix in _prefixes()]
+    installed = sorted({file.name for folder in index if folder.is_dir() for file in folder.iterdir()})
+    if not chosen or chosen in installed or not installed:
+        return ""
+    known = " or ".join(name for name in installed if name != "rmw_implementation")
+    return f"RMW_IMPLEMENTATION is '{chosen}', which is not installed; unset it, or choose {known}"
+
+
+def _mixture() -> str:
+    """Return the error that another ROS is sourced over the one of this virtual environment, or ''."""
+    own, found = Path(sysconfig.get_path("platlib")) / "rclpy", importlib.util.find_spec("rclpy")
+    if found is None or found.origin is None or not own.is_dir() or own.samefile(Path(found.origin).parent):
+        return ""
+    first = Path(found.origin).parents[1]
+    return f"another ROS is sourced: rclpy comes from {first}, not from {own.parent}; {NEW_SHELL}"
 
 
 def domain_problem() -> str:

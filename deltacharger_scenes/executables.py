@@ -7,10 +7,11 @@ The import takes a second; without this, Ctrl-C in that second would end in a tr
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable
 from functools import partial
 
-from deltacharger_core import signals
+from deltacharger_core import environment, signals, streams
 from deltacharger_scenes.node_table import NODES
 
 _OTHERS = {"passive_joints_node": "deltacharger_records.view.passive_joints_node"}  # not part of a scene
@@ -27,4 +28,7 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 def _run(module: str) -> int:
     signals.listen()
+    if problem := environment.problem():
+        streams.write(f"cannot start: {problem}", sys.stderr)
+        return 2
     return int(importlib.import_module(module).main())

@@ -81,19 +81,24 @@ def _answers_by_default(namespace: str) -> bool:
 
 @contextlib.contextmanager
 def ros_context() -> Iterator[Context]:
-    """Run an rclpy context without signal handlers; the command handles signals.
+    """Run an rclpy context without signal handlers; the command handles signals. Every command starts ROS here.
 
     Raises:
-        CommandError: ROS cannot start.
+        CommandError: ROS cannot start; exit code 2.
     """
+    if problem := environment.problem():
+        raise CommandError(problem, WRONG_INPUT)
     try:
         import deltacharger.action  # noqa: F401  (fails here if the interfaces are not built)
         import rclpy
         from rclpy.context import Context
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
+        cause = str(error).partition("\n")[0]
         raise CommandError(
-            f"ROS 2 or the built interfaces are missing ({error}): install the package or source its workspace"
+            f"ROS 2 or the built interfaces cannot be loaded ({cause}): install the package or source its workspace; "
+            f"if another ROS is sourced, {environment.NEW_SHELL}",
+            WRONG_INPUT,
         ) from error
     context = Context()
     rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)

@@ -22,6 +22,7 @@ from deltacharger_bringup.cli import scene
 from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
 from deltacharger_bringup.launch_arguments import refuse_unknown_arguments
 from deltacharger_core import streams
+from deltacharger_scenes import executables
 
 from ..marks import rest
 from .command import Capture, answer, refuses, run
@@ -213,6 +214,16 @@ def test_help_lists_every_command_and_version_is_one_line(capsys: Capture) -> No
 def test_an_invalid_ros_domain_ends_with_2(capsys: Capture, monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     refuses(capsys, "undock", "232")
+
+
+@pytest.mark.ros
+def test_a_missing_middleware_ends_commands_and_nodes_with_2(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """rcl would end the process with 102."""
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_nowhere_cpp")
+    refuses(capsys, "undock", "rmw_nowhere_cpp")
+    monkeypatch.setattr(executables.signals, "listen", lambda: None)
+    assert executables.__getattr__("docking_node")() == 2
+    assert "rmw_nowhere_cpp" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ ENFORCED = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 
 @pytest.fixture(autouse=True)
 def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in (RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", *ENFORCED):
+    for name in (RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION", *ENFORCED):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -66,3 +67,34 @@ def test_fast_dds_settings_of_the_user_are_kept(name: str, tmp_path: Path, monke
         file.unlink()
         environment.announce()
         assert Path(os.environ[names[0]]).name == "fastdds.xml"
+
+
+@pytest.mark.parametrize("chosen", ["", "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"])
+def test_a_middleware_that_is_not_installed_is_named(
+    chosen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
+    index.mkdir(parents=True)
+    for name in ("rmw_fastrtps_cpp", "rmw_implementation"):
+        (index / name).touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    monkeypatch.setenv("RMW_IMPLEMENTATION", chosen)
+    text = "RMW_IMPLEMENTATION is 'rmw_cyclonedds_cpp', which is not installed; unset it, or choose rmw_fastrtps_cpp"
+    assert environment.problem() == (text if chosen == "rmw_cyclonedds_cpp" else "")
+
+
+def test_another_ros_over_that_of_the_virtual_environment_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("own", "other"):
+        (tmp_path / name / "rclpy").mkdir(parents=True)
+        (tmp_path / name / "rclpy" / "__init__.py").touch()
+    monkeypatch.setattr(environment.sysconfig, "get_path", lambda name: str(tmp_path / "own"))
+    monkeypatch.delitem(sys.modules, "rclpy", raising=False)
+    monkeypatch.syspath_prepend(tmp_path / "own")
+    assert environment.problem() == ""
+    monkeypatch.syspath_prepend(tmp_path / "other")
+    problem = environment.problem()
+    assert problem.startswith(f"another ROS is sourced: rclpy comes from {tmp_path / 'other'}, not from")
+    assert "start in a new shell" in problem
