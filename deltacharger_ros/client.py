@@ -30,7 +30,7 @@ from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_ros.qos import ACTION, STATE
-from deltacharger_ros.sent_goal import LOST, SentGoal
+from deltacharger_ros.sent_goal import FORGOTTEN, LOST, SentGoal
 
 _STATE = "docking_state"
 _LATCHED = 1.0  # s to receive the latched docking_state
@@ -196,11 +196,16 @@ class ChargerClient(Guest):
             lost_since = min(lost_since, now)
             if now - lost_since > _LOST_AFTER:
                 raise ClientError(
-                    f"the charger disappeared while it served '{action}': check the log of docking_node; "
-                    "the board opens the contactor by itself"
+                    f"the charger disappeared while it served '{action}': if only the network failed, the goal goes "
+                    "on; if docking_node ended, the board opens the contactor by itself: check its log"
                 )
         if running.end == LOST:
             raise ClientError(f"the charger no longer knows the goal '{action}': docking_node has restarted; undock")
+        if running.end == FORGOTTEN:
+            raise ClientError(
+                f"the charger no longer keeps the result of '{action}': docking_state tells whether it charges, which "
+                "undocking would end"
+            )
         if running.error is not None:
             raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")
         if running.result is None:

@@ -13,10 +13,13 @@ from action_msgs.msg import GoalInfo, GoalStatus
 from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.node import Node
 
-REFUSED, LOST = -1, -2
-"""Ends of a goal in addition to GoalStatus: goal not accepted; action server gone or restarted."""
+from deltacharger_ros.messages import seconds
+
+REFUSED, LOST, FORGOTTEN = -1, -2, -3
+"""Ends of a goal besides GoalStatus: goal not accepted; action server gone or restarted; result no longer kept."""
 
 _ASK_AFTER = 1.0  # s without a result before it is requested again; doubled each time, as a goal may last for hours
+_ASK_EVERY = 60.0  # s, the longest such pause, as an answer may be lost while the network fails
 
 
 class SentGoal:
@@ -35,7 +38,7 @@ class SentGoal:
     Attributes:
         accepted: whether the server is known to have the goal.
         finished: set at the end.
-        end: how it ended: a GoalStatus, REFUSED or LOST.
+        end: how it ended: a GoalStatus, REFUSED, LOST or FORGOTTEN.
         result: result message; None = none.
         error: why the exchange failed; None = it did not.
     """
@@ -51,7 +54,8 @@ class SentGoal:
         self._on_feedback = on_feedback
         self._cancel_wanted = False
         self._pause = _ASK_AFTER
-        self._ask_at = time.monotonic() + _ASK_AFTER
+        self._sent_at = time.monotonic()
+        self._ask_at = self._sent_at + _ASK_AFTER
         name = GoalInfo().goal_id
         name.uuid = list(uuid.uuid4().bytes)
         unknown: Any = None  # the server's response
@@ -75,7 +79,7 @@ class SentGoal:
         """Request the result again when that is due; call it regularly."""
         if time.monotonic() >= self._ask_at:
             self._ask_at = time.monotonic() + self._pause
-            self._pause *= 2
+            self._pause = min(2.0 * self._pause, _ASK_EVERY)
             self._call_soon(self._ask)
 
     def _ask(self) -> None:
@@ -113,7 +117,11 @@ class SentGoal:
         if reply.status != GoalStatus.STATUS_UNKNOWN:
             self._finish(reply.status, reply.result)
         elif self.accepted:
-            self._finish(LOST)
+            self._finish(FORGOTTEN if self._ran_before(reply.result) else LOST)
+
+    def _ran_before(self, unknown: Any) -> bool:
+        """Whether the server that does not know the goal ran when it was sent; other servers than ours do not tell."""
+        return hasattr(unknown, "elapsed") and seconds(unknown.elapsed) > time.monotonic() - self._sent_at
 
     def _finish(self, end: int, result: Any = None) -> None:
         if not self.finished.is_set():

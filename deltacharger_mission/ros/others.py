@@ -20,13 +20,13 @@ from deltacharger_mission.ros.messages import fill_pose, read_detection, read_do
 from deltacharger_ros.action_caller import ActionCaller, OnEnd, result_of
 from deltacharger_ros.messages import duration
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.sent_goal import LOST, REFUSED
+from deltacharger_ros.sent_goal import FORGOTTEN, LOST, REFUSED
 
 _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
     GoalStatus.STATUS_CANCELED: End.CANCELED,
     REFUSED: End.REFUSED,
-    LOST: End.LOST,
+    **dict.fromkeys((LOST, FORGOTTEN), End.LOST),
 }
 
 
