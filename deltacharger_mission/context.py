@@ -25,10 +25,10 @@ _ANSWER = 2.0  # s beyond its search time in which the detector may answer
 _UNDOCK_PAUSE = 1.0  # s between two attempts
 _STATE_DELAY = 2.0  # s by which docking_state may arrive after a result
 _REMEDIES = {
-    Task.DRIVE: "no navigator serves navigate_to_pose: start and activate Nav2, or set navigation to none",
+    Task.DRIVE: "no navigator answers navigate_to_pose: activate Nav2, as this user, or set navigation to none",
     Task.DETECT: "no node serves detect_electrodes: start electrode_detector_node and its camera",
-    Task.DOCK: "no node serves dock: start docking_node",
-    Task.UNDOCK: "no node serves undock: start docking_node",
+    Task.DOCK: "no node answers dock: start docking_node as this user",
+    Task.UNDOCK: "no node answers undock: start docking_node as this user",
 }
 
 

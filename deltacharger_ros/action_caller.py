@@ -12,6 +12,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
 
+from deltacharger_ros.echo import Echo
 from deltacharger_ros.qos import ACTION
 from deltacharger_ros.sent_goal import LOST, SentGoal
 
@@ -56,14 +57,15 @@ class ActionCaller:
     ) -> None:
         self._node = node
         self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name, **ACTION)
+        self._echo = Echo(node, self._client)
         self._on_end = on_end
         self._lost_timeout = lost_timeout
         self._calls: dict[int, _Call] = {}
 
     @property
     def is_served(self) -> bool:
-        """Whether the action has a server now."""
-        return bool(self._client.server_is_ready())
+        """Whether the action has a server now that has answered."""
+        return self._echo.answers()
 
     @property
     def is_settled(self) -> bool:

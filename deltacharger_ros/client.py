@@ -26,6 +26,7 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core.frames import CHARGER_BASE
+from deltacharger_ros.echo import ONE_USER, Echo
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
@@ -35,7 +36,7 @@ from deltacharger_ros.sent_goal import FORGOTTEN, LOST, SentGoal
 _STATE = "docking_state"
 _LATCHED = 1.0  # s to receive the latched docking_state
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
-_LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
+_LOST_AFTER = 5.0  # s without an action server in the graph, or without its answer, before it counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
 _LAST_ANSWER = 0.5  # s for the response to a goal that is to be cancelled
 _POLL = 0.1  # s between checks of deadline, cancel request and server while a goal runs
@@ -64,6 +65,7 @@ class ChargerClient(Guest):
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
         self.waitables = [self._dock, self._undock]
+        self._echoes = [Echo(self.node, action) for action in (self._dock, self._undock)]
         self._charger_base = ""  # full frame name from docking_state
         self.node.create_subscription(DockingState, _STATE, self._on_state, STATE)
         self.serve()
@@ -76,11 +78,11 @@ class ChargerClient(Guest):
             self._owned = None
 
     def answers(self) -> bool:
-        """Whether both actions have a server now."""
-        return bool(self._dock.server_is_ready() and self._undock.server_is_ready())
+        """Whether both actions have a server now that has answered this client. Call it regularly until it has."""
+        return all(echo.answers() for echo in self._echoes)
 
     def is_ready(self) -> bool:
-        """Whether both actions have a server and their inputs have publishers now."""
+        """Whether both actions answer and their inputs have publishers now."""
         return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
 
     def has_detector(self) -> bool:
@@ -91,17 +93,31 @@ class ChargerClient(Guest):
         """Wait until `is_ready`.
 
         Args:
-            timeout: s; discovery alone takes up to 3 s.
+            timeout: s; discovery alone takes up to 3 s. A charger that was discovered has 5 s to answer in any case.
             stop: ends the wait early when set.
 
         Returns:
             Whether it is ready.
+
+        Raises:
+            ClientError: a charger was discovered, but does not answer.
         """
-        return self.wait(self.is_ready, timeout, stop=stop)
+        return self._wait(self.is_ready, timeout, stop)
 
     def wait_until_it_answers(self, timeout: float, stop: threading.Event | None = None) -> bool:
-        """Wait until `answers`; arguments and result as in `wait_until_ready`."""
-        return self.wait(self.answers, timeout, stop=stop)
+        """Wait until `answers`; arguments, result and errors as in `wait_until_ready`."""
+        return self._wait(self.answers, timeout, stop)
+
+    def _wait(self, condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
+        if self.wait(condition, timeout, self._refuse_silence, stop):
+            return True
+        silent = any(echo.silence for echo in self._echoes)
+        return silent and self.wait(self.answers, _LOST_AFTER, self._refuse_silence, stop) and condition()
+
+    def _refuse_silence(self) -> None:
+        if max(echo.silence for echo in self._echoes) > _LOST_AFTER:
+            domain = self.node.context.get_domain_id()
+            raise ClientError(f"a charger is in ROS domain {domain}, but its answers do not arrive: {ONE_USER}")
 
     def dock(
         self,
@@ -166,7 +182,7 @@ class ChargerClient(Guest):
         deadline: float,
         give_up: threading.Event | None = None,
     ) -> Outcome:
-        if not client.server_is_ready() and not self.wait_until_it_answers(_LOST_AFTER, cancel):
+        if not self.answers() and not self.wait_until_it_answers(_LOST_AFTER, cancel):
             raise ClientError(f"no charger answers the action '{action}': start one with `deltacharger up`")
         started = time.monotonic()
 

@@ -22,6 +22,14 @@ _ASK_AFTER = 1.0  # s without a result before it is requested again; doubled eac
 _ASK_EVERY = 60.0  # s, the longest such pause, as an answer may be lost while the network fails
 
 
+def new_handle(client: ActionClient[Any, Any, Any]) -> Any:
+    """Return the handle of a goal with a new id, which the server does not know."""
+    name = GoalInfo().goal_id
+    name.uuid = list(uuid.uuid4().bytes)
+    unknown: Any = None  # the server's response
+    return ClientGoalHandle(client, name, unknown)
+
+
 class SentGoal:
     """Sends one goal and follows it to its end.
 
@@ -56,13 +64,11 @@ class SentGoal:
         self._pause = _ASK_AFTER
         self._sent_at = time.monotonic()
         self._ask_at = self._sent_at + _ASK_AFTER
-        name = GoalInfo().goal_id
-        name.uuid = list(uuid.uuid4().bytes)
-        unknown: Any = None  # the server's response
-        self._handle: Any = ClientGoalHandle(client, name, unknown)
+        self._handle = new_handle(client)
         executor: Any = node.executor
         self._call_soon = executor.call_soon
-        self._call_soon(client.send_goal_async, goal, self._on_message, name).add_done_callback(self._on_sent)
+        sent = self._call_soon(client.send_goal_async, goal, self._on_message, self._handle.goal_id)
+        sent.add_done_callback(self._on_sent)
 
     @property
     def is_canceled(self) -> bool:

@@ -194,8 +194,11 @@ def _known(error: Exception) -> CommandError | None:
     if name in _EXTRA_OF:
         return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]", FAILED)
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
+        from deltacharger_ros.client import ClientError
         from deltacharger_ros.node_support import ros_problem
 
+        if isinstance(error, ClientError):
+            return CommandError(str(error), FAILED)
         problem = ros_problem(error)
         return CommandError(problem, WRONG_INPUT) if problem else None
     return None

@@ -159,7 +159,7 @@ class RosProbe:
         if "chargers" in report:
             yield ok("ros middleware", f"{report['rmw']} runs")
             if self._domain_works:
-                yield _running(report["chargers"])
+                yield _running(report["chargers"], report["silent"])
 
 
 _STEPS = {
@@ -192,8 +192,11 @@ def _last_line(text: str) -> str:
     return lines[-1] if lines else "no output"
 
 
-def _running(chargers: list[str]) -> Finding:
+def _running(chargers: list[str], silent: str) -> Finding:
     domain = environment.domain()
+    if silent:
+        what, _, remedy = silent.partition(": ")
+        return wrong("charger", what, remedy)
     if chargers:
         text = f"a charger runs in ROS domain {domain}, namespace {', '.join(chargers)}"
         return hint("charger", text, "stop it before you start another one there; it has opened the ports of its scene")

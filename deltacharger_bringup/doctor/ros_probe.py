@@ -18,6 +18,7 @@ from deltacharger_core import streams
 
 ALONE = "--alone"
 _LOOK = 3.3  # s; after a missed announcement of a charger the next comes 3 s later
+_MATCH = 1.0  # s until the actions of a charger whose topic was found are found too
 _STEP = 0.05  # s
 
 
@@ -104,8 +105,20 @@ def _look_around(report: dict[str, Any]) -> None:
             if name.endswith("/docking_state") and types == ["deltacharger/msg/DockingState"]
         )
     report["chargers"] = chargers
+    report["silent"] = next(filter(None, (_silence(name, context) for name in chargers)), "")
     names = [name for name, _ in node.get_topic_names_and_types() if name.endswith("/color/image_raw")]
     report["images"] = sum(node.count_publishers(name) for name in names)
+
+
+def _silence(namespace: str, context: Any) -> str:
+    """Return why nothing is heard of a charger's actions; '' if they answer, or there are none."""
+    from deltacharger_ros.client import ChargerClient, ClientError
+
+    try:
+        ChargerClient(namespace, context).wait_until_it_answers(_MATCH)
+    except ClientError as error:
+        return str(error)
+    return ""
 
 
 if __name__ == "__main__":

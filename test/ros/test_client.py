@@ -43,7 +43,7 @@ GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 
 
 class Server:
-    """Both actions of a charger: goals end as `execute` says, and dock drops its first responses of some kinds.
+    """Both actions of a charger: goals end as `execute` says, and dock drops the next responses of some kinds.
 
     Attributes:
         dock: the action server.
@@ -56,11 +56,10 @@ class Server:
         node: Node,
         execute: Callable[[Any], None] = lambda handle: handle.succeed(),
         decides: bool = True,
-        **drops: int,
     ) -> None:
         self.dropped = 0
         self.over = threading.Event()
-        self._drops = {f"send_{kind}_response": number for kind, number in drops.items()}
+        self._drops: dict[str, int] = {}
 
         def work(handle: Any) -> Any:
             execute(handle)
@@ -90,6 +89,9 @@ class Server:
 
         return drop
 
+    def drop(self, **drops: int) -> None:
+        self._drops = {f"send_{kind}_response": number for kind, number in drops.items()}
+
     def close(self) -> None:
         self.over.set()
         self._spinner.close(*self._servers)
@@ -116,11 +118,12 @@ def client(context: Any, namespace: str) -> Iterator[ChargerClient]:
 
 @pytest.fixture
 def answering(serve: Callable[..., Server], client: ChargerClient) -> Callable[..., Server]:
-    """Start a server, and wait until the client has discovered it."""
+    """Start a server, and wait until the client has heard it; then it drops responses."""
 
-    def start(*arguments: Any, **options_: Any) -> Server:
-        server = serve(*arguments, **options_)
+    def start(*arguments: Any, decides: bool = True, **drops: int) -> Server:
+        server = serve(*arguments, decides=decides)
         assert client.wait_until_it_answers(DEADLINE)
+        server.drop(**drops)
         return server
 
     return start
@@ -140,6 +143,20 @@ def test_an_unanswered_goal_ends_with_an_error_with_or_without_a_cancel(
         cancel.set()
     with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
         client.undock(cancel=cancel)
+
+
+def test_a_charger_whose_answers_do_not_arrive_is_named_and_gets_no_goal(
+    serve: Callable[..., Server], client: ChargerClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As between root and another user: Fast DDS discovers over UDP and delivers over shared memory."""
+    served: list[Any] = []
+    serve(served.append).drop(goal=10**6, result=10**6)
+    monkeypatch.setattr(client_module, "_LOST_AFTER", 0.3)
+    with pytest.raises(ClientError, match="answers do not arrive: run both as one user"):
+        client.wait_until_it_answers(DEADLINE)
+    with pytest.raises(ClientError, match="answers do not arrive"):
+        client.dock(GOAL)
+    assert not served
 
 
 @pytest.mark.version

@@ -84,6 +84,15 @@ def test_a_running_charger_is_named(context: Any) -> None:
     assert {finding.part for finding in found} >= {"rclpy", "interfaces", "numpy and ROS", "ros middleware"}
 
 
+@pytest.mark.parametrize("silent", ["", "a charger's answers do not arrive: run both as one user"])
+def test_a_charger_that_does_not_answer_is_wrong(silent: str) -> None:
+    probe = object.__new__(RosProbe)
+    probe._domain_works = True
+    found = list(probe._reached({"rmw": "rmw", "chargers": ["/left"], "silent": silent}))[-1]
+    assert (found.level, "/left" in found.message) == (("wrong", False) if silent else ("hint", True))
+    assert found.remedy == "run both as one user" or not silent
+
+
 # What is wrong with a computer: a module and its replacement, or a variable; the finding and a noun of it.
 WRONG: dict[str, tuple[dict[str, str], dict[str, str], str, str]] = {
     "rclpy": ({"rclpy": "raise ImportError(\"No module named 'rclpy'\", name='rclpy')"}, {}, "rclpy", "ros-rclpy"),
