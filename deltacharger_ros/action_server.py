@@ -87,11 +87,11 @@ class Work:
             threading.Event().wait(_SEND_TIME)
 
 
-class _Server(ActionServer):  # type: ignore[type-arg]
+class KeepingServer(ActionServer):  # type: ignore[type-arg]
     """Keeps the last results, so that a client that was away around the end of its goal gets its result.
 
     Args:
-        unknown: returns the result to whoever asks for a goal that is not known.
+        unknown: returns the result to whoever asks for a goal that is not known, about which rclpy would log a warning.
         arguments, options: of rclpy's class.
     """
 
@@ -158,7 +158,7 @@ class WorkServer:
         self._begin, self._is_served = begin, is_served
         self._outcome, self._refusals, self._result = outcome, refusals, result
         self._since = time.monotonic()
-        self._server = _Server(
+        self._server = KeepingServer(
             self._unknown,
             node,
             kind,

@@ -21,7 +21,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
@@ -30,6 +30,7 @@ from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_mission.ros.messages import place as read_place
 from deltacharger_mission.ros.mission_node import load_navigation
 from deltacharger_ros import node_support
+from deltacharger_ros.action_server import KeepingServer
 from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
@@ -59,7 +60,8 @@ class MockNavigatorNode(Node):
         self._place = Place(given.x, given.y, given.yaw, self._frame)
         self.arrived: list[Place] = []
         self._stopping = threading.Event()
-        self._server: ActionServer[Any, Any, Any] = ActionServer(
+        self._server = KeepingServer(
+            self._action.Result,
             self,
             self._action,
             "navigate_to_pose",
