@@ -29,7 +29,7 @@ from deltacharger_ros.action_caller import ActionCaller
 from deltacharger_ros.action_server import Work, WorkServer
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import to_outcome, to_result
+from deltacharger_ros.messages import CODES, to_outcome, to_result
 from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_ros.sent_goal import FORGOTTEN, LOST, SentGoal
 
@@ -324,3 +324,7 @@ def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: flo
     result = unknown_dock()
     result.success, result.energy, result.charge_end, result.charge_voltage = True, 500.0, end, voltage
     assert told in to_outcome("dock", result).figures()
+
+
+def test_a_client_names_every_code() -> None:
+    assert {code: Code(code).name for code in Code} == CODES
