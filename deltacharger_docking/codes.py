@@ -241,7 +241,7 @@ REMEDIES: dict[Code, str] = {
     Code.TIMEOUT: "see in the log what the phase waited for",
     Code.DUPLICATE_SOURCE: "stop the second node, or give it its own namespace or `ROS_DOMAIN_ID`",
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
-    Code.DETECTION_STALE: "check the camera's rate and clocks",
+    Code.DETECTION_STALE: "check the camera's rate; if it is on another computer, compare the clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
     Code.NO_CONTACT: "check that the target is there and its coordinates are right",
     Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` is wrong, as the message states; "

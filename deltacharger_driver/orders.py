@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from deltacharger_core.host_clock import COMPARE_CLOCKS
 from deltacharger_core.machine import ORDER_AGE_MAX
 
 
@@ -12,5 +13,5 @@ def late(age: float) -> str:
         return ""
     return (
         f"the order was sent {age:.1f} s ago, more than {ORDER_AGE_MAX:g} s, and is not carried out: if it is still "
-        "wanted, give it again; check whether this computer is too busy, and whether the clocks of both computers agree"
+        f"wanted, give it again; check whether this computer is too busy; {COMPARE_CLOCKS}"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Use of `use_sim_time`: stamps follow /clock, while all timing follows the monotonic clock."""
+"""A node's clock: stamps show the computer's clock or, with `use_sim_time`, /clock; all timing is monotonic."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
+
+from deltacharger_core.host_clock import HOST, HostClock
+from deltacharger_ros.messages import seconds
 
 NO_TIME_YET = "use_sim_time is set, but no message arrived on /clock: start its publisher, or set use_sim_time to false"
 _RESTS = 0.1  # s of real time without a step until /clock is reported; a simulator steps at least 50 times a second
@@ -25,19 +28,37 @@ def before_now(clock: Clock, ago: float) -> Any:
     return Time(nanoseconds=max(moment, 0), clock_type=clock.clock_type).to_msg()
 
 
+def age(clock: Clock, stamp: float, host: HostClock = HOST) -> float:
+    """Return the age (s) of a stamp (s) of a node's clock; negative = in the future. Nobody changes it by a step."""
+    if follows(clock):
+        return 1e-9 * float(clock.now().nanoseconds) - stamp
+    return host.age(stamp)
+
+
+def stamp_age(clock: Clock, stamp: Any) -> float:
+    """Return the age (s) of a message's stamp, as `age`; NaN for a stamp before 1970."""
+    return age(clock, seconds(stamp)) if stamp.sec >= 0 else math.nan
+
+
+def follows(clock: Any) -> bool:
+    """Return whether a clock follows /clock."""
+    return isinstance(clock, ROSClock) and bool(clock.ros_time_is_active)
+
+
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Any:
     """Return a timer of the node that runs in real time even while /clock stands still; `period` in s."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class ClockWatch:
-    """Watches the clock of a node that follows /clock; for one thread.
+    """Watches the clock of a node; for one thread.
 
     Attributes:
         stepped: time of its last detected step, s, monotonic; inf if the node does not follow /clock.
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
+        self._host = host
         self._clock: Any = clock  # a ROS clock: every node's is
         self._seen = -1  # ns
         self._back_at, self._back_by = -math.inf, 0.0
@@ -61,9 +82,9 @@ class ClockWatch:
         self._seen, self.stepped = time_now, now
 
     def problem(self, now: float) -> str:
-        """Return the error of the clock; '' if there is none or the node does not follow /clock."""
+        """Return the error of /clock, or of the computer's clock if the node does not follow /clock; '' = none."""
         if math.isinf(self.stepped):
-            return ""
+            return self._host.problem()
         if not self._seen:
             return NO_TIME_YET
         if now - self._back_at < _REMEMBERED:

@@ -4,54 +4,46 @@
 from __future__ import annotations
 
 import struct
-import time
 from array import array
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import Clock
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
+
+from deltacharger_core.host_clock import HOST, HostClock
+from deltacharger_ros.clock import follows
 
 _CODES = {"boolean": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float": "f", "double": "d"}
 _SEQUENCE = "sequence<"
 _HEAD = 4  # bytes of the header of a message's CDR
-_LOOK = 0.1  # s between comparisons of both clocks
-_LOOKS = 3  # readings per comparison; the fastest counts, since one in a hundred is interrupted between the clocks
+_LOOK = 0.1  # s between checks whether the node follows /clock
 
 
 class Stamps:
     """Converts times from the monotonic clock to a node's clock; used by one thread.
 
-    The offset is measured ten times a second, because reading ROS time costs as much as filling a message. Between
-    measurements the clocks drift apart by at most 50 ns even while the system clock is slewed. If the node follows
-    /clock, whose rate is arbitrary, the offset is measured each time.
+    Reading ROS time costs as much as filling a message, so it is read for each stamp only if the node follows /clock,
+    whose rate is arbitrary.
 
     Args:
         clock: clock of the node.
+        host: clock of the computer.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
+        self._clock, self._host = clock, host
         self._follows = False
-        self._offset = 0  # ns
         self._due = -1.0
 
     def convert(self, instant: float) -> tuple[int, int]:
         """Return `instant` (s, monotonic) as s and ns of a stamp."""
-        now = time.monotonic()
-        if self._follows or now >= self._due:
-            self._due = now + _LOOK
-            self._follows = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
-            self._offset = min(self._look() for _ in range(_LOOKS))[1]
-        return divmod(max(int(instant * 1e9) + self._offset, 0), 1_000_000_000)
-
-    def _look(self) -> tuple[int, int]:
-        """Return the duration of one reading of both clocks and the lead of the node's clock, ns."""
-        before = time.monotonic_ns()
-        there = int(self._clock.now().nanoseconds)
-        after = time.monotonic_ns()
-        return after - before, there - (before + after) // 2
+        if (now := self._host.now()) >= self._due:
+            self._due, self._follows = now + _LOOK, follows(self._clock)
+        # An interruption between the clocks makes the stamp older, not younger.
+        lead = int(self._clock.now().nanoseconds - 1e9 * self._host.now()) if self._follows else self._host.lead()
+        return divmod(max(int(instant * 1e9) + lead, 0), 1_000_000_000)
 
 
 class FlatPublisher:

@@ -7,11 +7,11 @@ It is the time of the sender's computer, whatever /clock shows.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from deltacharger_core.host_clock import HOST
 from deltacharger_ros.refusals import ANOTHER_CLOCK
 
 _served = threading.local()
@@ -28,14 +28,7 @@ def serving(header: Any) -> Iterator[None]:
 
 
 def order_age() -> float:
-    """Return the age (s) of the request that this thread serves; 0 if it is unknown."""
-    return age(getattr(_served, "sent", 0), time.time_ns())
-
-
-def age(sent: int, now: int) -> float:
-    """Return the age (s) at `now` of a request sent at `sent` (ns since 1970).
-
-    It is 0 if not stamped, stamped in the future, or so old that a clock was set meanwhile.
-    """
-    old = (now - sent) * 1e-9
+    """Return the age (s) of the request that this thread serves; 0 if it is unknown, or as of another clock."""
+    sent = getattr(_served, "sent", 0)
+    old = HOST.age(1e-9 * sent)
     return old if sent and 0.0 < old < ANOTHER_CLOCK else 0.0

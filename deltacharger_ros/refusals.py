@@ -7,10 +7,6 @@ from typing import Any
 
 from deltacharger_ros.messages import seconds
 
-AHEAD = 0.1
-"""s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
-is, so this is no more than press_age_max. Clocks of two computers with NTP differ by less than a tenth of it."""
-
 ANOTHER_CLOCK = 1e6
 """s; a stamp this old, or this far ahead, is from another clock."""
 
@@ -46,16 +42,6 @@ def stamp_seconds(stamp: Any) -> float:
     if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
         raise MessageRefused(f"its stamp is invalid: {stamp.sec} s and {stamp.nanosec} ns")
     return seconds(stamp)
-
-
-def check_ahead(ahead: float) -> None:
-    """Check how far (s) a stamp is ahead of this computer's clock.
-
-    Raises:
-        MessageRefused: too far.
-    """
-    if ahead > AHEAD:
-        raise MessageRefused(f"its stamp is {ahead:.3f} s ahead of this computer's clock; synchronize both clocks")
 
 
 def stamp_and_sequence(data: bytes, longest: int) -> tuple[float, int]:

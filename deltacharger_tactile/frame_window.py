@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.host_clock import COMPARE_CLOCKS
 from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.parameters import FRAMES_MAX
 
@@ -46,7 +47,7 @@ class FrameWindow:
     """Received frames of one device; all methods are thread-safe.
 
     Args:
-        now: clock of the frames' stamps, s.
+        now: clock of the frames' sampling times, s.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -77,7 +78,7 @@ class FrameWindow:
     def fresh(self, wanted: int, timeout: float) -> list[Frame]:
         """Wait for `wanted` frames that are sampled and received from now on.
 
-        Both conditions are needed: if the clock is set back, old frames carry later stamps than now.
+        Both conditions are needed: another computer's clock may be ahead, and its frames date from the future.
 
         Args:
             wanted: number of frames, at most FRAMES_MAX.
@@ -115,7 +116,7 @@ class FrameWindow:
             raise Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {max_age:g} s")
         if age < -max_age:
             raise Refused(
-                f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; set both clocks"
+                f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; {COMPARE_CLOCKS}"
             )
         if not all(frame.tared for frame in frames):
             raise Refused("the tactile frames are not tared; call the service tare without contact")
@@ -127,6 +128,6 @@ class FrameWindow:
             return "no tactile_frame has arrived; check that tactile_node runs"
         age = self._now() - self._frames[-1][1].sampled
         return (
-            f"{fresh} of {wanted} fresh frames arrived in time, the newest is {age:.2f} s old; "
-            "check tactile_node and the clocks of both hosts"
+            f"{fresh} of {wanted} fresh frames arrived in time, the newest is {age:.2f} s old; check tactile_node; "
+            f"{COMPARE_CLOCKS}"
         )

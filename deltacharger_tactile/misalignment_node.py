@@ -25,6 +25,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -39,8 +40,8 @@ from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParamete
 from deltacharger_tactile.perception import Perception, PerceptionError
 
 
-def to_frame(message: TactileFrame) -> Frame:
-    """Convert a message to a frame.
+def to_frame(message: TactileFrame, sampled: float) -> Frame:
+    """Convert a message to a frame sampled at `sampled`, s monotonic.
 
     Raises:
         FrameError: the message does not hold two pads of 10 × 10.
@@ -48,9 +49,8 @@ def to_frame(message: TactileFrame) -> Frame:
     sizes = {len(message.left), len(message.right)}
     if (message.rows, message.columns) != (ROWS, COLUMNS) or sizes != {ROWS * COLUMNS}:
         raise FrameError(*((message.rows, message.columns, len(pad)) for pad in (message.left, message.right)))
-    stamp = message.header.stamp
     left, right = (np.asarray(pad, dtype=float).reshape(ROWS, COLUMNS) for pad in (message.left, message.right))
-    return Frame(stamp.sec + 1e-9 * stamp.nanosec, stamp, message.sequence, message.tared, left, right)
+    return Frame(sampled, message.header.stamp, message.sequence, message.tared, left, right)
 
 
 def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misalignment:
@@ -90,7 +90,7 @@ class MisalignmentNode(Node):
         except PerceptionError as error:
             raise node_support.StartupError(f"{self.get_name()}: {error}") from error
         self._log_doubt()
-        self._window = FrameWindow(self._now)
+        self._window = FrameWindow(time.monotonic)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
         self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
         self.create_service(
@@ -108,9 +108,6 @@ class MisalignmentNode(Node):
         """Release waiting requests and stop the publisher."""
         self._window.close()
         self._regularly.stop()
-
-    def _now(self) -> float:
-        return float(self.get_clock().now().nanoseconds) * 1e-9
 
     def _take(self, given: MisalignmentNodeParameters) -> str:
         """Use other parameters. Pending requests keep theirs; if a file is refused, the old parameters stay."""
@@ -133,7 +130,7 @@ class MisalignmentNode(Node):
 
     def _receive(self, message: TactileFrame) -> None:
         try:
-            self._window.add(to_frame(message))
+            self._window.add(to_frame(message, time.monotonic() - stamp_age(self.get_clock(), message.header.stamp)))
         except FrameError:
             self._log.error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,20 +16,18 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
+from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS, HOST, HostClock
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_ros.clock import ClockWatch
+from deltacharger_ros.clock import ClockWatch, age
 from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_ros.refusals import (
-    AHEAD,
     ANOTHER_CLOCK,
     MessageRefused,
     Refusals,
-    check_ahead,
     stamp_and_sequence,
     stamp_seconds,
 )
@@ -51,35 +49,36 @@ class Heard:
 
     Args:
         clock: of the node; stamps are compared with it. While /clock stands still no data count as new.
-        monotonic: returns s.
+        host: clock of the computer.
 
     Attributes:
         refused: refused messages.
     """
 
-    def __init__(self, clock: Clock, monotonic: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
         self.refused = Refusals()
-        self._clock, self._monotonic = clock, monotonic
-        self._watch = ClockWatch(clock)
+        self._clock, self._host = clock, host
+        self._watch = ClockWatch(clock, host)
         self._frame_check = FrameCheck()
         self._latest: dict[type[Any], Any] = {}  # the latest message of each type
+        self._latest_sampled: dict[type[Any], tuple[float, float]] = {}  # its stamp, and the monotonic time, s
         self._taxels = np.zeros((PADS, ROWS, COLUMNS))  # N, of the latest frame
-        self._ahead: dict[type[Any], float] = {}  # how far the latest stamp is ahead of this node's clock, s
+        self._misdated: dict[type[Any], str] = {}  # why a clock is wrong, by the stamp of the last message
         self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
 
     def hear_frames(self, frames: Iterable[bytes]) -> None:
         """Take tactile frames as bytes: all for estimates, the newest valid one as the state of the pads."""
         taken = list(frames)
-        instant, now = self._instant()
+        instant = self._host.now()
         newest = b""
         for data in taken:
             try:
                 stamp, sequence = stamp_and_sequence(data, _FRAME_MAX)
-                check_ahead(stamp - now)
+                old = self._age(TactileFrame, stamp)
             except MessageRefused as refusal:
                 self.refused.add("tactile_frame", str(refusal))
                 continue
-            self._frame_check.add(sequence, instant - (now - stamp))
+            self._frame_check.add(sequence, instant - old)
             newest = data
         if not newest:
             return
@@ -91,18 +90,22 @@ class Heard:
         self.hear(frame)
 
     def hear(self, message: Any) -> None:
-        """Store new measurements with their time; old data do not become fresh by being sent late or again."""
+        """Store new measurements with their time; old data do not become fresh by being sent late or again.
+
+        The time is read before the age: if the thread is interrupted in between, data seem older than they are.
+        """
         kind = type(message)
         known = self._latest.get(kind)
         if known is not None and message.header.stamp == known.header.stamp:
             return
-        instant, now = self._instant()
+        instant = self._host.now()
         try:
             stamp = stamp_seconds(message.header.stamp)
-            self._ahead[kind] = stamp - now
-            check_ahead(stamp - now)
-            if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
-                raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
+            old = self._age(kind, stamp)
+            before, sampled = self._latest_sampled.get(kind, (-math.inf, -math.inf))
+            if stamp < before and instant - old < sampled:
+                self._misdated[kind] = f"its stamp is {before - stamp:.3f} s older than one before; {COMPARE_CLOCKS}"
+                raise MessageRefused(self._misdated[kind])
             if kind in _CHECKS:  # charger_power is checked where its values are used
                 message = _CHECKS[kind](message)
         except MessageRefused as refusal:
@@ -111,24 +114,17 @@ class Heard:
         if kind is TactileFrame:
             self._taxels = np.array((message.left, message.right), np.float64).reshape(-1, ROWS, COLUMNS)
         if kind is not ServoState or all(message.valid):
-            self._measured[kind] = instant - max(now - stamp, 0.0)
-        self._latest[kind] = message
-
-    def _instant(self) -> tuple[float, float]:
-        """Return one instant in s, monotonic and on the node's clock.
-
-        Read in this order, after messages were taken: if the thread is interrupted in between, data seem older than
-        they are, never fresher and never from the future.
-        """
-        return self._monotonic(), seconds(self._clock.now().to_msg())
+            self._measured[kind] = instant - max(old, 0.0)
+        self._latest[kind], self._latest_sampled[kind] = message, (stamp, instant - old)
 
     def observation(self, replies: tuple[Reply, ...] = (), **known: Any) -> Observation:
         """Return the present observation; `known` are its values from elsewhere.
 
         Estimates of unconfirmed frames are refused.
         """
-        now = self._monotonic()
+        now = self._host.now()
         self._watch.look(now)
+        misdated = next((f"{_NAMES[kind]}: {problem}" for kind, problem in self._misdated.items() if problem), "")
         servo, tactile, power = (self._latest.get(kind) for kind in self._measured)
         ages = (now - min(measured, self._watch.stepped) for measured in self._measured.values())
         values: dict[str, Any] = dict(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
@@ -162,17 +158,26 @@ class Heard:
         return Observation(
             time=now,
             replies=tuple(map(self._frame_check.checked, replies)),
-            clock_problem=self._watch.problem(now) or self._other_clock(now),
+            clock_problem=self._watch.problem(now) or misdated,
             **values,
             **known,
         )
 
-    def _other_clock(self, now: float) -> str:
-        """Return which topic is stamped by another clock; '' = none."""
-        for kind, measured in self._measured.items():
-            if ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > ANOTHER_CLOCK:
-                return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
-        return ""
+    def _age(self, kind: type[Any], stamp: float) -> float:
+        """Return the age (s) of a stamp (s).
+
+        Raises:
+            MessageRefused: it shows another clock, or lies in the future.
+        """
+        old = age(self._clock, stamp, self._host)
+        self._misdated[kind] = ""
+        if abs(old) > ANOTHER_CLOCK:
+            self._misdated[kind] = "it is stamped by another clock: set use_sim_time for all nodes or for none"
+        elif -old > AHEAD:
+            self._misdated[kind] = f"its stamp is {-old:.3f} s ahead of this computer's clock; {COMPARE_CLOCKS}"
+        if self._misdated[kind]:
+            raise MessageRefused(self._misdated[kind])
+        return old
 
 
 class Inputs:

@@ -46,7 +46,7 @@ class Reports:
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
         self._diagnostics = Diagnostics(node)
-        self._log, self._phases = log, PhaseLog()
+        self._log, self._phases, self._clock_problem = log, PhaseLog(), ""
 
     def begin(self, title: str, wish: str) -> None:
         """Log that a goal was accepted, with its request as text."""
@@ -54,7 +54,10 @@ class Reports:
         self._log.info(f"{title}: accepted{wish and f', {wish}'}")
 
     def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
-        """Log changes: phases, failures, the contactor."""
+        """Log changes: phases, failures, the contactor, and that a clock problem begins."""
+        if observation.clock_problem and not self._clock_problem:
+            self._log.warning(observation.clock_problem)
+        self._clock_problem = observation.clock_problem
         for line in self._phases.lines(status, passed, observation):
             self._log.info(line)
 
@@ -107,7 +110,7 @@ class Reports:
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return False
         self._diagnosed = time.monotonic()
-        level, text = OK, status.state.name
+        level, text = (WARN, observation.clock_problem) if observation.clock_problem else (OK, status.state.name)
         if status.code:
             level, text = WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
@@ -128,6 +131,7 @@ class Reports:
             "power_age": _age(observation.power_age),
             "slowest_tick": quantity(1000.0 * slowest_tick, ".1f", "ms"),
             "duplicate_sources": status.duplicate_sources,
+            "clock_problem": observation.clock_problem,
             "refused_messages": refused.count,
             "refused_last": refused.last,
         }

@@ -24,6 +24,7 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.messages import refined, seen
 from deltacharger_ros.action_caller import result_of
+from deltacharger_ros.clock import age
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown_misalignment
@@ -192,8 +193,8 @@ class Services:
         if service is not Service.DETECT:
             return {}
         # An image with a stamp in the future is as wrong as an old one.
-        age = abs(seconds(self._clock.now().to_msg()) - seconds(answer.detection.header.stamp))
-        return {"detection": seen(self._place(answer.detection), age)}
+        old = abs(age(self._clock, seconds(answer.detection.header.stamp)))
+        return {"detection": seen(self._place(answer.detection), old)}
 
     def _put(self, reply: Reply) -> None:
         with self._lock:

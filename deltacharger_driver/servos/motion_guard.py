@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import enum
 import hmac
-import math
 from typing import NamedTuple
 
+from deltacharger_core.host_clock import AHEAD
+
 FRESH = 0.2  # s, four periods of charger_power; if older, the state is unknown
-AHEAD = 0.1  # s; a stamp further in the future cannot show an open contactor
 _PUBLISHERS = 8  # of charger_power that are tracked; a charger has one
 
 
@@ -116,8 +116,3 @@ class MotionGuard:
         """Record that `sender` moved the arm."""
         if state is ContactorState.OPEN:
             self._leader = sender
-
-
-def stamp_age(sec: int, nanosec: int, now: int) -> float:
-    """Return the age of a stamp, s, at `now` (ns); NaN for a stamp before 1970."""
-    return (now - sec * 1_000_000_000 - nanosec) * 1e-9 if sec >= 0 else math.nan

@@ -17,11 +17,13 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
+from deltacharger_core.host_clock import AHEAD
 from deltacharger_core.machine import JOINTS, ZERO_CURRENT
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
-from deltacharger_driver.servos.motion_guard import AHEAD, ContactorState, MotionGuard, stamp_age
+from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_ros.bounded_topic import BoundedTopic
+from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 from deltacharger_ros.qos import SERVICE
 
@@ -65,7 +67,7 @@ class ContactorClient:
         self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
         self._pending: Future[Any] | None = None
-        self._requested_at = 0  # ns, the node's clock; 0 if there was no server
+        self._requested_at = -math.inf  # s, of the last request to open
         self._open = True
 
     def request_open(self) -> None:
@@ -76,7 +78,7 @@ class ContactorClient:
                 self._pending = None
             self._open = not self._client.service_is_ready()
             if not self._open:
-                self._requested_at = self._node.get_clock().now().nanoseconds
+                self._requested_at = self._clock()
                 self._pending = self._client.call_async(SetContactor.Request(close=False, holder=_HOLDER))
 
     def is_open(self) -> bool:
@@ -102,16 +104,15 @@ class ContactorClient:
         received = self._power.take()
         if not received:
             return
-        now, clock = self._clock(), self._node.get_clock().now().nanoseconds
+        now, clock = self._clock(), self._node.get_clock()
         opened = flows = False
         # The newest of each publisher; all messages if rclpy does not provide the publisher.
         for each in {one.publisher or one.data: one for one in received}.values():
             power = each.read() if len(each.data) <= _LARGEST_POWER else None
             if power is None:
                 continue
-            stamp = power.header.stamp
-            age = stamp_age(stamp.sec, stamp.nanosec, clock)
-            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._requested_at and age >= -AHEAD
+            age = stamp_age(clock, power.header.stamp)
+            later = now - age > self._requested_at and age >= -AHEAD
             opened |= later and not power.contactor_closed
             current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
             flows |= current

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from deltacharger_core.host_clock import COMPARE_CLOCKS
 from deltacharger_driver.errors import TrajectoryRefused
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
@@ -159,11 +160,11 @@ def check_age(age: float) -> None:
     """
     if age > STALE_AFTER:
         old = f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s"
-        raise TrajectoryRefused(f"{old}; compare the clocks of both computers")
+        raise TrajectoryRefused(f"{old}: stamp it with the time of sending, or not at all; {COMPARE_CLOCKS}")
     if math.isnan(age):
         raise TrajectoryRefused("its stamp is before 1970; use the ROS clock, or no stamp")
     if age < -STALE_AFTER:
-        raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; compare the clocks of both computers")
+        raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; {COMPARE_CLOCKS}")
 
 
 def _order(names: Sequence[str], limits: JointLimits) -> list[int]:

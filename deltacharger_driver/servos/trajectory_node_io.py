@@ -15,11 +15,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard, Sender, stamp_age
+from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard, Sender
 from deltacharger_driver.servos.report import ServoPhase
 from deltacharger_driver.servos.servo_node_io import KEPT
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
 from deltacharger_ros.bounded_topic import BoundedTopic, Received
+from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.messages import seconds
 
 LONGEST_SECRET = 64  # characters of header.frame_id
@@ -114,9 +115,7 @@ class TrajectoryInbox:
 
     def _age(self, stamp: Any) -> float:
         """Return the age of a stamp on the node's clock, s; 0 if not set, NaN if invalid."""
-        if not (stamp.sec or stamp.nanosec):
-            return 0.0
-        return stamp_age(stamp.sec, stamp.nanosec, self._node.get_clock().now().nanoseconds)
+        return stamp_age(self._node.get_clock(), stamp) if stamp.sec or stamp.nanosec else 0.0
 
     def _forbid(self, received: Received, state: ContactorState) -> None:
         self.forbidden += 1

@@ -20,6 +20,7 @@ from rclpy.node import Node
 
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
+from deltacharger_core.host_clock import HOST
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
@@ -91,7 +92,7 @@ class DockingRecorderNode(Node):
         self._thread.join(10.0)
 
     def _take(self, message: Raw) -> None:
-        self._recorder.take(time.monotonic() - (time.time_ns() - message.received) * 1e-9, message)
+        self._recorder.take(time.monotonic() - HOST.age(1e-9 * message.received), message)
         action = self._feedback.get(message.topic)
         if action is not None:
             self._ask_result(action, message.data[_ID])

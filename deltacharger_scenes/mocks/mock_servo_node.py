@@ -32,10 +32,10 @@ from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import JOINTS, NOMINAL_VOLTAGE, STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.goals import ServoGoals
-from deltacharger_driver.servos.motion_guard import stamp_age
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.diagnostics import WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -161,7 +161,7 @@ class MockServoNode(Node):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = message.header.stamp
         unset = not (stamp.sec or stamp.nanosec)
-        age = 0.0 if unset else stamp_age(stamp.sec, stamp.nanosec, self.get_clock().now().nanoseconds)
+        age = 0.0 if unset else stamp_age(self.get_clock(), stamp)
         points = [ServoWaypoint(seconds(each.time_from_start), each.positions, each.effort) for each in message.points]
         try:
             check_age(age)

@@ -30,7 +30,7 @@ from sensor_msgs.msg import Image
 from deltacharger_core.frames import CHARGER_BASE, TransformParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_ros import node_support
-from deltacharger_ros.clock import steady_timer
+from deltacharger_ros.clock import age, steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
@@ -146,12 +146,12 @@ class ElectrodeDetectorNode(Node):
 
     def _age_problem(self, shot: Shot) -> str:
         """Return why an image is too old or in the future; '' if it is current."""
-        age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
+        old = age(self.get_clock(), 1e-9 * shot.stamp)
         oldest = self._given.image_age_max
-        if -_FUTURE <= age <= oldest:
+        if -_FUTURE <= old <= oldest:
             return ""
         self._tally.stale += 1
-        when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
+        when = f"{old:.2f} s old" if old > 0.0 else f"stamped {-old:.2f} s in the future"
         return f"the image is {when} (image_age_max {oldest} s): check load, driver and clocks"
 
     def _examine(self, shot: Shot, deadline: float = math.inf) -> tuple[ElectrodeDetection | None, str]:

@@ -15,9 +15,11 @@ from typing import Any
 import pytest
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from rclpy.clock import ROSClock
+from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
+from deltacharger_core.host_clock import HostClock
 from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Observation, Reply
@@ -34,17 +36,21 @@ Distortion = Callable[[Any], Any]
 class Bench:
     """Three publishers and docking's ear, on clocks that the test moves.
 
+    Args:
+        stamps: s.
+        simulated: whether stamps show /clock; else the computer's clock.
+
     Attributes:
         stamps: s, the clock of all stamps; follows the test's time at `rate`.
         distort: what happens to messages of a class; None as its answer = no message.
     """
 
-    def __init__(self, stamps: float = 1000.0) -> None:
+    def __init__(self, stamps: float = 1000.0, simulated: bool = True) -> None:
         self.stamps, self.rate, self._now = stamps, 1.0, 50.0
         self.distort: dict[type[Any], Distortion] = {}
         self._clock = ROSClock()
-        self._clock._set_ros_time_is_active(True)
-        self.heard = Heard(self._clock, lambda: self._now)
+        self._clock._set_ros_time_is_active(simulated)
+        self.heard = Heard(self._clock, HostClock(lambda: round(1e9 * self.stamps), lambda: round(1e9 * self._now)))
         self._sequence = 0
 
     def run(self, seconds: float) -> Observation:
@@ -52,7 +58,7 @@ class Bench:
         for _ in range(round(seconds / TICK)):
             self._now += TICK
             self.stamps += self.rate * TICK
-            self._clock.set_ros_time_override(Time(seconds=int(self.stamps), nanoseconds=int(self.stamps % 1 * 1e9)))
+            self._clock.set_ros_time_override(Time(nanoseconds=round(1e9 * self.stamps)))
             self._sequence += 1
             for kind in TOPICS:
                 message = self.distort.get(kind, lambda message: message)(self._message(kind))
@@ -75,7 +81,7 @@ class Bench:
             message.sequence = self._sequence
         else:
             message = ChargerPower(contactor_closed=True, charge_current=8.0, target_voltage=24.0, battery_voltage=26.0)
-        message.header.stamp = self._clock.now().to_msg()
+        message.header.stamp = Time(nanoseconds=round(1e9 * self.stamps)).to_msg()
         return message
 
 
@@ -114,7 +120,8 @@ def stamped(by: float = 0.0, **fixed: int) -> Distortion:
     """Shift a stamp by seconds, or fix its fields."""
 
     def distort(message: Any) -> Any:
-        message.header.stamp.sec += int(by)
+        stamp = message.header.stamp
+        message.header.stamp = (Time.from_msg(stamp) + Duration(seconds=by)).to_msg()
         for name, value in fixed.items():
             setattr(message.header.stamp, name, value)
         return message
@@ -246,6 +253,49 @@ def test_after_a_jump_of_the_clock_old_and_new_are_told_apart_as_before(jump: fl
         bench.distort[kind] = lambda message: None
     seen = bench.run(0.4)
     assert min(age(seen, kind) for kind in TOPICS) == pytest.approx(0.4, abs=0.02)
+
+
+STEPS = [-3600.0, -5.0, -0.2, 0.2, 5.0, 3600.0]
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_a_step_of_the_computers_clock_makes_no_message_old_or_fresh_and_is_told(step: float) -> None:
+    bench = Bench(stamps=1.79e9, simulated=False)
+    bench.run(0.5)
+    bench.stamps += step
+    bench.distort = dict.fromkeys(TOPICS, stamped(-step - 0.005))  # stamped before the step and received after it
+    seen = bench.run(TICK)
+    assert max(age(seen, kind) for kind in TOPICS) < TICK + 1e-3
+    bench.distort = {}
+    assert all(age(bench.run(TICK), kind) < 1e-3 for kind in TOPICS)
+    assert not bench.heard.refused.count
+    assert f"set {'forward' if step > 0.0 else 'back'} by {abs(step):.1f} s" in seen.clock_problem
+    bench.distort = dict.fromkeys(TOPICS, lambda message: None)
+    assert min(age(bench.run(0.4), kind) for kind in TOPICS) == pytest.approx(0.4, abs=0.02)
+    assert not bench.run(10.0).clock_problem
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_data_of_another_computer_are_old_after_a_step_of_this_clock_or_theirs(step: float) -> None:
+    bench = Bench(stamps=1.79e9, simulated=False)
+    bench.run(0.5)
+    bench.stamps += step
+    bench.distort = dict.fromkeys(TOPICS, stamped(-step))
+    assert min(age(bench.run(0.6), kind) for kind in TOPICS) >= min(0.55, abs(step))
+    theirs = Bench(stamps=1.79e9, simulated=False)
+    theirs.run(0.5)
+    theirs.distort = dict.fromkeys(TOPICS, stamped(step))
+    seen = theirs.run(0.6)
+    assert min(age(seen, kind) for kind in TOPICS) >= min(0.55, abs(step))
+    assert "compare the clocks" in seen.clock_problem or step == -0.2
+
+
+def test_slewing_is_no_step() -> None:
+    bench = Bench(stamps=1.79e9, simulated=False)
+    bench.rate = 1.08
+    seen = bench.run(2.0)
+    assert not seen.clock_problem
+    assert max(age(seen, kind) for kind in TOPICS) < 0.03
 
 
 @pytest.mark.parametrize("begins", [0.0, 1000.0], ids=["no time yet", "stopped"])

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender, stamp_age
+from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 NAMES = ("a", "b", "c")
@@ -167,10 +167,3 @@ def test_unknown_senders_are_never_the_same() -> None:
     assert not UNKNOWN.is_same(UNKNOWN)
     assert Sender("a").is_same(Sender("a"))  # without a publisher id from rclpy
     assert STRANGER.is_same(STRANGER)  # a sender without secret is known by its publisher id only
-
-
-@pytest.mark.parametrize(
-    ("stamp", "age"), [((1, 500_000_000), 0.5), ((0, 0), 2.0), ((2**31 - 1, 2**32 - 1), -2147483649.3)]
-)
-def test_the_age_of_a_stamp(stamp: tuple[int, int], age: float) -> None:
-    assert stamp_age(*stamp, 2_000_000_000) == pytest.approx(age)

@@ -12,7 +12,9 @@ from typing import Any
 
 import pytest
 from deltacharger.msg import ChargerPower
+from rclpy.clock import ROSClock
 from rclpy.serialization import serialize_message
+from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
@@ -45,13 +47,16 @@ class Topic:
 
 @pytest.fixture
 def node(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A node with a virtual clock; its service is ready, and requests to it are kept."""
+    """A node whose stamps show a virtual clock; its service is ready, and requests to it are kept."""
+    stamps = ROSClock()
+    stamps._set_ros_time_is_active(True)
+    monkeypatch.setattr(stamps, "now", lambda: Time(seconds=clock()))
     for module in (servo_node_io, trajectory_node_io):
         monkeypatch.setattr(module, "BoundedTopic", lambda *arguments: Topic())
     requests: list[Any] = []
     client = SimpleNamespace(service_is_ready=lambda: True, call_async=requests.append)
     return SimpleNamespace(
-        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(clock() * 1e9))),
+        get_clock=lambda: stamps,
         create_client=lambda *arguments, **options: client,
         count_publishers=lambda name: 2,
         requests=requests,

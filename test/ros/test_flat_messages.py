@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 
+from deltacharger_core.host_clock import HostClock
 from deltacharger_driver.board.tactile_node import SamplePublishers
 from deltacharger_driver.servos.servo_node_io import StatePublishers
 from deltacharger_ros import flat_messages
@@ -131,6 +132,15 @@ def test_a_subscriber_receives_it(node: Node, spin: Spin) -> None:
     assert (frame.sequence, frame.tared, frame.rows) == (2**40 + 7, True, 10)
     np.testing.assert_array_equal(frame.left, forces)
     assert not any(frame.right)
+
+
+@pytest.mark.parametrize("step", [-5.0, 5.0])
+def test_stamps_follow_a_step_of_the_computers_clock_at_once(step: float) -> None:
+    shown = [1.79e9]  # s, the computer's clock
+    stamps = Stamps(Clock(clock_type=ClockType.SYSTEM_TIME), HostClock(lambda: round(1e9 * shown[0]), lambda: 10**11))
+    assert stamps.convert(99.99) == (1_789_999_999, 990_000_000)
+    shown[0] += step
+    assert stamps.convert(99.99) == (1_789_999_999 + step, 990_000_000)
 
 
 def test_a_clock_that_follows_a_simulator_is_read_for_every_stamp() -> None:

@@ -166,7 +166,7 @@ def test_a_frame_of_another_shape_is_ignored(context: Any, rows: int, columns: i
     message = TactileFrame(rows=rows, columns=columns, pitch=0.0024, tared=True)
     message.left = message.right = array("f", [1.0] * values)
     with pytest.raises(FrameError):
-        to_frame(message)
+        to_frame(message, 0.0)
     node = MisalignmentNode(**options(context))
     node._receive(message)
     assert not node._window.newest(1)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""This computer's clock beside the monotonic clock, which nobody sets: how old stamps are although it was set.
+
+Stamps of messages and orders show the computer's clock. A stamp from before a step of this clock is judged by the clock
+that it shows, so a step makes no data older or younger. Stamps of another computer, which did not step, then count as
+of the time of the step, or as from the future.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+AHEAD = 0.1
+"""s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
+is, so this is no more than press_age_max. Clocks of two computers with NTP differ by less than a tenth of it."""
+
+COMPARE_CLOCKS = "if it comes from another computer, compare the clocks of both"
+"""What to do about a stamp that is too old or in the future."""
+
+_MEASURED = 100_000_000  # ns between measurements of the lead; slewing changes it by 8 ms at most meanwhile
+_READINGS = 3  # per measurement; the fastest counts, since one in a hundred is interrupted between the clocks
+_STEP = 50_000_000  # ns, smallest step that is noticed; smaller ones change ages by less than `AHEAD`
+_SLEW = 0.1  # largest rate of a clock that is not set; chrony slews by 0.083 at most
+_TOLD = 10.0  # s that a step is told
+
+
+class HostClock:
+    """The clock of this computer; thread-safe. It notices a step at the next call, so call it regularly.
+
+    Args:
+        system: returns the clock that stamps show, ns.
+        monotonic: returns ns.
+    """
+
+    def __init__(
+        self, system: Callable[[], int] = time.time_ns, monotonic: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._system, self._monotonic = system, monotonic
+        self._lock = threading.Lock()
+        self._looked = self._measured = monotonic()
+        self._lead = self._lead_before = self._read()[1]  # now, and before the last step, ns
+        self._begin = self._end = -math.inf  # the last step lies between these, s
+
+    def now(self) -> float:
+        """Return the monotonic time, s."""
+        return 1e-9 * self._monotonic()
+
+    def lead(self) -> int:
+        """Return by how much this computer's clock is ahead of the monotonic clock, ns."""
+        with self._lock:
+            return self._look()
+
+    def age(self, stamp: float) -> float:
+        """Return how long ago (s) this computer's clock showed `stamp` (s); negative = it has yet to."""
+        with self._lock:
+            lead, now = 1e-9 * self._look(), self.now()
+            instant, before = stamp - lead, stamp - 1e-9 * self._lead_before
+            if instant < self._begin:  # shown before the step, or never
+                instant = min(before, self._begin)
+            elif instant > now + AHEAD and before <= self._end:
+                instant = before
+            return now - instant
+
+    def problem(self) -> str:
+        """Return that the clock was set in the last ten seconds; '' = it was not."""
+        with self._lock:
+            self._look()
+            if self.now() - self._end > _TOLD:
+                return ""
+            by = 1e-9 * (self._lead - self._lead_before)
+            return (
+                f"this computer's clock was set {'forward' if by > 0.0 else 'back'} by {abs(by):.1f} s: set it before "
+                "the charger starts, and let NTP slew it (docs/dock-goals.md)"
+            )
+
+    def _look(self) -> int:
+        """Notice a step, measure when due, and return the lead."""
+        now, (_, lead) = self._monotonic(), self._read()
+        allowed = _STEP + _SLEW * (now - self._measured)
+        if now - self._measured > _MEASURED or abs(lead - self._lead) > allowed:
+            took, lead = min(self._read() for _ in range(_READINGS))
+            if abs(lead - self._lead) > allowed + took:
+                self._lead_before, self._begin, self._end = self._lead, 1e-9 * self._looked, self.now()
+            self._lead, self._measured = lead, now
+        self._looked = now
+        return self._lead
+
+    def _read(self) -> tuple[int, int]:
+        """Return the duration of one reading of both clocks, and the lead, ns."""
+        before = self._monotonic()
+        there = self._system()
+        after = self._monotonic()
+        return after - before, there - (before + after) // 2
+
+
+HOST = HostClock()
+"""The clock of this process's computer."""
