@@ -33,6 +33,9 @@ class HostClock:
     Args:
         system: returns the clock that stamps show, ns.
         monotonic: returns ns.
+
+    Attributes:
+        steps: how often the clock was set.
     """
 
     def __init__(
@@ -43,6 +46,7 @@ class HostClock:
         self._looked = self._measured = monotonic()
         self._lead = self._lead_before = self._read()[1]  # now, and before the last step, ns
         self._begin = self._end = -math.inf  # the last step lies between these, s
+        self.steps = 0
 
     def now(self) -> float:
         """Return the monotonic time, s."""
@@ -84,6 +88,7 @@ class HostClock:
             took, lead = min(self._read() for _ in range(_READINGS))
             if abs(lead - self._lead) > allowed + took:
                 self._lead_before, self._begin, self._end = self._lead, 1e-9 * self._looked, self.now()
+                self.steps += 1
             self._lead, self._measured = lead, now
         self._looked = now
         return self._lead

@@ -204,7 +204,7 @@ class Inputs:
         sampled = QoSProfile(depth=_BACKLOG, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
-        self._double, self._looked = "", -math.inf
+        self._double, self._looked, self._steps = "", -math.inf, HOST.steps
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; only for the thread that steps."""
@@ -215,7 +215,7 @@ class Inputs:
         self._servo.rest()
 
     def look(self, period: float) -> None:
-        """Check for second sources if the last check is more than `period` s ago."""
+        """Log second sources and steps of the clock, if the last check is more than `period` s ago."""
         now = time.monotonic()
         if now - self._looked < period:
             return
@@ -223,6 +223,9 @@ class Inputs:
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
             self._log.warning(f"second source, so the contactor will not be closed: {self._double}")
+        if HOST.steps != self._steps:
+            self._steps = HOST.steps
+            self._log.warning(HOST.problem())
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return the present observation; callable from any thread. Estimates of unconfirmed frames are refused."""

@@ -46,7 +46,7 @@ class Reports:
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
         self._diagnostics = Diagnostics(node)
-        self._log, self._phases, self._clock_problem = log, PhaseLog(), ""
+        self._log, self._phases = log, PhaseLog()
 
     def begin(self, title: str, wish: str) -> None:
         """Log that a goal was accepted, with its request as text."""
@@ -54,10 +54,7 @@ class Reports:
         self._log.info(f"{title}: accepted{wish and f', {wish}'}")
 
     def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
-        """Log changes: phases, failures, the contactor, and that a clock problem begins."""
-        if observation.clock_problem and not self._clock_problem:
-            self._log.warning(observation.clock_problem)
-        self._clock_problem = observation.clock_problem
+        """Log changes: phases, failures, the contactor."""
         for line in self._phases.lines(status, passed, observation):
             self._log.info(line)
 
