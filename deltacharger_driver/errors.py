@@ -65,10 +65,15 @@ class PortGone(PortError):
 
 
 class PortBusy(PortError):
-    """Another process owns the port. Example: a second driver, or the servo vendor's tool."""
+    """Another process owns the port. Example: a second driver, or the servo vendor's tool.
+
+    Args:
+        port: path of the port.
+        reason: names of the programs; empty if they are another user's.
+    """
 
     what = "the port is in use by another program"
-    advice = "close the other program (lsof names it)"
+    advice = "close the other program (sudo lsof names it)"
 
 
 class PortDenied(PortError, PermissionError):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 import termios
@@ -16,6 +17,7 @@ from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMiss
 HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)
 """Errors of a vanished port, depending on the call; the last two if pyserial has dropped its descriptor."""
 
+_PSEUDO_TERMINALS = range(136, 144)  # major numbers of devices
 _ABSENT = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ENOTDIR, errno.ELOOP)
 _KINDS = (
     (stat.S_ISDIR, "a directory"),
@@ -29,6 +31,10 @@ _KINDS = (
 def open_serial(path: str, baud: int) -> serial.Serial:
     """Open a serial port: raw, non-blocking, locked against other programs.
 
+    Two locks, since neither holds everyone off: flock programs that ask for it, also of root; TIOCEXCL all of others.
+    A pseudo-terminal has only the first: it would keep the second after its holder was killed, until its other end
+    closes.
+
     Args:
         path: of the device, or of a link to it.
         baud: speed, bit/s.
@@ -41,9 +47,31 @@ def open_serial(path: str, baud: int) -> serial.Serial:
         PortError: anything else, such as a speed that the adapter does not support.
     """
     try:
-        return serial.Serial(path, baud, timeout=0, exclusive=True)
+        line = serial.Serial(path, baud, timeout=0, exclusive=True)
+        if os.major(os.fstat(line.fileno()).st_rdev) not in _PSEUDO_TERMINALS:
+            fcntl.ioctl(line.fileno(), termios.TIOCEXCL)
     except HANG_UPS as error:
         raise _explain(path, error) from error
+    return line
+
+
+def holders(path: str) -> list[str]:
+    """Return the visible processes that have opened a port; if any locked it, only these.
+
+    Args:
+        path: of the port, or of a link to it.
+    """
+    target = os.path.realpath(path)
+    locked: list[str] = []
+    opened: list[str] = []
+    for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
+        descriptors = [link for link in _links(process / "fd") if _target(link) == target]
+        if descriptors:
+            name = _name(process)
+            opened.append(name)
+            if any("lock:" in _text(process / "fdinfo" / link.name) for link in descriptors):
+                locked.append(name)
+    return locked or opened
 
 
 def _explain(path: str, error: BaseException) -> PortError:
@@ -56,7 +84,7 @@ def _explain(path: str, error: BaseException) -> PortError:
     if number in _ABSENT:
         return PortMissing(path, _absence(path))
     if number in (errno.EBUSY, errno.EAGAIN):
-        return PortBusy(path)
+        return PortBusy(path, ", ".join(holders(path)))
     return PortError(path, str(error))
 
 
@@ -102,3 +130,31 @@ def _ownership(path: str) -> str:
     except KeyError:  # the ids have no names, as in a container
         owner = f"{status.st_uid} {status.st_gid}"
     return f"{stat.filemode(status.st_mode)} {owner}"
+
+
+def _links(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _target(link: Path) -> str:
+    try:
+        return os.readlink(link)
+    except OSError:
+        return ""
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def _name(process: Path) -> str:
+    """Return the shortened command line of a process, and its number."""
+    command = _text(process / "cmdline").replace("\0", " ").strip() or _text(process / "comm").strip()
+    shown = command if len(command) <= 80 else command[:77] + "..."
+    return f"'{shown}' (process {process.name})"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import grp
 import os
 from collections.abc import Iterator
@@ -36,10 +37,9 @@ def examine_port(part: str, path: str) -> Iterator[Finding]:
     except PortDenied as error:
         yield failed(part, error, _group_advice(path))
     except PortBusy as error:
-        who = ", ".join(holders(path))
-        if who:
+        if error.reason:
             advice = "end that program; if it is this running charger, see its /diagnostics instead"
-            yield wrong(part, f"{path}: in use by {who}", advice)
+            yield wrong(part, f"{path}: in use by {error.reason}", advice)
         else:
             yield failed(part, error, f"another user has opened it: sudo lsof {path} names the program")
     except PortError as error:
@@ -64,25 +64,6 @@ def candidates() -> list[str]:
         identity = f"{port.vid:04x}:{port.pid:04x} {port.product or ''}".strip() if port.vid is not None else ""
         found.append(f"{port.device}{f' ({identity})' if identity else ''}")
     return found
-
-
-def holders(path: str) -> list[str]:
-    """Return the visible processes that have opened a port; if any locked it, only these.
-
-    Args:
-        path: of the port, or of a link to it.
-    """
-    target = os.path.realpath(path)
-    locked: list[str] = []
-    opened: list[str] = []
-    for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
-        descriptors = [link for link in _links(process / "fd") if _target(link) == target]
-        if descriptors:
-            name = _name(process)
-            opened.append(name)
-            if any("lock:" in _text(process / "fdinfo" / link.name) for link in descriptors):
-                locked.append(name)
-    return locked or opened
 
 
 def _other_ports() -> str:
@@ -118,37 +99,12 @@ def _improvements(part: str, path: str, target: str) -> Iterator[Finding]:
         yield hint(
             part, f"{path}: the number depends on the order of plugging in", f"{_RULES_ADVICE}, for a fixed name"
         )
-    if name.startswith("ttyACM") and "ModemManager" in {_text(process / "comm").strip() for process in _processes()}:
+    if name.startswith("ttyACM") and "ModemManager" in {comm.strip() for comm in _commands()}:
         yield hint(part, f"{path}: ModemManager may write to it after it is plugged in", _RULES_ADVICE)
 
 
-def _processes() -> list[Path]:
-    return list(Path("/proc").glob("[0-9]*"))
-
-
-def _links(folder: Path) -> list[Path]:
-    try:
-        return list(folder.iterdir())
-    except OSError:
-        return []
-
-
-def _target(link: Path) -> str:
-    try:
-        return os.readlink(link)
-    except OSError:
-        return ""
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(errors="replace")
-    except OSError:
-        return ""
-
-
-def _name(process: Path) -> str:
-    """Return the shortened command line of a process, and its number."""
-    command = _text(process / "cmdline").replace("\0", " ").strip() or _text(process / "comm").strip()
-    shown = command if len(command) <= 80 else command[:77] + "..."
-    return f"'{shown}' (process {process.name})"
+def _commands() -> Iterator[str]:
+    """Yield the names of the running programs."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended
+            yield (process / "comm").read_text(errors="replace")

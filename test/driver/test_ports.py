@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import socket
 import termios
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import serial
 
+from deltacharger_driver import serial_open as serial_open_module
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import Packet, PacketType, encode_packet
@@ -43,6 +45,8 @@ from deltacharger_tactile.source import ContactSource
 from ..emulated_ports import Babbler, written
 from ..marks import rest
 from ..waiting import wait_until
+
+_TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>; Python's termios lacks it
 
 SIDES: dict[str, Callable[[str], object]] = {
     "servos": lambda path: ServoLink(path, 1_000_000).open(),
@@ -89,8 +93,24 @@ def test_a_path_that_is_not_a_port_is_named(
 
 @pytest.mark.parametrize("side", SIDES)
 def test_a_port_in_use_is_busy_for_both_drivers(side: str, board_port: str) -> None:
-    with open_serial(board_port, 115200), pytest.raises(PortBusy):
+    with open_serial(board_port, 115200), pytest.raises(PortBusy, match=f"process {os.getpid()}"):
         SIDES[side](board_port)
+
+
+def test_programs_that_ask_for_no_lock_cannot_open_a_port_either(
+    board_port: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root can. A pseudo-terminal would stay closed after its holder was killed."""
+    with open_serial(board_port, 115200) as line:
+        assert not is_exclusive(line)
+    monkeypatch.setattr(serial_open_module, "_PSEUDO_TERMINALS", ())
+    with open_serial(board_port, 115200) as line:
+        assert is_exclusive(line)
+        fcntl.ioctl(line.fileno(), termios.TIOCNXCL)
+
+
+def is_exclusive(line: serial.Serial) -> bool:
+    return any(fcntl.ioctl(line.fileno(), _TIOCGEXCL, bytes(4)))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import serial
 
 from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
-from deltacharger_bringup.doctor.ports import examine_port, holders
+from deltacharger_bringup.doctor.ports import examine_port
 from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_bringup.doctor.set_baud import set_baud
 from deltacharger_driver.board.link import BoardLink
@@ -26,6 +26,7 @@ from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.serial_open import holders
 from deltacharger_driver.servos import port
 from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 
