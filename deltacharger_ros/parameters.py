@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import math
+import sys
 import weakref
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -14,6 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
+from deltacharger_core.yaml_file import read_yaml
+from deltacharger_ros.log import Log
 from deltacharger_ros.node_support import StartupError
 
 T = TypeVar("T")
@@ -53,10 +59,15 @@ def was_given(node: Node, name: str) -> bool:
     return name in node._parameter_overrides  # private, but rclpy's only source for it
 
 
-def reject_unknown(node: Node) -> None:
+def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
     """Refuse given parameters that the node does not have; call it after all are declared.
 
+    Those that a parameter file gives to all nodes (`/**`) may belong to another node: they are ignored, with a warning.
     It also makes later settings accept integers for floats.
+
+    Args:
+        node: owner of the parameters.
+        arguments: command line; None = sys.argv.
 
     Raises:
         StartupError: names the parameter and the nearest known one.
@@ -64,8 +75,10 @@ def reject_unknown(node: Node) -> None:
     known = set(node.get_parameters_by_prefix("")) | _OF_EVERY_NODE
     for name in node._parameter_overrides:
         if name not in known and not name.startswith("qos_overrides."):
-            hint = did_you_mean(name, sorted(known))
-            raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
+            problem = f"unknown parameter '{name}'{did_you_mean(name, sorted(known))}"
+            if name not in _of_all_nodes(node.get_name(), sys.argv if arguments is None else arguments):
+                raise StartupError(f"{node.get_name()}: {problem}")
+            Log(node).warning(f"{problem}: ignored, since a parameter file gives it to all nodes")
 
     described = weakref.WeakMethod(node.describe_parameter)  # weak: a node that fails to start must be freed
 
@@ -77,6 +90,34 @@ def reject_unknown(node: Node) -> None:
         ]
 
     node.add_pre_set_parameters_callback(widened)
+
+
+def _of_all_nodes(node: str, arguments: Sequence[str]) -> set[str]:
+    """Return the parameters that only sections for all nodes of the command line's parameter files give to a node.
+
+    A file of launch holds what a launch file gives to one node, although its section is for all.
+    """
+    every: set[str] = set()
+    own = {word.partition(":=")[0].rpartition(":")[2] for word in arguments}  # by -p
+    for option, file in pairwise(arguments):
+        if option != "--params-file" or Path(file).name.startswith("launch_params_"):
+            continue
+        try:
+            sections = dict(read_yaml(file))
+        except (OSError, ValueError, TypeError):  # it is not as `read_yaml` wants it: nothing is known
+            continue
+        for section, content in sections.items():
+            last, given = section.rpartition("/")[2], (content or {}).get("ros__parameters", {})
+            own |= _flat(given) if last == node else set()
+            every |= _flat(given) if last in ("*", "**") else set()
+    return every - own
+
+
+def _flat(given: Any, prefix: str = "") -> set[str]:
+    """Return the names of nested parameters, joined by dots."""
+    if not isinstance(given, dict):
+        return {prefix.rstrip(".")}
+    return {name for key, value in given.items() for name in _flat(value, f"{prefix}{key}.")}
 
 
 def _declare(node: Node, each: Declaration, default: Any, description: str) -> Any:

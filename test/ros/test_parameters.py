@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import weakref
@@ -109,6 +110,33 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 
     with pytest.raises(StartupError, match=message):
         Subject()
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "refused"),
+    [
+        ("/**: {ros__parameters: {map: {frame: earth}}}", (), ""),
+        ("/robot/*: {ros__parameters: {rat: 5.0}}", (), ""),
+        ("/robot/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
+        ("/**/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
+        ("/**: {ros__parameters: {rat: 5.0}}\n/robot/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
+        ("/**: {ros__parameters: {rat: 5.0}}", ("-p", "rat:=6.0"), "rat"),
+        ("/**: {ros__parameters: {rate: fast}}", (), "rate"),
+    ],
+)
+def test_only_a_section_for_all_nodes_may_name_parameters_of_others(
+    context: Any, tmp_path: Path, text: str, words: tuple[str, ...], refused: str
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(text)
+    arguments = ["--ros-args", "--params-file", str(file), *words]
+    node = Node("subject", cli_args=arguments, **options(context, "/robot"))
+    try:
+        with pytest.raises(StartupError, match=f"'{refused}'") if refused else contextlib.nullcontext():
+            declare_all(node, Rates)
+            reject_unknown(node, arguments)
+    finally:
+        node.destroy_node()
 
 
 def test_a_node_that_fails_after_its_parameters_is_freed_at_once(context: Any, namespace: str) -> None:
