@@ -18,7 +18,7 @@ from deltacharger_ros.guest import Guest
 from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, rgb8
-from deltacharger_vision.ros.messages import intrinsics_of
+from deltacharger_vision.ros.messages import intrinsics_of, slash_hint
 
 _SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera has another clock
 _LATENCY = 0.5  # s; largest latency of an image of such a camera
@@ -33,19 +33,19 @@ class CameraClient(Guest):
 
     Args:
         context: a running rclpy context.
-        topic: of the colour image; camera_info is in the same namespace.
+        topic: of the colour image, relative to the charger's namespace; camera_info is beside it.
         namespace: of the charger.
     """
 
     def __init__(self, context: Context, topic: str, namespace: str = "") -> None:
         super().__init__("camera_client", context, namespace)
-        self._topic = topic
-        folder, slash, _ = topic.rpartition("/")
-        self._info_topic = f"{folder}{slash}camera_info"
+        self._topic = self.node.resolve_topic_name(topic)
+        self._info_topic = f"{self._topic.rpartition('/')[0]}/camera_info"
+        self._hint = slash_hint(self.node, topic)
         self._lock = threading.Lock()
         self._image: tuple[float, Image] | None = None
         self._info: Any = None
-        self.node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
+        self.node.create_subscription(Image, self._topic, self._on_image, qos.SENSOR)
         self.node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
         self._clock = self.node.get_clock()
         self.serve()
@@ -62,7 +62,7 @@ class CameraClient(Guest):
             CameraInfoError: it cannot be used.
         """
         if not self.wait(lambda: self._info is not None, timeout, check):
-            raise CameraError(f"no {self._info_topic} received: start the camera in this ROS domain")
+            raise CameraError(f"no {self._info_topic} received: start the camera in this ROS domain{self._hint}")
         info = self._info
         if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
             raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send complete images")
@@ -89,7 +89,7 @@ class CameraClient(Guest):
             return message if stamp >= since and arrival > asked else None
 
         if not self.wait(lambda: fresh() is not None, timeout, check):
-            raise CameraError(f"no image received on {self._topic}: check the camera's node and its cable")
+            raise CameraError(f"no image received on {self._topic}: check the camera's node and its cable{self._hint}")
         return rgb8(color_array(fresh()))
 
     def _now(self) -> float:

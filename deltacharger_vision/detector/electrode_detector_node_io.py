@@ -19,7 +19,7 @@ from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.ros.driver_diagnostics import DriverDiagnostics
-from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
+from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, slash_hint, stamp_ns
 
 SILENT = 1.0
 """A topic without a message for this long counts as silent, s."""
@@ -80,6 +80,7 @@ class Camera:
         self._shot: Shot | None = None
         self._closed = False
         self.names = [node.resolve_topic_name(topic) for topic in topics]
+        self._hint = slash_hint(node, *topics)
 
     @property
     def watched(self) -> bool:
@@ -128,7 +129,8 @@ class Camera:
         """Return why no images arrive; '' if they do, or if the subscription is too recent to know."""
         absent = [name for name in self.names if not self._node.count_publishers(name)]
         if absent:
-            return f"no publisher of {', '.join(absent)}: start camera_node, or the camera's driver with these names"
+            start = "start camera_node, or the camera's driver with these names"
+            return f"no publisher of {', '.join(absent)}: {start}{self._hint}"
         with self._news:
             now, since = time.monotonic(), self._since
             silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]

@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
+from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
+
+
+def slash_hint(node: Node, *topics: str) -> str:
+    """Return how a topic outside a node's namespace is named; '' if all are named so, or it has no namespace."""
+    where = node.get_namespace()
+    if where == "/" or all(topic.startswith("/") for topic in topics):
+        return ""
+    return f"; begin the name of a topic outside {where} with a slash"
 
 
 def stamp_ns(message: Any) -> int:
