@@ -249,7 +249,7 @@ REMEDIES: dict[Code, str] = {
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
     Code.TARGET_ROLLS: "set the brakes of target and charger, and move the target back to its place",
-    Code.NO_TACTILE_CONTACT: "check coordinates, what lies between pads and ridges, and whether the cable drags",
+    Code.NO_TACTILE_CONTACT: "check coordinates, what lies between pads and ridges, the cable, and each servo's id",
     Code.TACTILE_STALE: "check the board's cable, tactile_node and misalignment_node",
     Code.CRITICAL_ANGLE: "level the target or the charger",
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",

@@ -10,6 +10,7 @@ of pushing.
 from __future__ import annotations
 
 import math
+from itertools import permutations
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
@@ -40,6 +41,8 @@ _LOOSE, _LONGER = 0.3, 3  # share of a run-up that each servo must follow, and h
 _LAGS, _LONGEST_RUN_UP = 3.0, 0.02  # what a run-up must exceed to follow by _LOOSE; m
 _MOST_FRICTION = 0.6  # A of a servo; worn gears take up to 0.5
 _APART = 2.0  # times the others' friction that makes one servo the culprit
+_WRONG_WEIGHT = 0.25  # N·m by which servos carry another weight than the arm's; cables pull with up to 0.23
+_EXPLAINED = 0.5  # share of it that exchanged servos may leave, so that they explain it
 
 
 def approach(context: Context, target: Vector) -> Script[float]:
@@ -52,7 +55,7 @@ def approach(context: Context, target: Vector) -> Script[float]:
         z of the target, m: as told, or where the pads met it.
 
     Raises:
-        ServoFailure: a servo swings or creeps, or friction takes what pushing needs.
+        ServoFailure: a servo swings or creeps, friction takes what pushing needs, or two servos are exchanged.
         Stuck: the pull would not release the magnets.
         NoContact: the pads feel contact wherever the arm would tare, or live ones (power: none) touch before.
     """
@@ -94,6 +97,7 @@ def _tare(context: Context, target: Vector) -> Script[bool]:
             break
         run_up *= 2.0  # friction held the arm: so short a way does not show all of it
     _learn_friction(context, down, currents)
+    _check_order(context, currents)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
     a, b, c = (goal - now for goal, now in zip(standoff, context.position, strict=True))
@@ -205,6 +209,29 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
     raise ServoFailure(
         f"{culprit} rubs: free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A; free the cable, or replace "
         "the servo"
+    )
+
+
+def _check_order(context: Context, back: Vector) -> None:
+    """Refuse servos that carry the arm's weight as others should: each reaches its goal, but the arm goes elsewhere.
+
+    Without friction, half of the sum of the currents (A) on the ways `back` and forward, now, is the weight.
+    """
+    kinematics, parameters = context.kinematics, context.parameters
+    halves = zip(context.contact.currents, back, strict=True)
+    carried = [0.5 * parameters.torque_constant * (forward + before) for forward, before in halves]
+    left: dict[tuple[int, ...], float] = {}
+    for limbs in permutations(range(3)):  # of servos 1 to 3
+        a, b, c = (context.observation.angles[limbs.index(limb)] for limb in range(3))
+        held = kinematics.holding_torque(*kinematics.forward(a, b, c), parameters.gravity)
+        left[limbs] = math.dist(carried, [held[limb] for limb in limbs])
+    right, told = min(left, key=left.__getitem__), left[0, 1, 2]
+    if not (told > max(_WRONG_WEIGHT, math.hypot(*context.springs.friction)) and left[right] < _EXPLAINED * told):
+        return
+    moves = ", ".join(f"servo {servo} limb {limb}" for servo, limb in enumerate(right, 1) if limb != servo - 1)
+    raise ServoFailure(
+        f"the arm's weight lies on the servos as if {moves} moved: with the torque off, turn each limb by hand and "
+        "compare joint_states with docs/hardware.md; or correct gravity_x, gravity_y and gravity_z of docking_node"
     )
 
 

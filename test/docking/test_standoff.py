@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
 import pytest
@@ -82,6 +83,17 @@ def test_a_servo_with_a_wrong_d_gain_is_named_before_contact(number: int, brakin
 
     run.world.command = braked  # type: ignore[method-assign]
     refused(run, Code.SERVO_FAULT, f"servo {number} {wrong}", "position_d_gain")
+
+
+@pytest.mark.parametrize("limbs", list(permutations(range(3)))[1:])
+def test_exchanged_servos_are_named_before_contact(limbs: tuple[int, ...]) -> None:
+    """Each reaches its goal; only the arm's weight shows that they move other limbs."""
+    run = charger(coarse=True)
+    servo, command = run.world.servo, run.world.command
+    run.world.servo = lambda index: servo(limbs[index])  # type: ignore[method-assign]
+    run.world.command = lambda index, *order: command(limbs[index], *order)  # type: ignore[method-assign]
+    wrong = [f"servo {number} limb {limb}" for number, limb in enumerate(limbs, 1) if limb != number - 1]
+    refused(run, Code.SERVO_FAULT, *wrong, "gravity")
 
 
 @pytest.mark.parametrize("longest", [3, 12])
