@@ -12,7 +12,7 @@ from deltacharger_docking.observation import Reply
 _KEPT = 1024  # frames, 8 s: more than the longest request for an estimate takes
 _SHARE = 0.5  # of an estimate's frames that docking must have received: a best-effort topic loses some
 # The arm has rested for longer than this when an estimate is requested, and clocks of two computers may differ by this
-# much (`refusals.AHEAD`): a frame sampled this long before the request was still sampled after the last move.
+# much (`host_clock.AHEAD`): a frame sampled this long before the request was still sampled after the last move.
 _BEFORE = 0.1  # s
 
 
