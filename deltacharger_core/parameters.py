@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.picklable import Picklable
 from deltacharger_core.renamed import RENAMED
+from deltacharger_core.units import ON_ROBOT, outside
 
 T = TypeVar("T")
 
@@ -97,7 +98,7 @@ class Declaration:
             return ""
         if not math.isfinite(value):
             return f"{brief(value)} is not finite{self._range('; allowed are ')}"
-        return "" if self.low <= value <= self.high else f"{brief(value)} is outside{self._range(' ')}"
+        return outside(value, self.low, self.high, self.unit)
 
     def _range(self, before: str) -> str:
         return f"{before}{self.low:.10g} to {self.high:.10g} {self.unit}".rstrip() if math.isfinite(self.low) else ""
@@ -123,6 +124,11 @@ def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text
     """Declare several numbers, each within the bounds; an all-int default allows integers only."""
     whole = all(isinstance(item, int) for item in default)
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
+
+
+def pose(default: tuple[float, ...], text: str) -> Any:
+    """Declare a pose on a robot: seven numbers, of which the quaternion may have any length."""
+    return numbers(default, -ON_ROBOT, ON_ROBOT, "m", f"{text}: x, y, z in {{unit}}, then the quaternion x, y, z, w")
 
 
 def flag(default: bool, text: str, tunable: bool = False) -> Any:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
+from deltacharger_core.units import IN_TOUCH, untouchable
 from deltacharger_docking.parameters import DockingParameters
 
 
@@ -48,7 +49,13 @@ class MisalignmentEstimate:
 
     @classmethod
     def of(cls, source: Any) -> MisalignmentEstimate:
-        """Return the values of an estimate or message; fields that it lacks keep their defaults."""
+        """Return the values of an estimate or message; fields that it lacks keep their defaults.
+
+        Raises:
+            ValueError: the pose is none in touch, such as one in millimetres or degrees.
+        """
+        if problem := untouchable(**{name: float(getattr(source, name)) for name in IN_TOUCH}):
+            raise ValueError(problem)
         names = (item.name for item in fields(cls))
         return cls(**{name: getattr(source, name) for name in names if hasattr(source, name)})
 

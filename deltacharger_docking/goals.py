@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import wrong_id
+from deltacharger_core.units import far, outside
 from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.motion import Planner
@@ -27,11 +28,8 @@ def check_goal(
         Unreachable: the electrodes lie outside the workspace.
     """
     check_id(goal.request_id)
-    limit = parameters.critical_angle
-    if not math.isfinite(goal.critical_angle) or goal.critical_angle < 0.0:
-        raise Rejected(f"critical_angle is {goal.critical_angle}: give rad ≥ 0 (0 = the parameter)")
-    if goal.critical_angle > limit:
-        raise Rejected(f"critical_angle is {goal.critical_angle} rad, above {limit:.4f} rad; a goal may only lower it")
+    if problem := outside(goal.critical_angle, 0.0, parameters.critical_angle, "rad"):
+        raise Rejected(f"critical_angle: {problem}; a goal may only lower the parameter (0 = the parameter)")
     check_stops(goal.stop_energy, goal.stop_after)
     if parameters.always_live:
         _check_live(goal)
@@ -110,6 +108,8 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
     pose = x, y, z, electrodes.roll
     if not all(map(math.isfinite, pose)) or any(map(math.isinf, (electrodes.yaw, electrodes.pitch))):
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
+    if problem := far((x, y, z)):
+        raise Rejected(f"the electrodes' place in charger_base: {problem}")
     wrong = planner.reach_problem((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
         base = BasePose.before(electrodes.position, electrodes.sure_yaw(parameters.lean_sigmas))

@@ -24,7 +24,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
     ZERO_CURRENT,
 )
-from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, tunable, words
+from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, pose, tunable, words
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_kinematics.geometry import Vector
 
@@ -278,13 +278,7 @@ class DockingNodeParameters(Bounded):
     """
 
     base_frame: str = words("base_link", "the robot's frame for goals, in addition to charger_base")
-    base_pose: tuple[float, ...] = numbers(
-        (0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5),
-        -math.inf,
-        math.inf,
-        "",
-        "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
-    )
+    base_pose: tuple[float, ...] = pose((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), "charger_base in base_frame")
     lean_max: float = number(
         math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
     )

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 from deltacharger_core.parameters import Bounded, choice, like, number, tunable, words
+from deltacharger_core.units import ON_MAP, ON_ROBOT
 from deltacharger_docking.parameters import DockingNodeParameters
 
 
@@ -18,11 +19,15 @@ class MissionParameters(Bounded):
         ParameterError: a value lies outside its bounds.
     """
 
-    home_x: float = tunable(0.0, -1e5, 1e5, "m", "home of the base, x in map_frame")
-    home_y: float = tunable(0.0, -1e5, 1e5, "m", "home of the base, y in map_frame")
+    home_x: float = tunable(0.0, -ON_MAP, ON_MAP, "m", "home of the base, x in map_frame")
+    home_y: float = tunable(0.0, -ON_MAP, ON_MAP, "m", "home of the base, y in map_frame")
     home_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "heading at home")
-    electrodes_x: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
-    electrodes_y: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
+    electrodes_x: float = tunable(
+        0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the robot to be charged, x in the goal's target"
+    )
+    electrodes_y: float = tunable(
+        0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the robot to be charged, y in the goal's target"
+    )
     electrodes_yaw: float = tunable(
         0.0, -math.pi, math.pi, "rad", "direction that the electrodes face, from x toward y"
     )
@@ -64,5 +69,5 @@ class MissionNodeParameters(Bounded):
     precise_behavior_tree: str = words("", "file of its behavior tree for small moves near the target; empty = default")
     base_frame: str = like(DockingNodeParameters, "base_frame", text="full name of the robot's frame")
     base_pose: tuple[float, ...] = like(
-        DockingNodeParameters, "base_pose", text="charger_base on the robot, as in docking_node"
+        DockingNodeParameters, "base_pose", text="charger_base on the robot, in {unit}, as in docking_node"
     )

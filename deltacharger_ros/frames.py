@@ -15,6 +15,7 @@ from rclpy.node import Node
 
 from deltacharger_core.frames import CHARGER_BASE, LONGEST, TransformParameters
 from deltacharger_core.rotation import IDENTITY, Pose, apart, composed
+from deltacharger_core.units import far
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import was_given
@@ -25,7 +26,7 @@ _LOOK, _LOOKS = 1.0, 30  # s between comparisons of tf with base_pose after the 
 
 
 class Contradiction(TransformError):
-    """tf and the parameter base_pose give different mounts of the charger."""
+    """tf's mount of the charger differs from the parameter base_pose, or is none on a robot."""
 
 
 class Frames:
@@ -128,6 +129,8 @@ class Frames:
             Contradiction, TransformError: as in `base_pose`.
         """
         found = tf.lookup(self._base_frame, self.charger_base, None, timeout)
+        if problem := far(found[:3]):
+            raise Contradiction(f"{self.charger_base} in {self._base_frame} by tf: {problem}; correct the URDF")
         distance, turn = apart(found, self._base_pose)
         if self._is_given and (distance > SAME[0] or turn > SAME[1]):
             there, here = _words(self._base_pose), _words(found)

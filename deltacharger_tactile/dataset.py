@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core.units import IN_TOUCH, outside
 from deltacharger_tactile import npz
 from deltacharger_tactile.errors import DatasetError
 
@@ -136,15 +137,7 @@ _OPTIONAL = ("dead", "contact_pose", "force")
 _INTEGERS = ("attempt", "session", "rig", "subset")
 _FRAME = (ROWS, COLUMNS)
 _SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
-_LARGEST: dict[str, float | tuple[float, ...]] = {
-    "left": 1e3,
-    "right": 1e3,
-    "angle": 3.2,
-    "vertical": 0.1,
-    "horizontal": 0.1,
-    "contact_pose": (0.1, 0.1, 3.2),
-}
-"""N, rad, m; larger values are in other units."""
+_LARGEST_FORCE = 1e3  # N; larger values are in other units
 
 
 def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -167,18 +160,21 @@ def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
             raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold integers")
         if not np.issubdtype(array.dtype, np.number) and array.dtype != bool:
             raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold numbers")
-        if name in _LARGEST:
-            size = np.abs(array.reshape(count, -1))
-            fits = (size <= _LARGEST[name]) | (np.isnan(size) if name in _OPTIONAL else False)
-            wrong = np.flatnonzero(~fits.all(axis=1))
-            if len(wrong):
-                raise DatasetError(
-                    source,
-                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]}; use N, rad and m, "
-                    "and 0 for a dead taxel",
-                )
+    _check_values(source, arrays)
     _check_attempts(source, arrays)
     return arrays
+
+
+def _check_values(source: str, arrays: dict[str, NDArray[Any]]) -> None:
+    """Refuse forces and poses that are not finite, or in other units than N, m and rad."""
+    bounds = [(name, arrays[name], _LARGEST_FORCE, "N; give 0 for a dead taxel") for name in ("left", "right")]
+    bounds += [(name, arrays[name], *limit) for name, limit in IN_TOUCH.items()]
+    contact = zip(IN_TOUCH.items(), np.nan_to_num(arrays["contact_pose"]).T, strict=True)
+    bounds += [(f"contact_pose ({name})", column, *limit) for (name, limit), column in contact]
+    for name, values, most, unit in bounds:
+        for wrong in np.argwhere(~(np.abs(values) <= most))[:1]:
+            problem = outside(float(values[tuple(wrong)]), -most, most, unit)
+            raise DatasetError(source, f"row {wrong[0]} of {name}: {problem}")
 
 
 def _check_attempts(source: str, arrays: dict[str, NDArray[Any]]) -> None:

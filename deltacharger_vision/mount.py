@@ -17,6 +17,7 @@ from deltacharger_core.bounded_file import brief
 from deltacharger_core.frames import CAMERA, CHARGER_BASE
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.rotation import rotation
+from deltacharger_core.units import ON_ROBOT, far, outside
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
@@ -27,7 +28,6 @@ FRAME, CAMERA_FRAME = CHARGER_BASE, CAMERA
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
 """Error per axis of a mount without covariance: m and rad; accuracy of a calibration by hand (assumed)."""
 _PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
-_FARTHEST = 5.0  # m
 _UNIT = 1e-3
 _KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")
 
@@ -42,7 +42,7 @@ class Mount:
             along the axes of charger_base.
 
     Raises:
-        MountError: the pose is not rigid or farther than 5 m away, or the covariance is invalid.
+        MountError: the pose is not rigid or on no robot, or the covariance is invalid.
     """
 
     pose: Array
@@ -55,8 +55,8 @@ class Mount:
         turn = pose[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0.0:
             raise MountError("orientation", "is no rotation; give a unit quaternion x, y, z, w")
-        if not np.abs(pose[:3, 3]).max() <= _FARTHEST:
-            raise MountError("position", f"{pose[:3, 3].tolist()} is farther than {_FARTHEST:g} m; give metres")
+        if problem := far(pose[:3, 3].tolist()):
+            raise MountError("position", problem)
         if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
             raise MountError("covariance", "give 36 finite numbers, (6, 6) row by row")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] < -1e-12:
@@ -206,8 +206,8 @@ def _rotation(q: Array) -> Array:
 
 
 def _independent(position: float, rotation: float) -> Array:
-    if not (0.0 <= position <= _FARTHEST and 0.0 <= rotation <= math.pi):
-        raise MountError("stddev", f"{brief(position)} m and {brief(rotation)} rad; give 0…{_FARTHEST:g} m and 0…π rad")
+    if problem := outside(position, 0.0, ON_ROBOT, "m") or outside(rotation, 0.0, math.pi, "rad"):
+        raise MountError("stddev", problem)
     return np.diag([position**2] * 3 + [rotation**2] * 3)
 
 

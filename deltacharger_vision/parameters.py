@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, flag, number, numbers, tunable, words
+from deltacharger_core.parameters import Bounded, flag, number, pose, tunable, words
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
 
 COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
@@ -36,12 +36,6 @@ class DetectorNodeParameters(Bounded):
         False,
         "take the camera's pose from tf, by the frame_id of its images, instead of mount; tf has no covariance",
     )
-    mount: tuple[float, ...] = numbers(
-        pose_numbers(Mount.default().pose),
-        -float("inf"),
-        float("inf"),
-        "",
-        "camera_color_optical_frame in charger_base: x, y, z in m, then the quaternion x, y, z, w",
-    )
+    mount: tuple[float, ...] = pose(pose_numbers(Mount.default().pose), "camera_color_optical_frame in charger_base")
     mount_position_stddev: float = number(POSITION_STDDEV, 0.0, 0.1, "m", "error of the mount's position, per axis")
     mount_rotation_stddev: float = number(ROTATION_STDDEV, 0.0, 0.5, "rad", "error of the mount's rotation, per axis")

@@ -68,4 +68,4 @@ class Terminal(Bounded):
         try:
             return from_mapping(found, Terminal)
         except ParameterError as error:
-            raise TerminalError(source, f"{error}; lengths are in metres, such as bar_length: 0.07") from error
+            raise TerminalError(source, str(error)) from error

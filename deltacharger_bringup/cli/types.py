@@ -11,6 +11,7 @@ from collections.abc import Callable
 from urllib.parse import urlsplit
 
 from deltacharger_bringup.cli.web_viewer import WebAddress
+from deltacharger_core.units import ON_ROBOT
 
 
 def between(low: float, high: float) -> Callable[[str], float]:
@@ -66,7 +67,7 @@ def web_address(text: str) -> WebAddress:
 
 
 NOT_NEGATIVE = between(0.0, 2e9)  # range of a Duration's seconds
-MILLIMETRES = between(-10_000.0, 10_000.0)  # a larger number has the wrong unit
+MILLIMETRES = between(-1e3 * ON_ROBOT, 1e3 * ON_ROBOT)
 DEGREES = between(-90.0, 90.0)
 SEED = integer(0, 2**32 - 1)
 

@@ -18,6 +18,7 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS, HOST, HostClock
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
+from deltacharger_core.units import outside
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_ros.clock import ClockWatch, age
@@ -254,8 +255,9 @@ def _in_order(message: ServoState) -> ServoState:
         raise MessageRefused("its arrays do not describe three servos")
     if sorted(message.name) != sorted(JOINTS):
         raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
-    if any(abs(angle) > math.pi for angle in message.position):
-        raise MessageRefused("an angle exceeds half a turn")
+    widest = max(0.0, *message.position, key=abs)  # 0.0 first: NaN is not measured
+    if problem := outside(widest, -math.pi, math.pi, "rad"):
+        raise MessageRefused(f"a position: {problem}")
     if list(message.name) == list(JOINTS):
         return message
     order = [list(message.name).index(name) for name in JOINTS]

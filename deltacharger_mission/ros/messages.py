@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from deltacharger_core.frames import END_EFFECTOR, LONGEST
 from deltacharger_core.rotation import Pose, composed, lean, rotation
 from deltacharger_core.texts import cut
+from deltacharger_core.units import ON_MAP, far
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import seen
@@ -21,8 +22,6 @@ from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, TaskR
 from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.unknown import unknown_misalignment
-
-_NEAR = 10.0  # m; no camera of the charger detects a terminal farther away
 
 
 def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
@@ -64,8 +63,8 @@ def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambd
         return TaskReply(number, End.FAILED, message=cut(answer.message))
     try:
         detection = place(answer.detection)
-        if near(detection.pose.pose.position) is None:
-            return TaskReply(number, End.FAILED, message=f"the detection is farther than {_NEAR:g} m, or not finite")
+        if problem := far(_numbers(detection.pose.pose.position)):
+            return TaskReply(number, End.FAILED, message=f"the detection's place: {problem}")
         return TaskReply(number, End.DONE, electrodes=seen(detection, age=0.0))
     except ValueError as error:
         return TaskReply(number, End.FAILED, message=str(error))
@@ -73,9 +72,9 @@ def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambd
 
 def _suggested_base(pose: Any) -> BasePose | None:
     """Return a suggested pose; None if it is not finite or implausibly far."""
-    point, turn = near(pose.position), pose.orientation
+    point, turn = _numbers(pose.position), pose.orientation
     yaw, _ = lean(rotation(turn.x, turn.y, turn.z, turn.w))
-    return BasePose(*point, yaw) if point is not None and math.isfinite(yaw) else None
+    return BasePose(*point, yaw) if not far(point) and math.isfinite(yaw) else None
 
 
 def read_state(message: Any) -> DockingReport | None:
@@ -119,7 +118,7 @@ def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped |
         target: transformed target, in place of the request's.
 
     Raises:
-        Rejected: the target has no frame, or is not a pose on the ground.
+        Rejected: the target has no frame, or is not a pose on the ground of a site.
     """
     where = None
     if electrodes is not None:
@@ -129,6 +128,8 @@ def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped |
         here = place(target or request.target)
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
+        if problem := far((here.x, here.y), ON_MAP):
+            raise Rejected(f"the target's place in {here.frame}: {problem}")
         where = here.at(*electrodes)
     stop_after = seconds(request.stop_after)
     return MissionGoal(where, request.stop_energy, stop_after, request.request_id, request.target_profile)
@@ -152,7 +153,5 @@ def fill_pose(message: PoseStamped, where: Place) -> None:
     message.pose.orientation.z, message.pose.orientation.w = math.sin(0.5 * where.yaw), math.cos(0.5 * where.yaw)
 
 
-def near(point: Any) -> Vector | None:
-    """Return a Point of charger_base as numbers; None if it is not finite or implausibly far."""
-    numbers = point.x, point.y, point.z
-    return numbers if all(abs(number) <= _NEAR for number in numbers) else None
+def _numbers(point: Any) -> Vector:
+    return point.x, point.y, point.z

@@ -15,6 +15,7 @@ from deltacharger_core.machine import (
     STALL_CURRENT,
 )
 from deltacharger_core.parameters import Bounded, choice, number, words
+from deltacharger_core.units import ON_MAP
 from deltacharger_scenes.mocks.arm import MockTarget
 
 SERVO_FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
@@ -98,9 +99,9 @@ class MockDetectorNodeParameters(MockFaultParameters):
 class MockNavigatorNodeParameters(MockFaultParameters):
     """Initial pose and driving of the mock base."""
 
-    x: float = number(0.0, -1e5, 1e5, "m", "initial x of the base")
-    y: float = number(0.0, -1e5, 1e5, "m", "initial y of the base")
-    yaw: float = number(0.0, -1e5, 1e5, "rad", "initial yaw of the base")
+    x: float = number(0.0, -ON_MAP, ON_MAP, "m", "initial x of the base")
+    y: float = number(0.0, -ON_MAP, ON_MAP, "m", "initial y of the base")
+    yaw: float = number(0.0, -math.pi, math.pi, "rad", "initial yaw of the base")
     frame: str = words("map", "of its poses; goals in another one are aborted")
     speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base")
     turn_speed: float = number(1.0, 0.01, 1000.0, "rad/s", "of the base")

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, choice, flag, like, number, numbers, words
+from deltacharger_core.parameters import Bounded, choice, flag, like, number, pose, words
 from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST
 from deltacharger_vision.mount import Mount, pose_numbers
 from deltacharger_vision.rendering.board_drawing import bracket
@@ -34,13 +33,7 @@ class SimulatedCameraNodeParameters(Bounded):
 
     rate: float = number(10.0, 0.1, 120.0, "Hz", "images per second")
     seed: int = number(1, 0, 2**31 - 1, "", "surroundings, light, noise and the mount's error")
-    mount: tuple[float, ...] = numbers(
-        pose_numbers(Mount.default().pose),
-        -math.inf,
-        math.inf,
-        "",
-        "assumed pose of the camera in charger_base: x, y, z in m, then the quaternion x, y, z, w",
-    )
+    mount: tuple[float, ...] = pose(pose_numbers(Mount.default().pose), "assumed pose of the camera in charger_base")
     hand_eye_position_stddev: float = number(0.0, 0.0, 0.05, "m", "error of that position, drawn per axis")
     hand_eye_rotation_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of that orientation, drawn per axis")
     target_present: bool = flag(True, "false = no target")
@@ -65,10 +58,4 @@ class SimulatedCameraNodeParameters(Bounded):
     )
     board_size: float = number(0.040, SMALLEST, LARGEST, "m", "side of the tag or of a square")
     board_marker: float = number(0.0, 0.0, LARGEST, "m", "side of a marker ({unit}); 0 = three quarters")
-    board_pose: tuple[float, ...] = numbers(
-        pose_numbers(bracket()),
-        -math.inf,
-        math.inf,
-        "",
-        "of the board in end_effector: x, y, z in m, then the quaternion x, y, z, w",
-    )
+    board_pose: tuple[float, ...] = pose(pose_numbers(bracket()), "of the board in end_effector")

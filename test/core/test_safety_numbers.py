@@ -810,7 +810,7 @@ CAMERA = (
     Limit("sides of the other bar", lambda v: shows(1.0, 1.0, v, 1.0), 0.16, 0.14),
     Limit("ends of the clearer bar", lambda v: shows(1.0, v, 0.8, 0.3), 0.51, 0.49),
     Limit("scatter, px", lambda v: shows(1.0, 1.0, 1.0, 1.0, v), 0.99, 1.01),
-    *fields(mounts, 4.99, (5.01, -5.01, NAN, INF), "x"),
+    *fields(mounts, 9.99, (10.01, -10.01, NAN, INF), "x"),
     *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
     *fields(mounts, 0.0, (-0.01, NAN, INF), "sigma"),
 )

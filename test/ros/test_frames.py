@@ -299,6 +299,14 @@ def test_a_base_pose_that_contradicts_tf_is_an_error_but_rounding_is_not(robot: 
     assert frames.charger_base_in("charger_base") == IDENTITY
 
 
+def test_a_mount_in_millimetres_is_refused(robot: Robot, make: Make) -> None:
+    frames = make(mounted=False)
+    robot.fix("base_link", "charger_base", (310.0, -20.0, 420.0, 0.5, 0.5, 0.5, 0.5))
+    wait_until(lambda: frames._tf.knows("charger_base"), "tf")  # type: ignore[union-attr]
+    with pytest.raises(Contradiction, match=r"310\.0 is outside .* in millimetres\? .*correct the URDF"):
+        frames.charger_base_in("base_link")
+
+
 @pytest.mark.rest
 @pytest.mark.parametrize("use_sim_time", [False, True])
 def test_a_contradiction_is_logged_before_any_goal(

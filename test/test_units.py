@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A place in millimetres or an angle in degrees is refused with the question for its unit, wherever it enters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from deltacharger.action import ChargeRobot
+from deltacharger.msg import ServoState
+
+from deltacharger_core.machine import JOINTS
+from deltacharger_core.units import IN_TOUCH, ON_MAP, ON_ROBOT, far, outside, untouchable
+from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.codes import DockingError
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
+from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
+from deltacharger_docking.ros.inputs import _in_order
+from deltacharger_kinematics.parameters import GeometryParameters
+from deltacharger_lab.campaigns.scene import parse_campaign_scene
+from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
+from deltacharger_mission.ros import messages as mission
+from deltacharger_ros.refusals import MessageRefused
+from deltacharger_scenes.scene import parse_scene
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.parameters import DetectorNodeParameters
+
+pytestmark = pytest.mark.ros
+
+MOUNT = (0.0, 250.0, 400.0, 0.5, 0.5, 0.5, 0.5)
+
+
+def dock(position: tuple[float, float, float] = (0.0, 0.0, 0.08), critical_angle: float = 0.0) -> None:
+    goal = DockGoal(ElectrodePose(position, 0.0), critical_angle, start_charging=False)
+    DockingMachine(DockingParameters()).start_dock(goal, Observation(0.0))
+
+
+def charge(x: float, z: float = 0.0) -> None:
+    goal = ChargeRobot.Goal()
+    goal.target.header.frame_id = "map"
+    goal.target.pose.position.x, goal.target.pose.position.z = x, z
+    mission.goal(goal, (0.0, 0.0, 0.0))
+
+
+def estimate(**pose: float) -> None:
+    MisalignmentEstimate.of(
+        SimpleNamespace(**{**{f"{name}{end}": 0.0 for name in IN_TOUCH for end in ("", "_stddev")}, **pose})
+    )
+
+
+WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
+    "a length of docking": ("millimetres", lambda: DockingParameters(standoff=18.0)),
+    "a speed of docking": ("mm/s", lambda: DockingParameters(travel_speed=120.0)),
+    "an angle of docking": ("degrees", lambda: DockingParameters(critical_angle=12.0)),
+    "the charger's mount, docking": ("millimetres", lambda: DockingNodeParameters(base_pose=MOUNT)),
+    "the charger's mount, missions": ("millimetres", lambda: MissionNodeParameters(base_pose=MOUNT)),
+    "the camera's mount, detector": ("millimetres", lambda: DetectorNodeParameters(mount=MOUNT)),
+    "the camera's mount, file": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
+    "the arm's geometry": ("millimetres", lambda: GeometryParameters(arm=100.0)),
+    "the robot's home": ("millimetres", lambda: MissionParameters(home_x=25_000.0)),
+    "its heading": ("degrees", lambda: MissionParameters(home_yaw=90.0)),
+    "electrodes on the other robot": ("millimetres", lambda: MissionParameters(electrodes_x=400.0)),
+    "a Dock goal": ("millimetres", lambda: dock((0.0, 0.0, 80.0))),
+    "its critical angle": ("degrees", lambda: dock(critical_angle=12.0)),
+    "a ChargeRobot goal": ("millimetres", lambda: charge(25_000.0)),
+    "a scene's goal": ("millimetres", lambda: parse_scene({"goal": {"z": 80.0}}, "x")),
+    "a campaign's target": ("millimetres", lambda: parse_campaign_scene({"target": {"x": 3.0}}, "x")),
+    "an estimated angle": ("degrees", lambda: estimate(angle=-3.0)),
+    "an estimated offset": ("millimetres", lambda: estimate(vertical=5.0)),
+    "a servo's position": (
+        "degrees",
+        lambda: _in_order(
+            ServoState(
+                name=list(JOINTS),
+                position=[math.nan, 4.0, -57.0],
+                current=[0.0] * 3,
+                hardware_error=[0] * 3,
+                torque_enabled=[True] * 3,
+                valid=[True] * 3,
+            )
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_value_in_another_unit_is_asked_about(way: str) -> None:
+    unit, give = WAYS[way]
+    with pytest.raises((ValueError, DockingError, MessageRefused), match=rf" is outside .*; is it in {unit}\? Give "):
+        give()
+
+
+def test_a_target_is_a_place_on_a_map_and_its_height_does_not_count() -> None:
+    charge(-0.9 * ON_MAP, z=1e9)
+    estimate(angle=math.nan, horizontal=math.nan)
+
+
+def test_only_a_number_that_fits_in_the_other_unit_is_asked_about() -> None:
+    assert outside(0.07, -0.06, 0.06, "m") == "0.07 is outside -0.06 to 0.06 m"
+    assert outside(-9.0, -0.06, 0.06, "m") == "-9.0 is outside -0.06 to 0.06 m; is it in millimetres? Give metres"
+    assert outside(300.0, -0.06, 0.06, "m") == "300.0 is outside -0.06 to 0.06 m"
+    assert outside(90, 0, 1, "") == "90 is outside 0 to 1"
+    assert outside(math.nan, 0.0, 1.0, "rad") == "nan is outside 0 to 1 rad"
+    assert "inf is outside" in far((0.0, -math.inf))
+    assert not far((ON_ROBOT, -ON_ROBOT, 0.0))
+    assert not untouchable(**{name: -most for name, (most, _) in IN_TOUCH.items()})
+    assert "0.25" in untouchable(horizontal=math.inf)
