@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import wrong_id
 from deltacharger_core.units import far, outside
@@ -16,6 +17,7 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.release import BACK
 
 
 def check_goal(
@@ -112,6 +114,8 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
         raise Rejected(f"the electrodes' place in charger_base: {problem}")
     wrong = planner.reach_problem((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
+        if never := planner.reach_problem((0.0, 0.0, DOCK_DISTANCE)):
+            raise Rejected(f"the arm reaches no electrodes, not even at {never}: correct the arm's geometry")
         base = BasePose.before(electrodes.position, electrodes.sure_yaw(parameters.lean_sigmas))
         dx, dy, dz = (f"{1000 * value:+.0f}" for value in (base.x, base.y, base.z))
         turn = f" and {in_words(base.yaw)}" if base.yaw else ""
@@ -120,6 +124,11 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
             f"charger_base{turn}, to suggested_base_pose",
             (x, y, z),
             base.yaw,
+        )
+    if z < parameters.home_z + BACK:
+        raise Rejected(
+            f"the electrodes' z, {1000 * z:.0f} mm, is less than {1000 * BACK:.0f} mm beyond home_z, "
+            f"{1000 * parameters.home_z:.0f} mm, so the arm could not pull off: lower home_z, or move the robot back"
         )
 
 

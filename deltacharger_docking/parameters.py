@@ -11,7 +11,9 @@ from deltacharger_core.machine import (
     BAR_LENGTH,
     BATTERY_MAX,
     BATTERY_MIN,
+    DAMPING_PER_GAIN,
     DOCKING_JITTER,
+    GAIN_MAX,
     GRAVITY,
     MAGNET_FLOOR,
     MAGNET_FORCE,
@@ -27,13 +29,22 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, pose, tunable, words
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.line import PEAK_SPEED
 
 POWERS = ("board", "none")
 _ORDERED = (
     ("battery_voltage_min", "battery_voltage_start"),
     ("battery_voltage_start", "battery_voltage_max"),
     ("clearance_sigmas", "clearance_sigmas_sure"),
+    ("free_current", "current_min"),
+    ("contact_lost_current", "current_min"),
+    ("current_max", "step_current_max"),
+    ("current_max", "push_current"),
+    ("current_max", "hard_current"),
 )
+"""Parameters of which the first must not lie above the second."""
+_DEPTH = 0.11  # m, of the workspace: the longest way to the target and back
+_REPORT = 0.2  # s until charger_power shows at the latest what the contactor has done
 
 
 @dataclass(frozen=True)
@@ -53,7 +64,7 @@ class DockingParameters(Bounded):
     servo_stiffness: float = number(
         SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "servo stiffness until it is estimated"
     )
-    servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
+    servo_damping: float = number(SERVO_DAMPING, 0.0, GAIN_MAX * DAMPING_PER_GAIN, "N·m·s/rad", "servo damping")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as in servo_node")
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
@@ -63,11 +74,11 @@ class DockingParameters(Bounded):
     home_x: float = tunable(0.0, -0.06, 0.06, "m", "home position, x")
     home_y: float = tunable(0.0, -0.06, 0.06, "m", "home position, y")
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
-    travel_speed: float = tunable(0.12, 0.005, 0.5, "m/s", "peak speed in free air")
+    travel_speed: float = tunable(0.12, 0.02, 0.5, "m/s", "peak speed in free air")
     approach_speed: float = tunable(
-        0.18, 0.005, 0.5, "m/s", "peak speed toward the standoff, at which a target nearer than told is met"
+        0.18, 0.02, 0.5, "m/s", "peak speed toward the standoff, at which a target nearer than told is met"
     )
-    run_up_speed: float = tunable(0.045, 0.001, 0.1, "m/s", "peak speed of the run-up before the tare")
+    run_up_speed: float = tunable(0.045, 0.01, 0.1, "m/s", "peak speed of the run-up before the tare")
     search_speed: float = tunable(0.02, 0.001, 0.1, "m/s", "peak speed where contact is possible")
     press_speed: float = tunable(0.025, 0.001, 0.1, "m/s", "peak speed of steps, and near a known contact")
     standoff: float = tunable(0.018, 0.005, 0.05, "m", "distance before the expected contact where the force is tared")
@@ -75,7 +86,7 @@ class DockingParameters(Bounded):
         0.004, 0.0, 0.02, "m", "travel along +z before the tare: gives friction the sign of pushing"
     )
     search_from: float = tunable(0.007, 0.0, 0.05, "m", "distance before the expected contact where the search begins")
-    search_depth: float = tunable(0.025, 0.0, 0.05, "m", "distance beyond the expected contact where the search ends")
+    search_depth: float = tunable(0.025, 0.002, 0.05, "m", "distance beyond the expected contact where the search ends")
     near: float = tunable(0.004, 0.0, 0.02, "m", "distance before the known contact where press_speed begins")
     settle_touching: float = tunable(0.05, 0.0, 1.0, "s", "shortest settling time of electrodes in contact")
     drift_max: float = tunable(
@@ -96,7 +107,7 @@ class DockingParameters(Bounded):
     response_max: float = tunable(2.5, 1.0, 20.0, "", "largest multiple of the expected response that is accepted")
     overshoots_max: int = tunable(3, 0, 20, "", "overshoots of the band after which contact fails")
     overshoot_back_off: float = tunable(0.35, 0.05, 1.0, "A", "contact current to release after an overshoot")
-    push_current: float = tunable(0.7, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
+    push_current: float = tunable(0.7, 0.3, 2.0, "A", "current bound of each servo above its free-motion current")
     release_current: float = tunable(4.0, 0.5, STALL_CURRENT, "A", "current bound of each servo during release")
     release_time: float = tunable(1.0, 0.1, 2.0, "s", "longest pull against the magnets")
     ease_current_max: float = tunable(0.57, 0.05, 2.0, "A", "largest common current of the servos at ease")
@@ -142,7 +153,7 @@ class DockingParameters(Bounded):
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "increase of contradiction_start per measured number")
     alignments_max: int = tunable(15, 1, 50, "", "most corrections and repeated contacts, as in the paper")
-    docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of contacts about the commanded place")
+    docking_jitter: float = number(DOCKING_JITTER, 1e-4, 0.01, "m", "scatter of contacts about the commanded place")
     aligned_risk_max: float = tunable(
         0.02, 0.0, 1.0, "", "largest estimated risk of exceeding overlap_loss_max or landing_limit when aligned"
     )
@@ -166,7 +177,7 @@ class DockingParameters(Bounded):
     probe_gain_min: float = tunable(
         0.03, 0.0, 1.0, "", "decrease of that risk (redocking_gain_min) for which a contact only probes"
     )
-    force_repeatability: float = number(0.045, 0.001, 0.5, "", "relative scatter of a pad's force between contacts")
+    force_repeatability: float = number(0.045, 0.001, 0.4, "", "relative scatter of a pad's force between contacts")
     force_error: float = number(0.06, 0.0, 0.5, "", "relative error of the pads' force that all contacts share")
     magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
     magnet_error: float = number(0.06, 0.0, 0.5, "", "relative error of magnet_force")
@@ -189,7 +200,7 @@ class DockingParameters(Bounded):
     zero_current: float = number(
         ZERO_CURRENT, 0.05, 2.0, "A", "charge current below which the contactor counts as open"
     )
-    open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to stop after an order to open")
+    open_timeout: float = number(1.0, _REPORT, 10.0, "s", "limit for current to stop after an order to open")
     opening_time: float = number(0.1, 0.0, 1.0, "s", "delay of an order to open")
     battery_voltage_min: float = number(
         BATTERY_MIN, 1.0, 60.0, "V", "voltage of the charger's own battery that ends charging after 5 s"
@@ -221,18 +232,18 @@ class DockingParameters(Bounded):
     power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")
     detection_age_max: float = tunable(1.0, 0.1, 10.0, "s", "largest age of a camera detection")
     first_data_timeout: float = tunable(3.0, 0.0, 60.0, "s", "limit for the first data of nodes that have just started")
-    service_timeout: float = tunable(3.0, 0.1, 60.0, "s", "limit for set_torque, tare and predict_misalignment")
+    service_timeout: float = tunable(3.0, 2.5, 60.0, "s", "limit for set_torque, tare and predict_misalignment")
     probe_timeout: float = tunable(2.0, 0.25, 60.0, "s", "limit for an answer of probe, longer than the board's own")
     locate_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for LOCATE")
-    approach_timeout: float = tunable(20.0, 1.0, 120.0, "s", "limit for APPROACH")
-    contact_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for CONTACT")
-    measure_timeout: float = tunable(10.0, 1.0, 120.0, "s", "limit for MEASURE")
-    align_timeout: float = tunable(45.0, 1.0, 120.0, "s", "limit for one ALIGN")
+    approach_timeout: float = tunable(20.0, 5.0, 120.0, "s", "limit for APPROACH")
+    contact_timeout: float = tunable(45.0, 5.0, 120.0, "s", "limit for CONTACT")
+    measure_timeout: float = tunable(10.0, 2.5, 120.0, "s", "limit for MEASURE")
+    align_timeout: float = tunable(45.0, 5.0, 120.0, "s", "limit for one ALIGN")
     duplicate_source_timeout: float = number(
         25.0, 0.0, 120.0, "s", "limit for second sources to disappear before the contactor closes"
     )
-    retract_timeout: float = tunable(20.0, 1.0, 120.0, "s", "limit for RETRACT")
-    goal_timeout: float = tunable(300.0, 5.0, 3600.0, "s", "limit for a docking until it succeeds")
+    retract_timeout: float = tunable(20.0, 3.0, 120.0, "s", "limit for RETRACT")
+    goal_timeout: float = tunable(300.0, 12.0, 3600.0, "s", "limit for a docking until it succeeds")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -240,8 +251,23 @@ class DockingParameters(Bounded):
             problem = "current_min + 2 · band_margin must lie below current_max"
             raise ParameterError("current_min", self.current_min, problem)
         for lower, upper in _ORDERED:
-            if getattr(self, lower) > getattr(self, upper):
-                raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
+            if (low := getattr(self, lower)) > (high := getattr(self, upper)):
+                raise ParameterError(lower, low, f"{low:g} is above {upper}, {high:g}: lower it, or raise {upper}")
+        if self.opening_time + _REPORT > self.open_timeout:
+            problem = f"charger_power shows it up to {_REPORT:g} s later, which is after open_timeout: raise that"
+            raise ParameterError("opening_time", self.opening_time, problem)
+        for speed, way, limit in (
+            ("approach_speed", _DEPTH, "approach_timeout"),
+            ("run_up_speed", 2.0 * self.run_up, "approach_timeout"),
+            ("search_speed", self.search_from + self.search_depth, "contact_timeout"),
+            ("press_speed", self.near, "contact_timeout"),
+            ("travel_speed", _DEPTH, "align_timeout"),
+            ("travel_speed", _DEPTH, "retract_timeout"),
+        ):
+            peak, longest = getattr(self, speed), getattr(self, limit)
+            if (takes := PEAK_SPEED * way / peak) > longest:
+                problem = f"{1000 * way:g} mm at {peak:g} m/s take {takes:.1f} s, longer than {limit}, {longest:g} s"
+                raise ParameterError(speed, peak, f"{problem}: raise one of them")
 
     @property
     def always_live(self) -> bool:

@@ -17,7 +17,7 @@ from deltacharger_docking.context import REACH, Context
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
 
-_BACK = 0.012  # m from where it first touched or parted: the arm swings by half of it when it stops there
+BACK = 0.012  # m from where it first touched or parted: the arm swings by half of it when it stops there
 _FARTHEST = 0.025  # m that a braked target follows at most: 5 N/mm and 2 mm of play under push and magnets
 _FOLLOWS = 0.010  # m from which one that did not part counts as rolling
 _SET_BACK = 0.05  # s in which the goal moves behind the platform, under the push bound
@@ -77,7 +77,7 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
 
 def _is_home(context: Context) -> bool:
     lowest = max(context.parameters.home_z, context.kinematics.geometry.workspace_min[2])
-    return context.position[2] < lowest + _BACK
+    return context.position[2] < lowest + BACK
 
 
 def _release(context: Context) -> Script[None]:
@@ -96,7 +96,7 @@ def _release(context: Context) -> Script[None]:
     context.feed.stop()
     x, y, z = context.position
     first, last = (_behind(context, current) for current in (parameters.push_current, parameters.release_current))
-    free = (z if math.isnan(context.touched) else min(z, context.touched)) - _BACK  # a target that yielded swings back
+    free = (z if math.isnan(context.touched) else min(z, context.touched)) - BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
@@ -120,7 +120,7 @@ def _release(context: Context) -> Script[None]:
         time_s=context.time - begun,
         followed_m=z - parted,
     )
-    context.commanded = back = (x, y, min(here[2], max(min(parted - _BACK, free), parameters.home_z)))
+    context.commanded = back = (x, y, min(here[2], max(min(parted - BACK, free), parameters.home_z)))
     try:
         goal = context.planner.line(here, back, parameters.travel_speed)[-1]
     except DockingError:
