@@ -22,6 +22,7 @@ class ContactCurrent:
     Attributes:
         position: of the platform, m in charger_base.
         per_force: contact current per force, A/N.
+        changed: s, time of the last reading that differed from the one before.
     """
 
     def __init__(self, kinematics: ScalarDelta, parameters: DockingParameters) -> None:
@@ -41,9 +42,13 @@ class ContactCurrent:
         self._along_z: Vector = NAN3
         self._weight = math.nan
         self.position: Vector = NAN3
+        self._reading = NAN3, NAN3  # the last one
+        self.changed = -math.inf
 
     def update(self, time: float, angles: Vector, currents: Vector) -> None:
         """Take one reading of arm angles (rad) and currents (A) made at `time` (s)."""
+        if (angles, currents) != self._reading:
+            self._reading, self.changed = (angles, currents), time
         if angles != self._angles:
             self._move(angles)
         a, b, c = self._along_z

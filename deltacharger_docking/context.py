@@ -14,7 +14,15 @@ import numpy as np
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import ORDER_AGE_MAX
 from deltacharger_core.script import NEXT, Calls, Script, Wait
-from deltacharger_docking.codes import SILENT_SERVOS, DockingError, PhaseTimeout, ServoFailure, State, TactileStale
+from deltacharger_docking.codes import (
+    SILENT_SERVOS,
+    Astray,
+    DockingError,
+    PhaseTimeout,
+    ServoFailure,
+    State,
+    TactileStale,
+)
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.evidence import Evidence
 from deltacharger_docking.motion import Planner
@@ -549,6 +557,15 @@ class Context:
         if not all(map(math.isfinite, self.position)):
             raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
         return self.position
+
+    def check_moved(self, since: float) -> None:
+        """Check that the arm, ordered to move, was seen to do anything since then (s): a held one shows other currents.
+
+        Raises:
+            Astray: servo_state repeats one reading.
+        """
+        if self.contact.changed <= since:
+            raise Astray("servo_state repeats one reading, so nothing shows where the arm is; restart servo_node")
 
     def rest(self) -> Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.

@@ -32,6 +32,7 @@ def take_off(context: Context, z: float) -> Script[None]:
     Raises:
         Stuck: the platform did not move within the allowed time, or is at home, where there is no way back.
         TargetRolls: the target came along.
+        Astray: servo_state repeats one reading.
         TactileStale: the pads repeat one frame.
         Unreachable: it was released where the arm has no way back; it holds there.
         ServoFailure: the position after release is unknown; it holds there.
@@ -101,7 +102,7 @@ def _release(context: Context) -> Script[None]:
     rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
     parted = yield from _pull(context, first, parameters.push_current, _SET_BACK, z, rest)
-    pattern = context.observation.taxels
+    pattern, pulled = context.observation.taxels, context.time
     if context.position[2] > parted - REACH:
         most, seconds = parameters.release_current, parameters.release_time
         parted = yield from _pull(context, last, most, seconds, parted, rest)
@@ -109,6 +110,7 @@ def _release(context: Context) -> Script[None]:
     came = here[2] > parted - REACH
     frozen = came and pattern is not None and frame is not None and np.array_equal(pattern, frame, equal_nan=True)
     if came and here[2] > z - _FOLLOWS:
+        context.check_moved(pulled)
         raise _stuck(context)
     if came and not frozen:
         raise rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")

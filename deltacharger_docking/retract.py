@@ -43,6 +43,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     if needed and not observation.torque_enabled:
         yield from context.torque_on()
     if needed or observation.torque_enabled:
+        begun = context.time
         yield from lift_off(context, pull=strayed and not observation.torque_enabled)
         context.touched = math.nan
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
@@ -52,6 +53,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
         if away > parameters.lift:
+            context.check_moved(begun)
             raise Stuck(
                 f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
                 f"{context.springs.contradiction}"

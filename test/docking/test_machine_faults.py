@@ -6,8 +6,8 @@ names what is missing (or continues if it needed nothing), nothing keeps moving,
 while it is live. After the fault the next goal succeeds on the same charger, which lifts off first if it was pressing.
 
 A late answer belongs to the goal that requested it, or is dropped. Docking does not search for a frozen sensor, whose
-readings may really be constant: the push stays bounded, nothing is energised that the other sensors do not confirm, and
-while current flows any two of the three inputs detect a target that leaves.
+readings may really be constant unless the arm pulls: the push stays bounded, nothing is energised that the other
+sensors do not confirm, and while current flows any two of the three inputs detect a target that leaves.
 """
 
 from __future__ import annotations
@@ -564,6 +564,22 @@ def test_a_sensor_that_repeats_itself(run: Faulty, phase: State, frozen: str) ->
     run.run(0.5)
     assert run.closed == run.has_torque == (code is Code.NONE)
     assert push.most < PUSH_BOUND
+    run.frozen = ""
+    run.assert_never_hurt()
+    run.go_home()
+
+
+@pytest.mark.parametrize("phase", [State.MEASURE, State.RETRACT])
+def test_an_arm_that_pulls_while_servo_state_repeats_itself_is_not_told_as_stuck(run: Faulty, phase: State) -> None:
+    """It lets go, although nothing shows it, and goes limp there. One that is stuck shows the currents of its pull."""
+    run.found = GOAL  # beside the target, so the arm lifts off again
+    run.reach(phase)
+    run.frozen = "servo_state"
+    outcome = run.finish(20.0)
+    assert outcome.code is Code.SERVO_FAULT, outcome.message
+    assert outcome.message.startswith("servo_state repeats one reading")
+    run.run(0.5)
+    assert not run.has_torque
     run.frozen = ""
     run.assert_never_hurt()
     run.go_home()
