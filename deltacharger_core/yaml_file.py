@@ -25,6 +25,8 @@ _LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = ("null", "bool", "int", "float", "str")
 
+_OPENCV_HEADER = b"%YAML:1.0"
+
 # In YAML 1.1 (unlike 1.2) 1e5 and 1e-3 are strings, because a float needs a dot and a sign.
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
@@ -62,7 +64,7 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
     except FileRefused as error:
         raise YamlError(path, str(error.strerror)) from error
     try:
-        loader = _loader()(content.decode("utf-8"))
+        loader = _loader()(_plain(content).decode("utf-8"))
         try:
             node = loader.get_single_node() if not first else loader.get_node() if loader.check_node() else None
             return None if node is None else loader.value(node)
@@ -74,6 +76,13 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
         raise YamlError(path, f"not valid YAML: {where}{error.problem}"[:_LONGEST_PROBLEM]) from error
     except (yaml.YAMLError, ValueError) as error:  # also text that is not UTF-8
         raise YamlError(path, f"not valid YAML: {error}"[:_LONGEST_PROBLEM]) from error
+
+
+def _plain(content: bytes) -> bytes:
+    """Return YAML without OpenCV's own header and tag, which no other reader knows."""
+    if not content.startswith(_OPENCV_HEADER):
+        return content
+    return content.removeprefix(_OPENCV_HEADER).replace(b"!!opencv-matrix", b"")
 
 
 def read_declared(path: str | Path, kind: type[T]) -> T:

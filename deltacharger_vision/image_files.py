@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deltacharger_core.array_file import ArrayError, read_array
 from deltacharger_core.bounded_file import FileRefused, open_file, read_bytes
 from deltacharger_vision.errors import ImageError
-from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, MILLIMETRE, Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file in a folder of images."""
@@ -42,11 +42,11 @@ class ImageFiles:
     color: Path | None
     depth: Path | None
 
-    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+    def read(self, intrinsics: Intrinsics, depth_unit: float = MILLIMETRE) -> RgbdImage:
         """Return the image, without depth if it has none; raises the errors of `read_rgbd`."""
         if self.color is None:
             raise ImageError(str(self.depth), "has no colour image of the same name")
-        return read_rgbd(self.color, self.depth, intrinsics)
+        return read_rgbd(self.color, self.depth, intrinsics, depth_unit)
 
 
 def require_opencv() -> Any:
@@ -64,13 +64,14 @@ def require_opencv() -> Any:
     return cv2
 
 
-def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdImage:
+def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics, depth_unit: float = MILLIMETRE) -> RgbdImage:
     """Return colour and depth of the same pixels.
 
     Args:
         color: see `read_color`.
         depth: see `read_depth`; None = all unknown.
         intrinsics: of the colour image.
+        depth_unit: of 16-bit depth, m.
 
     Raises:
         OSError: a file cannot be read.
@@ -80,7 +81,7 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
     pixels = read_color(color)
     metres = np.full(pixels.shape[:2], np.nan, dtype=np.float32) if depth is None else read_depth(depth)
     try:
-        return RgbdImage.make(pixels, metres, intrinsics)
+        return RgbdImage.make(pixels, metres, intrinsics, depth_unit)
     except ImageError as error:
         named = depth if error.source == "depth" and depth is not None else color
         raise ImageError(str(named), str(error)) from error
@@ -105,7 +106,7 @@ def read_color(path: Path) -> NDArray[Any]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """Return (H, W) uint16 mm (0 = unknown) of a 16-bit PNG, or the array of an NPY file.
+    """Return (H, W) uint16 (0 = unknown) of a 16-bit PNG, or the array of an NPY file.
 
     Raises:
         OSError: the file cannot be read.

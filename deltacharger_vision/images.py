@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +23,9 @@ SMALLEST, LARGEST = 16, 16384
 """Limits of an image's width and height, px."""
 _FOCAL = (1.0, 1e5)
 _COEFFICIENT = 1e4
-_ASPECT_TOLERANCE = 0.01
+MILLIMETRE = 1e-3
+"""Usual unit of 16-bit depth, m (REP 118)."""
+_SATURATED = 0xFFFF  # written by some drivers where depth is unknown or too far
 _MILLIMETRES_ABOVE = 20.0
 """No docking camera has a larger median depth, m."""
 
@@ -89,6 +92,23 @@ class Intrinsics:
         """Return (3, 3) px: maps a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> Intrinsics:
+        """Return the intrinsics of width × height px of the image, from a corner (left, top) px.
+
+        Raises:
+            CameraInfoError: a size is out of bounds.
+        """
+        return dataclasses.replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def binned(self, across: int, down: int) -> Intrinsics:
+        """Return the intrinsics of the image with across × down px combined into one; a rest at the border is cut off.
+
+        Raises:
+            CameraInfoError: a size is out of bounds.
+        """
+        width, height = self.width // across, self.height // down
+        return self.cropped(0, 0, width * across, height * down).scaled(width, height)
+
     def scaled(self, width: int, height: int) -> Intrinsics:
         """Return the intrinsics of the image resampled to width × height px.
 
@@ -126,19 +146,23 @@ class RgbdImage:
     intrinsics: Intrinsics
 
     @staticmethod
-    def make(color: NDArray[Any], depth: NDArray[Any], intrinsics: Intrinsics) -> RgbdImage:
+    def make(
+        color: NDArray[Any], depth: NDArray[Any], intrinsics: Intrinsics, depth_unit: float = MILLIMETRE
+    ) -> RgbdImage:
         """Check and convert the arrays of a camera or a file.
 
         Args:
-            color: (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA; uint8 or uint16.
-            depth: (H, W) or (H, W, 1); uint16 mm with 0 = unknown, or float32/float64 m with 0, ±inf or NaN = unknown.
-            intrinsics: of the camera; scaled if the image has another size of the same aspect.
+            color: see `rgb8`.
+            depth: (H, W) or (H, W, 1); uint16 in units of `depth_unit` with 0 and 65535 = unknown, or float32/float64
+                m with 0, ±inf or NaN = unknown.
+            intrinsics: of this image.
+            depth_unit: m.
 
         Raises:
-            ImageError: an array has another shape or type, sizes differ, the aspect is not the camera's, or the depth
-                is negative or float millimetres.
+            ImageError: an array has another shape or type, sizes differ, or the depth is negative or float
+                millimetres.
         """
-        rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth))
+        rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth), depth_unit)
         if rgb.shape[:2] != metres.shape:
             raise ImageError(
                 "depth",
@@ -147,15 +171,13 @@ class RgbdImage:
         height, width = metres.shape
         if not SMALLEST <= width <= LARGEST or not SMALLEST <= height <= LARGEST:
             raise ImageError("color", f"{_size(rgb)} px; an image has {SMALLEST}…{LARGEST} px each way")
-        aspect = (width / height) / (intrinsics.width / intrinsics.height)
-        if abs(aspect - 1.0) > _ASPECT_TOLERANCE:
+        # A cut-out and a smaller copy of one size have other intrinsics, and nothing in the image tells them apart.
+        if (width, height) != (intrinsics.width, intrinsics.height):
             raise ImageError(
                 "intrinsics",
-                f"for {intrinsics.width} × {intrinsics.height} px, but the image has {_size(rgb)}, another aspect; "
-                "give the intrinsics of this image",
+                f"for {intrinsics.width} × {intrinsics.height} px, but the image has {_size(rgb)}: give the "
+                "calibration of this image; a driver that cuts or bins states it in camera_info (roi, binning)",
             )
-        if (width, height) != (intrinsics.width, intrinsics.height):
-            intrinsics = intrinsics.scaled(width, height)
         return RgbdImage(rgb, metres, intrinsics)
 
 
@@ -166,6 +188,8 @@ def _size(array: NDArray[Any]) -> str:
 def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
     """Return (H, W, 3) RGB of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16.
 
+    Sensors of 10, 12 and 14 bits store their levels unchanged in uint16, so its brightest level tells the range.
+
     Raises:
         ImageError: another shape or type.
     """
@@ -174,7 +198,8 @@ def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
     if not array.size or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))):
         raise ImageError("color", f"shape {array.shape}; must be (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA")
     if array.dtype == np.uint16:
-        array = (array >> 8).astype(np.uint8)
+        bits = next(bits for bits in (10, 12, 14, 16) if int(array.max()) < 1 << bits)
+        array = (array >> (bits - 8)).astype(np.uint8)
     if array.dtype != np.uint8:
         raise ImageError("color", f"type {array.dtype}; must be uint8 or uint16")
     if array.ndim == 2:
@@ -182,17 +207,17 @@ def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(array[:, :, :3])
 
 
-def _depth(array: NDArray[Any]) -> NDArray[np.float32]:
-    """Return (H, W) float32 m with NaN where unknown."""
+def _depth(array: NDArray[Any], unit: float) -> NDArray[np.float32]:
+    """Return (H, W) float32 m with NaN where unknown; `unit` (m) of uint16."""
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if not array.size or array.ndim != 2:
         raise ImageError("depth", f"shape {array.shape}; must be (H, W)")
     if array.dtype not in (np.uint16, np.float32, np.float64):
-        raise ImageError("depth", f"type {array.dtype}; must be uint16 in mm, or float32 or float64 in m")
+        raise ImageError("depth", f"type {array.dtype}; must be uint16, or float32 or float64 in m")
     if array.dtype == np.uint16:
-        metres = array.astype(np.float32) * np.float32(1e-3)
-        metres[array == 0] = np.nan
+        metres = array.astype(np.float32) * np.float32(unit)
+        metres[(array == 0) | (array == _SATURATED)] = np.nan
         return metres
     unknown = ~np.isfinite(array) | (array == 0.0)
     known = array[~unknown]

@@ -16,7 +16,6 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_ros import qos
 from deltacharger_ros.guest import Guest
 from deltacharger_vision.cameras.ros_images import color_array
-from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, rgb8
 from deltacharger_vision.ros.messages import intrinsics_of, slash_hint
 
@@ -63,10 +62,7 @@ class CameraClient(Guest):
         """
         if not self.wait(lambda: self._info is not None, timeout, check):
             raise CameraError(f"no {self._info_topic} received: start the camera in this ROS domain{self._hint}")
-        info = self._info
-        if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
-            raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send complete images")
-        return intrinsics_of(info, self._info_topic)
+        return intrinsics_of(self._info, self._info_topic)
 
     def image(self, timeout: float, check: Callable[[], None]) -> NDArray[np.uint8]:
         """Return an image (H, W, 3) RGB taken after this call; arguments as in `intrinsics`.

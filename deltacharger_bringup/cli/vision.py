@@ -25,6 +25,7 @@ from deltacharger_bringup.cli.output import (
     write_json,
     wrong_input,
 )
+from deltacharger_bringup.cli.types import between
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -41,7 +42,7 @@ from deltacharger_vision.image_files import (
     require_opencv,
     write_picture,
 )
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME, Mount
 from deltacharger_vision.terminal import Terminal
 
@@ -73,6 +74,13 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
         metavar="K.yaml",
         help="intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)",
     )
+    parser.add_argument(
+        "--depth-unit-mm",
+        type=between(0.01, 10.0),
+        default=1.0,
+        metavar="MM",
+        help="unit of 16-bit depth (default: 1, some cameras 0.1)",
+    )
     parser.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
     parser.add_argument("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
 
@@ -84,17 +92,17 @@ class _Readable(Protocol):
     def name(self) -> str:
         """Name in the results."""
 
-    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+    def read(self, camera: Any, depth_unit: float) -> RgbdImage:
         """Return the image, or raise VisionError or OSError."""
 
 
 @dataclass(frozen=True)
 class _Images:
-    """Images of one camera; `count` is the number recorded; `images` may leave some out."""
+    """Images of one camera: `Intrinsics` or a CameraInfo; `images` may leave out some of the `count` recorded."""
 
     images: Iterable[_Readable]
     count: int
-    intrinsics: Intrinsics
+    camera: Any
 
 
 def detect(options: argparse.Namespace) -> int:
@@ -138,7 +146,8 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
     if picture is not None:
         check_picture_name(picture)
     depth = None if options.depth is None else Path(options.depth)
-    image = read_rgbd(Path(options.color), depth, load_camera_info(options.camera_info))
+    intrinsics = load_camera_info(options.camera_info)
+    image = read_rgbd(Path(options.color), depth, intrinsics, 1e-3 * options.depth_unit_mm)
     if depth is None:
         log_line("no --depth: using the colour image alone")
     elif not np.isfinite(image.depth).any():
@@ -160,7 +169,7 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
     try:
         for each in source.images:
             try:
-                image = each.read(source.intrinsics)
+                image = each.read(source.camera, 1e-3 * options.depth_unit_mm)
                 found, fields = finder.find(image)
             except (VisionError, OSError) as error:
                 progress.broken(each.name, error)
@@ -214,19 +223,19 @@ def _stored(options: argparse.Namespace, folder: Path) -> _Images:
 def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     """Return the images of a recording."""
     environment.prepare()
-    from deltacharger_records.recording.rgbd_recording import recorded_images, recorded_intrinsics
+    from deltacharger_records.recording.rgbd_recording import recorded_images, recorded_info
 
     recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic, options.info_topic))
     topics = recording.topics
     given = None if options.camera_info is None else load_camera_info(options.camera_info)
-    intrinsics = given or recorded_intrinsics(recording)
-    if intrinsics is None:
+    camera = given or recorded_info(recording)
+    if camera is None:
         raise CommandError(f"{path} has no camera_info beside {topics.color}; give --camera-info", WRONG_INPUT)
     if not recording.images:
         raise CommandError(f"{path}: {topics.color} holds no images; record again", WRONG_INPUT)
     if not topics.depth:
         log_line(f"{path} has no depth topic; using the colour images alone")
-    return _Images(recorded_images(recording), recording.images, intrinsics)
+    return _Images(recorded_images(recording), recording.images, camera)
 
 
 class _Progress:

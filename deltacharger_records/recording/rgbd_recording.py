@@ -9,8 +9,7 @@ from typing import Any
 
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.cameras.recording import CameraRecording
-from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, INFO, MILLIMETRE, RgbdImage
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 from deltacharger_vision.ros.recorded import decoded
 
@@ -37,13 +36,9 @@ class RecordedImage:
         """The stamp in s."""
         return f"{self.stamp // 10**9}.{self.stamp % 10**9:09}"
 
-    def read(self, intrinsics: Intrinsics) -> RgbdImage:
-        """Return it checked and converted, without depth if it has none.
-
-        Raises:
-            ImageError: it is not an RGB-D image.
-        """
-        return rgbd_of(self.color, self.depth, intrinsics)
+    def read(self, camera: Any, depth_unit: float = MILLIMETRE) -> RgbdImage:
+        """Return it checked and converted, without depth if it has none; arguments and errors as of `rgbd_of`."""
+        return rgbd_of(self.color, self.depth, camera, depth_unit)
 
 
 def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
@@ -66,18 +61,16 @@ def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
             yield RecordedImage(*pair)
 
 
-def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
-    """Return the intrinsics of the recording's first camera_info, or None.
+def recorded_info(recording: CameraRecording) -> Any:
+    """Return the recording's first camera_info, or None.
 
     Raises:
-        CameraInfoError: they are unusable.
+        CameraInfoError: it is unusable.
         RecordingError: the recording is damaged.
     """
     first = next(recording.messages(INFO), None) if recording.topics.info else None
     if first is None:
         return None
     info = decoded(recording, first)
-    source = f"{recording.path}: {recording.topics.info}"
-    if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
-        raise CameraInfoError(source, "binning or a region of interest is set; record full images, unbinned")
-    return intrinsics_of(info, source)
+    intrinsics_of(info, f"{recording.path}: {recording.topics.info}")
+    return info

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,64 @@ _NONE = ("", "none")
 _LONGEST = {"plumb_bob": 5, "rational_polynomial": 8}
 
 
+@dataclass(frozen=True)
+class Readout:
+    """Which pixels of the calibrated image a camera sends, as sensor_msgs/CameraInfo states it.
+
+    Attributes:
+        left: `roi.x_offset`, px of the calibrated image.
+        top: `roi.y_offset`.
+        width: `roi.width`; 0 with a height of 0 = the complete image.
+        height: `roi.height`.
+        binning_x: columns combined into one; 0 = 1.
+        binning_y: rows.
+    """
+
+    left: int = 0
+    top: int = 0
+    width: int = 0
+    height: int = 0
+    binning_x: int = 0
+    binning_y: int = 0
+
+    def of(self, calibrated: Intrinsics) -> Intrinsics:
+        """Return the intrinsics of the image that is sent.
+
+        Raises:
+            CameraInfoError: the region does not lie in the calibrated image.
+        """
+        cut, whole = (self.left, self.top, self.width, self.height), (calibrated.width, calibrated.height)
+        if any(cut):
+            right, bottom = self.left + self.width, self.top + self.height
+            if min(cut) < 0 or not self.width or not self.height or right > whole[0] or bottom > whole[1]:
+                raise CameraInfoError(
+                    "CameraInfo",
+                    f"roi {self.width} × {self.height} px from ({self.left}, {self.top}) is no part of the calibrated "
+                    f"{whole[0]} × {whole[1]} px; let the driver state width, height and k of the complete image",
+                )
+            calibrated = calibrated.cropped(*cut)
+        return calibrated.binned(max(1, self.binning_x), max(1, self.binning_y))
+
+
 def from_camera_info(
-    width: int, height: int, k: Sequence[float], d: Sequence[float], distortion_model: str, source: str = "CameraInfo"
+    width: int,
+    height: int,
+    k: Sequence[float],
+    d: Sequence[float],
+    distortion_model: str,
+    source: str = "CameraInfo",
+    readout: Readout | None = None,
 ) -> Intrinsics:
-    """Convert the fields of sensor_msgs/CameraInfo.
+    """Convert the fields of sensor_msgs/CameraInfo to the intrinsics of the image that the camera sends.
 
     Args:
-        width: px.
+        width: px of the calibrated image.
         height: px.
         k: 9 numbers, (3, 3) row-major, px.
         d: distortion coefficients; missing ones at the end are 0.
         distortion_model: plumb_bob, rational_polynomial, or none or empty.
         source: name for errors.
+        readout: the part of the calibrated image that is sent.
 
     Raises:
         CameraInfoError: the camera is not calibrated, the model is unknown, or a number is out of bounds.
@@ -43,7 +90,8 @@ def from_camera_info(
     if skew or zero or last != [0.0, 0.0, 1.0]:
         raise CameraInfoError(source, "the camera matrix (k) must be fx 0 cx, 0 fy cy, 0 0 1, row by row")
     try:
-        return Intrinsics(width, height, fx, fy, cx, cy, _distortion(source, coefficients, distortion_model))
+        calibrated = Intrinsics(width, height, fx, fy, cx, cy, _distortion(source, coefficients, distortion_model))
+        return (readout or Readout()).of(calibrated)
     except CameraInfoError as error:
         raise CameraInfoError(source, error.reason) from error
 
@@ -79,7 +127,7 @@ def _numbers(source: str, name: str, found: Any) -> list[float]:
 
 
 def load_camera_info(path: str | Path) -> Intrinsics:
-    """Read a camera calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
+    """Read a calibration YAML (`camera_calibration`, `camera_info_manager`, OpenCV) or an echoed CameraInfo.
 
     Raises:
         FileNotFoundError: no such file.
@@ -92,14 +140,22 @@ def load_camera_info(path: str | Path) -> Intrinsics:
         raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
     if not isinstance(found, dict):
         raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
-    _check_whole_image(source, found)
+    coefficients = _data(_field(source, found, "distortion_coefficients", "d", "D"))
+    if (
+        "distortion_model" not in found
+        and isinstance(found.get("camera_matrix"), dict)
+        and "dt" in found["camera_matrix"]
+    ):
+        # OpenCV names no model; its first five coefficients are those of plumb_bob.
+        found["distortion_model"] = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
     return from_camera_info(
         _field(source, found, "image_width", "width"),
         _field(source, found, "image_height", "height"),
         _data(_field(source, found, "camera_matrix", "k", "K")),
-        _data(_field(source, found, "distortion_coefficients", "d", "D")),
+        coefficients,
         str(_field(source, found, "distortion_model") or ""),
         source,
+        _readout(source, found),
     )
 
 
@@ -116,11 +172,12 @@ def _data(found: Any) -> Any:
     return [] if found is None else found
 
 
-def _check_whole_image(source: str, found: dict[str, Any]) -> None:
-    """Refuse binning and a region of interest: k would belong to another image than the published one."""
-    binned = [name for name in ("binning_x", "binning_y") if found.get(name, 0) not in (0, 1)]
+def _readout(source: str, found: dict[str, Any]) -> Readout:
     region = found.get("roi") or {}
-    cut = isinstance(region, dict) and any(region.get(name) for name in ("x_offset", "y_offset"))
-    if binned or cut:
-        what = binned[0] if binned else "roi"
-        raise CameraInfoError(source, f"{what} is set; let the camera send whole images, unbinned")
+    if not isinstance(region, dict):
+        raise CameraInfoError(source, f"roi is {brief(region)}; it must be a mapping, as in CameraInfo")
+    fields = [region.get(name, 0) for name in ("x_offset", "y_offset", "width", "height")]
+    fields += [found.get(name, 0) for name in ("binning_x", "binning_y")]
+    if wrong := [each for each in fields if isinstance(each, bool) or not isinstance(each, int)]:
+        raise CameraInfoError(source, f"roi or binning contains {brief(wrong[0])}; give whole numbers of pixels")
+    return Readout(*fields)

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_core.bounded_file import brief
+from deltacharger_vision.cameras.camera_info import Readout, from_camera_info
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.errors import CameraInfoError, ImageError
+from deltacharger_vision.images import MILLIMETRE, Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 
 
@@ -34,19 +36,51 @@ def stamp_ns(message: Any) -> int:
 
 
 def intrinsics_of(info: CameraInfo, source: str) -> Intrinsics:
-    """Convert a CameraInfo; raises CameraInfoError, which names `source`, if it is unusable."""
-    return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source)
+    """Return the intrinsics of the image sent with a CameraInfo: of its region of interest, binned.
+
+    Raises:
+        CameraInfoError: it is unusable; names `source`.
+    """
+    roi = info.roi
+    readout = Readout(roi.x_offset, roi.y_offset, roi.width, roi.height, info.binning_x, info.binning_y)
+    return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source, readout)
 
 
-def rgbd_of(color: Image, depth: Image | None, intrinsics: Intrinsics) -> RgbdImage:
+def rgbd_of(
+    color: Image,
+    depth: Image | None,
+    camera: CameraInfo | Intrinsics,
+    depth_unit: float = MILLIMETRE,
+    source: str = "camera_info",
+) -> RgbdImage:
     """Convert two messages to one image, without depth if that is missing.
+
+    Args:
+        color: image.
+        depth: of the same pixels.
+        camera: calibration of the colour image.
+        depth_unit: of 16-bit depth, m.
+        source: of the calibration, for errors.
 
     Raises:
         ImageError: an encoding is unknown, or the images do not match.
+        CameraInfoError: the calibration is unusable, or another camera's.
     """
+    frame = color.header.frame_id
+    if depth is not None and depth.header.frame_id != frame:
+        raise ImageError(
+            "depth",
+            f"in frame {brief(depth.header.frame_id)}, colour in {brief(frame)}: take depth aligned to colour "
+            "(RealSense align_depth.enable:=true, Orbbec depth_registration:=true, OAK stereo.i_align_depth: true)",
+        )
+    if not isinstance(camera, Intrinsics):
+        if camera.header.frame_id != frame:
+            other = brief(camera.header.frame_id)
+            raise CameraInfoError(source, f"of frame {other}, not of the colour image's {brief(frame)}; name its own")
+        camera = intrinsics_of(camera, source)
     pixels = color_array(color)
     metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
-    return RgbdImage.make(pixels, metres, intrinsics)
+    return RgbdImage.make(pixels, metres, camera, depth_unit)
 
 
 def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.mount import CAMERA_FRAME
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
 
@@ -85,7 +86,7 @@ def near(found: dict[str, Any], away: float = 0.3, roll: float = 0.1, x: float =
     covariance = np.array(found["covariance"])
     off = np.array(found["position"]) - pose(away, roll, x)[:3, 3]
     assert off @ np.linalg.solve(covariance[:3, :3], off) < 25.0
-    assert np.sqrt(np.diag(covariance))[:3].max() < 0.002
+    assert np.sqrt(np.diag(covariance))[:3].max() < 0.01 * away
     assert abs(found["roll"] - roll) < 0.01
 
 
@@ -96,7 +97,7 @@ def test_electrodes_are_found_at_their_pose(files: Path, capsys: Capture, depth:
     assert all(found[name] is None for name in KEYS - {"found", "frame", "detection_time"})
     code, found = detect(capsys, *one(files, depth=depth))
     assert (code, set(found), found["found"]) == (0, KEYS, True)
-    assert (found["frame"], found["source"]) == ("camera_color_optical_frame", "fused")
+    assert (found["frame"], found["source"]) == ("camera_color_optical_frame", "both")
     near(found)
     assert found["normal"] == pytest.approx([0.0, 0.0, -1.0], abs=0.05)
     assert found["range"] == pytest.approx(np.linalg.norm(found["position"]))
@@ -132,7 +133,7 @@ def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, caps
     empty = write_image(tmp_path / "empty.png", np.zeros((400, 640), dtype=np.uint16))
     words = ("--color", files / "a.png", "--camera-info", files / "k.yaml", *(("--depth", empty) if depth else ()))
     code, found = detect(capsys, *words)
-    assert (code, found["source"]) == (0, "pnp")
+    assert (code, found["source"]) == (0, "image")
     near(found)
 
 
@@ -170,7 +171,7 @@ def test_broken_images_do_not_stop_a_folder(files: Path, tmp_path: Path, capsys:
     assert (found["found"], found["images"], found["broken"], found["left_out"]) == (2, 5, 2, 0)
     assert set(results["a"]) == set(results["b"]) == KEYS
     near(results["a"])
-    assert (results["alone"]["source"], results["b"]["found"]) == ("pnp", False)
+    assert (results["alone"]["source"], results["b"]["found"]) == ("image", False)
     assert "broken.color.png" in results["broken"]["error"]
     assert "colour" in results["colorless"]["error"]
     times = [results[name]["detection_time"] for name in ("a", "alone", "b")]
@@ -209,7 +210,7 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
     for topic, pixels, stamp in images:
         encoding, step = "rgb8" if pixels.ndim == 3 else "16UC1", pixels.nbytes // len(pixels)
         message = Image(height=len(pixels), width=pixels.shape[1], encoding=encoding, step=step)
-        message.data = array("B", pixels.tobytes())
+        message.data, message.header.frame_id = array("B", pixels.tobytes()), CAMERA_FRAME
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         messages.append((topic, message, stamp))
     with McapWriter(path, {topic: Topic(topic, type(message), qos.SENSOR) for topic, message, _ in messages}) as writer:
@@ -234,7 +235,7 @@ def test_a_recording_is_matched_by_stamps(tmp_path: Path, capsys: Capture) -> No
     assert list(results) == ["1.000000000", "1.066000000", "1.099000000"]
     for name, number in (("1.000000000", 0), ("1.066000000", 2)):
         near(results[name], 0.25 + 0.02 * number)
-        assert (results[name]["source"], (tmp_path / f"{name}.png").exists()) == ("fused", True)
+        assert (results[name]["source"], (tmp_path / f"{name}.png").exists()) == ("both", True)
     assert "64" in results["1.099000000"]["error"]
 
 
@@ -248,7 +249,7 @@ def test_topics_and_intrinsics_can_be_given_and_unmatched_images_are_refused(
     topics = "--color-topic oak/rgb --depth-topic /oak/stereo"
     refuses(capsys, f"vision detect {path} {topics}", "camera_info")
     code, found = detect(capsys, path, *topics.split(), "--camera-info", files / "k.yaml")
-    assert (code, found["results"][0]["source"]) == (0, "fused")
+    assert (code, found["results"][0]["source"]) == (0, "both")
     near(found["results"][0])
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_vision.cameras.camera_info import from_camera_info, load_camera_info
+from deltacharger_vision.cameras.camera_info import Readout, from_camera_info, load_camera_info
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics
@@ -74,8 +74,10 @@ def test_no_missing_and_extra_coefficients_are_zero() -> None:
         ("image_width: 640", "image_width: 0", "width"),
         ("image_width: 640\n", "", "image_width"),
         ("distortion_model: plumb_bob\n", "", "distortion_model"),
-        ("camera_name: oak", "binning_x: 2", "binning_x"),
-        ("camera_name: oak", "roi: {x_offset: 3}", "roi"),
+        ("camera_name: oak", "binning_x: two", "roi or binning"),
+        ("camera_name: oak", "roi: 3", "mapping"),
+        ("camera_name: oak", "roi: {x_offset: 3}", "complete image"),
+        ("camera_name: oak", "roi: {x_offset: 10, y_offset: 5, width: 640, height: 400}", "complete image"),
     ],
 )
 def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -83,6 +85,28 @@ def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: st
     with pytest.raises(CameraInfoError, match=words) as caught:
         load(tmp_path, CALIBRATION.replace(old, new))
     assert str(tmp_path) in caught.value.source
+
+
+@pytest.mark.parametrize(
+    ("readout", "seen"),
+    [
+        (Readout(), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
+        (Readout(0, 0, 640, 400, 1, 1), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
+        (Readout(10, 20, 620, 360), Intrinsics(620, 360, 441.0, 442.0, 310.1, 179.2)),
+        (Readout(binning_x=2, binning_y=2), Intrinsics(320, 200, 220.5, 221.0, 159.8, 99.35)),
+        (Readout(10, 20, 621, 361, 2, 2), Intrinsics(310, 180, 220.5, 221.0, 154.8, 89.35)),
+    ],
+)
+def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent(readout: Readout, seen: Intrinsics) -> None:
+    found = from_camera_info(640, 400, K, [], "none", readout=readout)
+    wanted = {name: value if name == "distortion" else pytest.approx(value) for name, value in vars(seen).items()}
+    assert vars(found) == wanted
+
+
+def test_a_calibration_of_opencv_is_read(tmp_path: Path) -> None:
+    text = CALIBRATION.replace("distortion_model: plumb_bob\n", "").replace("data:", "dt: d, data:")
+    text = "%YAML:1.0\n---\n" + text.replace("_matrix: {", "_matrix: !!opencv-matrix {")
+    assert load(tmp_path, text) == EXPECTED
 
 
 @pytest.mark.parametrize("k", [None, 4, [True] * 9, K[:8]])

@@ -31,7 +31,8 @@ def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
     alpha = np.full((40, 64, 1), 7, dtype=np.uint8)
     for given in (COLOR, np.concatenate([COLOR, alpha], axis=2), COLOR.astype(np.uint16) * 257):
         np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, COLOR)
-    for given in (gray, gray[:, :, None], gray.astype(np.uint16) << 8):
+    levels = [gray.astype(np.uint16) << (bits - 8) for bits in (10, 12, 16)]
+    for given in (gray, gray[:, :, None], *levels):
         np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
 
 
@@ -45,6 +46,14 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
         assert got.dtype == np.float32
         assert np.argwhere(np.isnan(got)).tolist() == [[3, 4]]
         np.testing.assert_allclose(np.delete(got.ravel(), 3 * 64 + 4), 0.3, rtol=1e-6)
+
+
+def test_sixteen_bits_of_depth_may_have_another_unit_and_its_largest_value_is_unknown() -> None:
+    given = np.full((40, 64), 3000, np.uint16)
+    given[3, 4] = 65535
+    got = RgbdImage.make(COLOR, given, CAMERA, 1e-4).depth
+    assert np.argwhere(np.isnan(got)).tolist() == [[3, 4]]
+    assert got[0, 0] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +70,9 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
         (COLOR, -DEPTH, "depth", "negative"),
         (COLOR, DEPTH.astype(np.int32), "depth", "uint16"),
         (COLOR, DEPTH.astype(np.uint8), "depth", "uint16"),
-        (COLOR[:, :60], DEPTH[:, :60], "intrinsics", "aspect"),
+        (COLOR[:, :60], DEPTH[:, :60], "intrinsics", "cuts or bins"),
+        (COLOR[:38, :60], DEPTH[:38, :60], "intrinsics", "cuts or bins"),
+        (COLOR[::2, ::2], DEPTH[::2, ::2], "intrinsics", "cuts or bins"),
         (COLOR[:8, :8], DEPTH[:8, :8], "color", "16"),
     ],
 )
@@ -71,14 +82,16 @@ def test_invalid_arrays_are_refused(color: Any, depth: Any, name: str, words: st
     assert caught.value.source == name
 
 
-def test_a_scaled_camera_shows_the_same_point_at_the_same_place() -> None:
-    depth = np.zeros((80, 128), np.float32)
-    image = RgbdImage.make(np.zeros((80, 128), np.uint8), depth, CAMERA)
-    assert np.isnan(image.depth).all()
-    assert not depth.any(), "the input is not changed"
-    assert image.intrinsics == CAMERA.scaled(128, 80)
+def test_depth_of_zero_is_unknown_and_the_input_is_not_changed() -> None:
+    depth = np.zeros((40, 64), np.float32)
+    assert np.isnan(RgbdImage.make(COLOR, depth, CAMERA).depth).all()
+    assert not depth.any()
+
+
+def test_a_scaled_or_binned_camera_shows_the_same_point_at_the_same_place() -> None:
     # The corner of the image, half a pixel before the first centre, is the only fixed place.
-    for camera in (CAMERA, image.intrinsics, image.intrinsics.scaled(64, 40)):
+    large = CAMERA.scaled(128, 80)
+    for camera in (CAMERA, large, large.binned(2, 2), large.binned(5, 3)):
         direction = np.linalg.inv(camera.matrix()) @ [-0.5, -0.5, 1.0]
         np.testing.assert_allclose(direction, [-32.0 / 44.0, -20.0 / 44.0, 1.0])
 
@@ -178,7 +191,7 @@ def test_depth_keeps_its_values_and_an_rgbd_image_has_metres_and_unknowns(tmp_pa
         ("d.npy", np.full((40, 64), 300), "int64"),
         ("a.png", b"\x89PNG\r\n", "image"),
         ("a.png", encoded(noise(np.uint8, 10, 64)), "10 px"),
-        ("a.png", encoded(noise(np.uint8, 64, 64)), "aspect"),
+        ("a.png", encoded(noise(np.uint8, 64, 64)), "cuts or bins"),
     ],
 )
 def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: str) -> None:
