@@ -110,6 +110,11 @@ def locate(context: Context) -> Script[ElectrodePose]:
         raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
     if not found.age <= parameters.detection_age_max:
         raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
+    if not found.image_range <= parameters.image_range_max:
+        raise ElectrodesNotFound(
+            f"the electrodes are {found.image_range:.2f} m from the camera and were measured without depth, which is "
+            f"trusted up to {parameters.image_range_max:g} m (image_range_max): drive nearer, or check the depth images"
+        )
     check_place(found, context.planner, parameters)
     context.decide("located", "the camera sees the electrodes", **found.numbers)
     return found

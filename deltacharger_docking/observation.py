@@ -53,7 +53,7 @@ class ElectrodePose:
     """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s).
 
     `yaw` and `pitch` (rad): rotations of the electrodes' z axis about +y and about +x of charger_base, with their
-    standard deviations; NaN = unknown.
+    standard deviations; NaN = unknown. `image_range`: m from the camera if it had no depth, else 0.
     """
 
     position: Vector
@@ -64,6 +64,7 @@ class ElectrodePose:
     pitch: float = math.nan
     yaw_stddev: float = math.nan
     pitch_stddev: float = math.nan
+    image_range: float = 0.0
 
     @property
     def numbers(self) -> dict[str, float]:

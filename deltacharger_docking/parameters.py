@@ -231,6 +231,9 @@ class DockingParameters(Bounded):
     tactile_age_max: float = number(0.5, 0.05, 2.0, "s", "age of tactile frames that ends docking")
     power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")
     detection_age_max: float = tunable(1.0, 0.1, 10.0, "s", "largest age of a camera detection")
+    image_range_max: float = number(
+        0.4, 0.0, 2.0, "m", "largest range of a camera detection without depth; 0 = depth is needed"
+    )
     first_data_timeout: float = tunable(3.0, 0.0, 60.0, "s", "limit for the first data of nodes that have just started")
     service_timeout: float = tunable(3.0, 2.5, 60.0, "s", "limit for set_torque, tare and predict_misalignment")
     probe_timeout: float = tunable(2.0, 0.25, 60.0, "s", "limit for an answer of probe, longer than the board's own")

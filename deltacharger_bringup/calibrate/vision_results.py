@@ -42,7 +42,7 @@ def lines(found: Detection, mount: Mount | None) -> Iterator[str]:
     yield _pose(CAMERA_FRAME, found)
     if mount is not None:
         yield _pose(FRAME, mount.place(found))
-    source = "image and depth" if found.source == "fused" else "the image alone"
+    source = "image and depth" if found.source == "both" else "the image alone"
     yield f"range {1e3 * found.range:.1f} mm, confidence {found.confidence:.2f}, from {source}"
 
 

@@ -28,6 +28,8 @@ from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
 _UNIT = (0.9, 1.1)  # accepted norm of a quaternion
 _LEVEL = 1e-3  # rad; a smaller lean is rounding, for example of a quaternion with four digits
+IMAGE_ALONE = "image"
+"""`ElectrodeDetection.source` of a pose without depth."""
 _SAME = 1e-3  # rad; accepted difference of a detection's roll and orientation
 _ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # in a 6 × 6 covariance, row-major: variances of the rotations, rad²
 
@@ -162,6 +164,7 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
         math.nan if math.isnan(pitch_stddev) else pitch,
         yaw_stddev,
         pitch_stddev,
+        message.range if message.source == IMAGE_ALONE else 0.0,
     )
 
 

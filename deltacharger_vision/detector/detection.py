@@ -21,7 +21,7 @@ class Detection:
         confidence: 0 to 1: visible share of the bars' outlines, reduced if image and depth disagree.
         range: m, from the camera's centre to `position`.
         bars: (2, 4, 2) px, corners of the touched faces in the image, in order around each bar.
-        source: "fused" from image and depth, "pnp" from the image alone.
+        source: "both" image and depth, or "image" alone, as in ElectrodeDetection.
     """
 
     position: Array

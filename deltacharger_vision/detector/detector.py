@@ -9,7 +9,7 @@ A pose without visible outlines, or contradicted by depth, is not returned.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from deltacharger_vision.poses import cross_matrix
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.terminal import Terminal
 
+_LARGEST = 1_100_000  # px that are searched, such as 1280 × 800: time and memory are those of a small image
 _APART = 4.0  # standard deviations beyond which two poses differ
 _LINEAR = (255.0 * LIGHT).astype(np.float32)
 
@@ -66,7 +67,10 @@ class ElectrodeDetector:
         """
         import cv2
 
-        settings = self.settings
+        settings, intrinsics = self.settings, image.intrinsics
+        image = _reduced(image)
+        too_near = image.depth < settings.judgement.stereo_range
+        image = replace(image, depth=np.where(too_near, np.float32(np.nan), image.depth))
         grey = np.asarray(cv2.cvtColor(image.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         # An edge lies at half the light, not at half its encoded value.
         smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), settings.smoothing)
@@ -86,7 +90,7 @@ class ElectrodeDetector:
                     break
         if best is None:
             best = self._in_pieces(image, judge)
-        return None if best is None else self._detection(best, image.intrinsics)
+        return None if best is None else self._detection(best, intrinsics)
 
     def _in_pieces(self, image: RgbdImage, judge: PartsJudge) -> Candidate | None:
         """Return a partly hidden terminal, or None if two poses explain the image."""
@@ -117,17 +121,34 @@ class ElectrodeDetector:
         # If expected depth is missing, two tilts in a hundred are off by far more than the edges show.
         checked = found.fused or pose.translation[2] < self.settings.judgement.stereo_range
         known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
+        covariance = found.covariance.copy()
+        # A longer focal length moves everything away in proportion, and nothing aside.
+        covariance[2, 2] += (self.settings.judgement.calibration * pose.translation[2]) ** 2
         return Detection(
             position=pose.translation,
             roll=roll,
             axis=pose.rotation[:, 0] * math.copysign(1.0, x * math.cos(roll) + y * math.sin(roll)),
             normal=-pose.rotation[:, 2] if found.upright and checked and known else np.full(3, np.nan),
-            covariance=found.covariance,
+            covariance=covariance,
             confidence=found.confidence,
             range=float(np.linalg.norm(pose.translation)),
             bars=project(pose.points(self.terminal.corners()), intrinsics),
-            source="fused" if found.fused else "pnp",
+            source="both" if found.fused else "image",
         )
+
+
+def _reduced(image: RgbdImage) -> RgbdImage:
+    """Return a large image averaged over squares, with the depth of their middles; others unchanged."""
+    import cv2
+
+    intrinsics = image.intrinsics
+    side = math.ceil(math.sqrt(intrinsics.width * intrinsics.height / _LARGEST))
+    if side == 1:
+        return image
+    width, height = intrinsics.width // side, intrinsics.height // side
+    color = cv2.resize(image.color[: height * side, : width * side], (width, height), interpolation=cv2.INTER_AREA)
+    depth = image.depth[side // 2 : height * side : side, side // 2 : width * side : side]
+    return RgbdImage(np.asarray(color, dtype=np.uint8), depth, intrinsics.binned(side, side))
 
 
 def _differ(one: Candidate, other: Candidate) -> bool:

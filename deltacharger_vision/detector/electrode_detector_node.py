@@ -6,7 +6,7 @@ Publishes: electrode_detection if it finds electrodes, electrode_detection/image
 /diagnostics (1 Hz).
 Serves: detect_electrodes, which examines new images until it finds the electrodes or times out.
 Parameters: rate (0 = on demand only), timeout and image_age_max may be set while the node runs; stamp_tolerance, the
-topics, the mount and the terminal's lengths may not.
+topics, the depth's properties, the mount and the terminal's lengths may not.
 It moves nothing. With a rate, it detects while electrode_detection has subscribers. Without OpenCV it keeps running,
 reports the error and keeps trying to load it: a charger can dock to coordinates without a camera.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -41,8 +42,10 @@ from deltacharger_ros.tf_tree import TfTree, TransformError, installed
 from deltacharger_ros.tuning import Tuning
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
-from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot
+from deltacharger_vision.detector.judgement import JudgementSettings
+from deltacharger_vision.detector.plane import PlaneSettings
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
@@ -80,7 +83,7 @@ class ElectrodeDetectorNode(Node):
         self._transform_timeout = transforms.transform_timeout
         self._deviations = given.mount_position_stddev, given.mount_rotation_stddev
         self._mount = _mount(self, given)
-        self._detector = ElectrodeDetector(terminal)
+        self._detector = ElectrodeDetector(terminal, _settings(given))
         self._camera = Camera(self, given.stamp_tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
@@ -159,10 +162,13 @@ class ElectrodeDetectorNode(Node):
         with self._looking:
             started = time.perf_counter()
             try:
-                image = shot.image()
+                image = shot.image(self._given.depth_unit)
                 found = self._detector.detect(image)
             except VisionError as error:
                 return None, str(error)
+            except Exception as error:  # no image of a stranger's camera may end the node
+                self._log.error(f"the detector failed: {traceback.format_exc()}", pause=60.0)
+                return None, f"the detector failed ({error!r}): report this with the node's log and the image"
             self._tally.milliseconds = 1e3 * (time.perf_counter() - started)
         self._tally.examined += 1
         self._show(image, found, shot)
@@ -174,7 +180,9 @@ class ElectrodeDetectorNode(Node):
             placed = self._mounted(header, deadline).place(found)
         except (TransformError, MountError) as error:
             return None, f"the electrodes were found, but the camera's pose is unknown: {error}"
-        message = detection_message(placed, header.stamp, found.confidence, found.range, self._charger_base)
+        message = detection_message(
+            placed, header.stamp, found.confidence, found.range, self._charger_base, found.source
+        )
         self._detections.publish(message)
         return message, ""
 
@@ -227,6 +235,12 @@ class ElectrodeDetectorNode(Node):
         level = OK if not problem else ERROR if watched or self._missing else WARN
         text = problem or ("detecting" if watched else "idle; detects on request")
         self._diagnostics.report(level, text, values, "detector", self._camera.names[0])
+
+
+def _settings(given: DetectorNodeParameters) -> DetectorSettings:
+    """Return the detector's settings for the depth of this camera."""
+    plane = PlaneSettings(bias=given.depth_bias)
+    return DetectorSettings(judgement=JudgementSettings(stereo_range=given.depth_range_min, plane=plane))
 
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:

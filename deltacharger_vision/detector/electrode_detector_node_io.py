@@ -19,7 +19,7 @@ from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.ros.driver_diagnostics import DriverDiagnostics
-from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, slash_hint, stamp_ns
+from deltacharger_vision.ros.messages import rgbd_of, slash_hint, stamp_ns
 
 SILENT = 1.0
 """A topic without a message for this long counts as silent, s."""
@@ -43,14 +43,14 @@ class Shot:
     depth: Image
     info: CameraInfo
 
-    def image(self) -> RgbdImage:
-        """Return the decoded image.
+    def image(self, depth_unit: float) -> RgbdImage:
+        """Return the decoded image, its 16-bit depth in units of `depth_unit` (m).
 
         Raises:
             ImageError: an encoding is unknown, or the images do not match.
             CameraInfoError: the camera is not calibrated.
         """
-        return rgbd_of(self.color, self.depth, intrinsics_of(self.info, CAMERA_INFO))
+        return rgbd_of(self.color, self.depth, self.info, depth_unit, CAMERA_INFO)
 
 
 class Camera:

@@ -20,12 +20,13 @@ from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.hiding import Hiding, hiding
 from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
-from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
+from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, is_noise, plate_region
 from deltacharger_vision.detector.refine import ROUNDS, Edges, PoseFit, RefineSettings
 from deltacharger_vision.detector.starts import (
     LARGE_LEANS,
     SMALL_LEANS,
     by_corners,
+    ends_swapped,
     laid_over,
     leaning,
     mirrored,
@@ -37,11 +38,12 @@ from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
-_UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
+_UNSETTLED, _NOTHING = 1.3, 5.0  # times `clear`
 _HOPELESS = 3.0
 EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three parameters
 _FOLLOWED = 4  # most repetitions of the edge search
 _ROUGH = 5  # steps of a fit before the edges are searched again
+_SAME_LINES = 1.0  # px: a start that comes so near to a pose leads to it
 _SETTLED = 0.2  # px: after less movement, another edge search finds the same edges
 
 
@@ -62,10 +64,7 @@ class JudgementSettings(Bounded):
     clear: float = number(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
     ambiguous: float = number(12.0, 0.0, 1000.0, "", "rise of the squared error that rules out a mirrored tilt")
     agreement: float = number(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
-    exact: float = number(
-        10.0, 0.0, 1000.0, "", "rise of the squared error with depth above which the focal length is fitted too"
-    )
-    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of a fitted focal length")
+    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of the focal length")
     alone: float = number(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, as nothing checks the tilt")
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
@@ -133,6 +132,8 @@ class Judge:
             # Even too little depth for a plane may show that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
         plane = fit_plane(region, settings.plane, np.random.default_rng(0))
+        if plane is None and is_noise(region) and not self._elsewhere(region, starts[0]):
+            return self._by_image(pair, starts[0])
         both = None if plane is None else self._by_both(pair, starts[0], plane)
         if both is not None or starts[0].translation[2] >= settings.stereo_range:
             return both
@@ -214,19 +215,27 @@ class Judge:
         found = self._explained(pair, start)
         if not found:
             return None
-        best, *others = sorted(found, key=lambda each: each.misfit)
-        excess = self._misfit(best.edges, best.fit, missed=False) / settings.clear
-        if excess > _UNSETTLED:
+        best, *others = found
+        if self._misfit(best.edges, best.fit, missed=False) > _UNSETTLED * settings.clear:
             return None
-        covariance, upright = settings.alone * best.fit.covariance, True
+        apart, upright = self._others(best, others)
+        return self._candidate(best.edges, best.fit, settings.alone * best.fit.covariance + apart, False, upright)
+
+    def _others(self, best: Explanation, others: list[Explanation], plane: Plane | None = None) -> tuple[Array, bool]:
+        """Return the covariance (6, 6) by explanations that are almost as likely, and whether their tilt is one."""
+        shown = self._misfit(best.edges, best.fit, plane, missed=False)
+        excess = max(1.0, shown / self._settings.clear)
+        covariance, upright = np.zeros((6, 6)), True
         for other in others:
-            if (rise := (other.misfit - best.misfit) / max(1.0, excess)) < settings.ambiguous:
+            # A side too dim for an edge is weak evidence against the lines of another end.
+            rises = (other.misfit - best.misfit, self._misfit(other.edges, other.fit, plane, missed=False) - shown)
+            if (rise := max(0.0, min(rises)) / excess) < self._settings.ambiguous:
                 turned = np.cross(best.fit.pose.rotation[:, 2], other.fit.pose.rotation[:, 2])
                 step = np.concatenate([other.fit.pose.translation - best.fit.pose.translation, turned])
                 likely = math.exp(-0.5 * rise)
-                covariance = covariance + np.outer(step, step) * likely / (1.0 + likely)
+                covariance += np.outer(step, step) * likely / (1.0 + likely)
                 upright = upright and bool(np.linalg.norm(turned) < _SAME_TILT)
-        return self._candidate(best.edges, best.fit, covariance, False, upright)
+        return covariance, upright
 
     def _explained(self, pair: Pair, start: TerminalPose) -> list[Explanation]:
         """Return poses that fit the edges; try more tilts until one fits well.
@@ -252,56 +261,51 @@ class Judge:
                 explained = self._search(tried, pair, least=least)
                 nearest = min([nearest, *(each.misfit for each in explained)])
                 found += [each for each in explained if self._share(each.edges, each.fit)]
-        return found
+        return self._with_swapped_ends(found)
+
+    def _with_swapped_ends(self, found: list[Explanation], plane: Plane | None = None) -> list[Explanation]:
+        """Return explanations with those by the other lines at the bars' visible ends, the best first."""
+        for best in sorted(found, key=lambda each: each.misfit)[:1]:
+            for swapped in ends_swapped(best.fit.pose, self._terminal):
+                rough = self._follow(swapped, self._settings.edges.search, plane, _ROUGH)
+                if rough is None or self._moved(best.fit.pose, rough[1].pose) < _SAME_LINES:
+                    continue
+                explained = self._search(rough[1].pose, None, plane, best.misfit)
+                found += [each for each in explained if self._share(each.edges, each.fit)]
+        return sorted(found, key=lambda each: each.misfit)
 
     def _by_both(self, pair: Pair, start: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane, unless the plane contradicts the edges."""
-        settings = self._settings
+        settings, exact, plane = self._settings, plane, plane.with_bias()
         # The plane gives the tilt, and so the visible sides of the bars.
         found = self._search(tilted(start, plane.coefficients, pair, self._image.intrinsics), pair, plane)
         if not found:
             return None
-        shown = self._hiding(found[0].edges, found[0].fit, plane)
+        best, *others = self._with_swapped_ends(found[:1], plane)
+        shown = self._hiding(best.edges, best.fit, plane)
         if shown.refuted or (shown.off and not shown.ends.all()):
             return None
-        edges, fused = found[0].edges, found[0].fit if shown.ends.all() else None
+        edges, fused = best.edges, best.fit if shown.ends.all() else None
         if fused is None:
-            edges = edges.without_ends(shown.ends)
-            fused = edges.fit(found[0].fit.pose, plane)
+            # Without its ends a bar has no length that tells the range, but what hides it seems to.
+            edges, plane = edges.without_ends(shown.ends), exact
+            fused = edges.fit(best.fit.pose, plane)
         alone = None if fused is None else edges.fit(fused.pose)
         if fused is None or alone is None:
             return None
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
-        # A cut bar looks like a wrong focal length.
-        if rise > settings.exact and settings.calibration and shown.ends.all():
-            return self._by_both_rescaled(alone.pose, fused.pose, plane)
         if not rise <= settings.support.disagreement:
             return None
-        doubt = 1.0 if shown.ends.all() else max(1.0, rise / EXPECTED_RISE)
-        return self._candidate(edges, fused, doubt * fused.covariance, True, True)
+        covariance = max(1.0, rise / EXPECTED_RISE) * fused.covariance + self._others(best, others, plane)[0]
+        return self._candidate(edges, fused, covariance + self._depth_doubt(fused.pose, plane), True, True)
 
-    def _by_both_rescaled(self, alone: TerminalPose, exact: TerminalPose, plane: Plane) -> Candidate | None:
-        """Return the pose by edges and plane for a slightly wrong focal length, if that explains both.
-
-        Args:
-            alone: pose by edges alone, close to the lines.
-            exact: pose by edges and plane for the exact focal length. The covariance spans this too: something that
-                hides a little of the bars also makes image and depth differ.
-            plane: plane of the plate.
-        """
-        settings = self._settings
-        edges = self._edges(alone, settings.edges.follow)
-        start = edges.fit(alone)
-        both = None if start is None else edges.fit(start.pose, plane, settings.calibration)
-        if start is None or both is None:
-            return None
-        rise = edges.misfit(both, start.scatter, plane, calibration=settings.calibration)
-        rise -= edges.misfit(start, start.scatter)
-        if not rise <= settings.support.disagreement:
-            return None
-        covariance, step = max(1.0, rise / EXPECTED_RISE) * both.covariance, exact.translation - both.pose.translation
-        covariance[:3, :3] += np.outer(step, step)
-        return self._candidate(edges, both, covariance, True, True)
+    def _depth_doubt(self, pose: TerminalPose, plane: Plane) -> Array:
+        """Return the covariance (6, 6) by the plane's bias, and by the scale at which image and depth differ."""
+        distance = float(pose.rotation[:, 2] @ pose.translation) + self._terminal.bar_thickness
+        apart = 1.0 / (distance * float(np.linalg.norm(plane.coefficients))) - 1.0
+        covariance = plane.bias**2 * np.eye(6)
+        covariance[:3, :3] = (plane.bias**2 + apart**2) * np.outer(pose.translation, pose.translation)
+        return covariance
 
     def _candidate(
         self, edges: Edges, found: PoseFit, covariance: Array, fused: bool, upright: bool

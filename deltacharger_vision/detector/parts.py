@@ -73,7 +73,7 @@ class PartsJudge(Judge):
         excess = self._misfit(kept, both, missed=False) / settings.clear
         if excess > _MESSY:
             return None
-        covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess)
+        covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess) + self._depth_doubt(both.pose, plane)
         if not ends.any(axis=0).all():
             # With one end only, it is unknown whether its face's edge or its side's root is visible.
             unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal

@@ -8,7 +8,7 @@ ray: q·(x/z, y/z, 1) with q = n/D. Metal is excluded: stereo sees reflections t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ _BLOCK = 8  # samples on a side, over which correlated noise is measured
 _USUAL = 0.055  # of the samples within _NEAR standard deviations lie within twice as many
 _BLOCKS = 12  # needed for a scatter of their means
 _TUKEY = 3.5
+_NOISY = 0.05  # relative scatter of inverse depth within a block
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
 
 
@@ -50,8 +51,11 @@ class PlaneSettings(Bounded):
     tolerance: float = number(0.05, 0.001, 1.0, "1/m", "largest deviation of inverse depth from the plane")
     noise: float = number(0.0035, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth: its steps are 1/8 px")
     step: float = number(0.001, 0.0, 0.1, "m", "steps of depth: millimetres, as in 16UC1")
-    bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of a shift of all inverse depths: 0.03 px")
-    slope_bias: float = number(
+    bias: float = number(
+        0.01, 0.0, 0.2, "", "standard deviation of the relative error of all depth, and of its change per unit ray"
+    )
+    shift: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of a shift of all inverse depths: 0.03 px")
+    slope: float = number(
         0.002, 1e-6, 1.0, "1/m", "standard deviation of their tilt, per unit ray: 0.03 px over a plate"
     )
 
@@ -64,11 +68,20 @@ class Plane:
         coefficients: (3,) 1/m: unit normal (away from the camera) over distance from the camera.
         precision: (3, 3) inverse covariance of the coefficients.
         scatter: 1/m, standard deviation of inverse depth.
+        bias: standard deviation of the relative error of all depth, which `precision` leaves out.
     """
 
     coefficients: Array
     precision: Array
     scatter: float
+    bias: float = 0.0
+
+    def with_bias(self) -> Plane:
+        """Return the plane with the bias in its precision: all depth off by a share, which changes over the image."""
+        q = self.coefficients
+        spread = np.outer(q, q) + q[2] ** 2 * np.diag([1.0, 1.0, 0.0])
+        covariance = np.linalg.inv(self.precision) + self.bias**2 * spread
+        return replace(self, precision=np.linalg.inv(covariance), bias=0.0)
 
 
 @dataclass(frozen=True)
@@ -161,9 +174,18 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
     covariance *= _doubt(residual / max(scatter, narrowest))
-    covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
+    covariance += np.diag([settings.slope, settings.slope, settings.shift]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
-    return Plane(coefficients, np.linalg.inv(covariance), scatter)
+    return Plane(coefficients, np.linalg.inv(covariance), scatter, settings.bias)
+
+
+def is_noise(region: Region) -> bool:
+    """Return whether depth scatters as widely within the blocks of the image as no surface does."""
+    _, block = np.unique(region.block, return_inverse=True)
+    size = np.maximum(np.bincount(block), 1)
+    mean = np.bincount(block, weights=region.inverse) / size
+    scatter = np.sqrt(np.bincount(block, weights=(region.inverse - mean[block]) ** 2) / size) / mean
+    return bool(float(np.median(scatter)) > _NOISY)
 
 
 def _consensus(region: Region, random: np.random.Generator) -> Array | None:

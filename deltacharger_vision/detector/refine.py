@@ -55,7 +55,6 @@ class PoseFit:
         used: (L, S) edge points that agree with the pose.
         scatter: px, robust standard deviation of the edge points.
         spread: px, apparent enlargement of the bars on every side, as bright metal shows.
-        enlarged: relative excess of the intrinsics' focal length; 0 unless fitted.
         residual: (N,) px, distances of the lines from the N edge points.
     """
 
@@ -64,7 +63,6 @@ class PoseFit:
     used: Mask
     scatter: float
     spread: float
-    enlarged: float
     residual: Array
 
 
@@ -103,31 +101,25 @@ class Edges:
         points = replace(self.points, seen=self.points.seen & ~hidden[:, None])
         return Edges(points, self._terminal, self._focal, self._settings)
 
-    def fit(
-        self, start: TerminalPose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS
-    ) -> PoseFit | None:
+    def fit(self, start: TerminalPose, plane: Plane | None = None, rounds: int = ROUNDS) -> PoseFit | None:
         """Return the pose near `start` that fits edges and plane; None if they do not determine it.
 
         Args:
             start: initial pose.
             plane: plane of the plate.
-            calibration: relative standard deviation of the focal length, which is fitted too; 0 = exact.
             rounds: most steps.
         """
         if len(self._line) < _FEWEST:
             return None
-        prior = np.array([self._spread, calibration] if calibration else [self._spread])
-        size = 6 + len(prior)
-        pose, extra, covariance = start, np.zeros(2), np.eye(size)
-        columns = self._linear(pose, extra)
+        pose, spread, covariance = start, 0.0, np.eye(7)
+        columns = self._linear(pose, spread)
         scatter, robust = self._trust(columns[-1], np.ones(len(self._line)), 2.0)
         for round_ in range(rounds):
             white = self._whitened(columns, scatter, robust)
             product = (white * (self._independent * robust / scatter**2)) @ white.T
-            information, gradient = product[:size, :size], product[:size, -1]
-            for index, stddev in enumerate(prior):
-                information[6 + index, 6 + index] += 1.0 / stddev**2
-                gradient[6 + index] += extra[index] / stddev**2
+            information, gradient = product[:7, :7], product[:7, 7]
+            information[6, 6] += 1.0 / self._spread**2
+            gradient[6] += spread / self._spread**2
             for off, slope, precision in _beliefs(pose, self._terminal, plane):
                 information[:6, :6] += slope.T @ precision @ slope
                 gradient[:6] += slope.T @ precision @ off
@@ -138,10 +130,10 @@ class Edges:
             step = -covariance @ gradient
             step *= min(1.0, _LARGEST / max(float(np.abs(step[3:6]).max()), 1e-12))
             pose = pose.moved(step[:6])
-            extra[: len(prior)] += step[6:]
+            spread += float(step[6])
             if not np.all(np.isfinite(step)) or pose.translation[2] <= 0.01 or facing(pose) <= 0.2:
                 return None
-            columns = self._linear(pose, extra)
+            columns = self._linear(pose, spread)
             # Outliers are tolerated at first, while the start is still rough.
             scatter, robust = self._trust(columns[-1], robust, 2.0 if round_ == 0 else 1.0)
             if round_ > 0 and -float(step @ gradient) < _ENOUGH:
@@ -150,11 +142,9 @@ class Edges:
         used[self._line, self._place] = robust > 0.0
         # Scaled by the edges' own bias: otherwise merged ends alone would look like a failed fit.
         scatter = max(scatter, _spread(columns[-1] * self._settings.noise / np.hypot(self._settings.noise, self._bias)))
-        return PoseFit(pose, covariance[:6, :6], used, scatter, float(extra[0]), float(extra[1]), columns[-1])
+        return PoseFit(pose, covariance[:6, :6], used, scatter, spread, columns[-1])
 
-    def misfit(
-        self, found: PoseFit, scatter: float, plane: Plane | None = None, missed: bool = True, calibration: float = 0.0
-    ) -> float:
+    def misfit(self, found: PoseFit, scatter: float, plane: Plane | None = None, missed: bool = True) -> float:
         """Return the robust sum of squares of a fit to these edges, in standard deviations of this scatter (px).
 
         With `missed`, places without an edge count as outliers, so that explanations by other lines are comparable.
@@ -165,7 +155,7 @@ class Edges:
         white = self._whitened(residual[None], scatter, near)[0]
         within = np.where(near > 0.0, np.minimum((white / (self._settings.outlier * scatter)) ** 2, 1.0), 1.0)
         squares = limit * (missed * self.points.missed + float(np.sum(self._independent * (1.0 - (1.0 - within) ** 3))))
-        squares += (found.spread / self._spread) ** 2 + (found.enlarged / calibration if calibration else 0.0) ** 2
+        squares += (found.spread / self._spread) ** 2
         for off, _, precision in _beliefs(found.pose, self._terminal, plane):
             squares += float(off @ precision @ off)
         return squares
@@ -196,26 +186,25 @@ class Edges:
         share = 1.0 - 1.0 / np.sqrt(1.0 + count * (self._bias / scatter) ** 2)
         return rows - share * self._means(rows, robust)
 
-    def _linear(self, pose: TerminalPose, extra: Array) -> Array:
-        """Return (9, N): the Jacobian's eight columns and the distances (px) of the lines from the edge points.
+    def _linear(self, pose: TerminalPose, spread: float) -> Array:
+        """Return (8, N): the Jacobian's seven columns and the distances (px) of the lines from the edge points.
 
         Args:
             pose: of the terminal.
-            extra: (2,) spread of the lines (px) and relative excess of the focal length.
+            spread: of the lines, px.
         """
         turned = pose.rotation @ self._model
         inverse = 1.0 / (turned[2] + pose.translation[2])
         ideal = (turned[:2] + pose.translation[:2, None]) * inverse
         nx, ny = self._focal * self._normals(pose)[:, self._line]
-        rows = np.empty((9, len(self._line)))
+        rows = np.empty((8, len(self._line)))
         rows[0], rows[1] = nx * inverse, ny * inverse
         rows[2] = -(rows[0] * ideal[0] + rows[1] * ideal[1])
         rows[3] = turned[1] * rows[2] - turned[2] * rows[1]
         rows[4] = turned[2] * rows[0] - turned[0] * rows[2]
         rows[5] = turned[0] * rows[1] - turned[1] * rows[0]
         rows[6] = self._outer
-        rows[7] = -(nx * self._rays[0] + ny * self._rays[1])
-        rows[8] = nx * ideal[0] + ny * ideal[1] + (1.0 + extra[1]) * rows[7] + extra[0] * self._outer
+        rows[7] = nx * (ideal[0] - self._rays[0]) + ny * (ideal[1] - self._rays[1]) + spread * self._outer
         return rows
 
     def _normals(self, pose: TerminalPose) -> Array:

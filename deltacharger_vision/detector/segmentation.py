@@ -102,7 +102,7 @@ def _chosen(rows: list[tuple[float, ...]], most: int) -> Blobs:
     table = np.array(rows, dtype=float).reshape(-1, 6)
     table = table[np.argsort(-table[:, 5])]
     blobs = Blobs(table[:, :2], _direction(table[:, 4]), table[:, 2], table[:, 3], table[:, 5])
-    return blobs.chosen(_distinct(blobs)[:most])
+    return blobs.chosen(_distinct(blobs, most))
 
 
 def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) -> list[tuple[float, ...]]:
@@ -143,15 +143,15 @@ def _direction(angle: Array) -> Array:
     return np.where(direction[:, :1] < 0.0, -direction, direction)
 
 
-def _distinct(blobs: Blobs) -> NDArray[np.int64]:
-    """Return the indices of blobs that are not nearly the same as an earlier one."""
-    count = len(blobs)
-    apart = np.hypot(*(blobs.centre[:, None] - blobs.centre[None]).transpose(2, 0, 1))
-    ratio = blobs.length[:, None] / blobs.length[None]
-    thickness = blobs.width[:, None] / blobs.width[None]
-    same = (apart < 0.2 * blobs.width[None] + 0.5) & (np.abs(ratio - 1.0) < 0.06) & (np.abs(thickness - 1.0) < 0.25)
+def _distinct(blobs: Blobs, most: int) -> NDArray[np.int64]:
+    """Return the indices of at most `most` blobs that are not nearly the same as an earlier one."""
     kept: list[int] = []
-    for index in range(count):
-        if not same[index, kept].any():
-            kept.append(index)
+    left = np.arange(len(blobs))
+    while len(left) and len(kept) < most:
+        first, left = left[0], left[1:]
+        kept.append(int(first))
+        apart = np.hypot(*(blobs.centre[left] - blobs.centre[first]).T)
+        ratio, thickness = blobs.length[left] / blobs.length[first], blobs.width[left] / blobs.width[first]
+        alike = (np.abs(ratio - 1.0) < 0.06) & (np.abs(thickness - 1.0) < 0.25)
+        left = left[~(alike & (apart < 0.2 * blobs.width[first] + 0.5))]
     return np.array(kept, dtype=np.int64)

@@ -55,6 +55,26 @@ def mirrored(pose: TerminalPose) -> TerminalPose:
     return TerminalPose(half_turn @ pose.rotation @ np.diag([-1.0, -1.0, 1.0]), pose.translation)
 
 
+def ends_swapped(pose: TerminalPose, terminal: Terminal) -> list[TerminalPose]:
+    """Return poses whose bars end where the side at their visible end ends in `pose`, and the reverse.
+
+    At a slant, the end of a touched face is easily taken for the side's root on the plate. Either way the bars have
+    another length in the image, and so another range and place.
+    """
+    camera = -pose.rotation.T @ pose.translation
+    beyond = abs(camera[0]) - 0.5 * terminal.bar_length
+    if beyond <= 0.0:
+        return []
+    # Where the root's ray crosses the plane of the touched faces, m past their end.
+    past = beyond * terminal.bar_thickness / (terminal.bar_thickness - camera[2])
+    found = []
+    for shift in (-past, past):
+        aside = np.array([0.5 * np.sign(camera[0]) * shift, 0.0, 0.0])
+        place = (pose.translation + pose.rotation @ aside) * terminal.bar_length / (terminal.bar_length + shift)
+        found.append(TerminalPose(pose.rotation, place))
+    return found
+
+
 def leaning(pose: TerminalPose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[TerminalPose]:
     """Return the pose leaning across and along the bars by these tangents; large leans start from a frontal view."""
     axis = pose.translation if leans is LARGE_LEANS else pose.rotation[:, 2]

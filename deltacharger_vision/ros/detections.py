@@ -11,7 +11,7 @@ from deltacharger_vision.placed import Placed
 
 
 def detection_message(
-    placed: Placed, stamp: Time, confidence: float, distance: float, frame_id: str = FRAME
+    placed: Placed, stamp: Time, confidence: float, distance: float, frame_id: str = FRAME, source: str = "both"
 ) -> ElectrodeDetection:
     """Convert electrodes to a message.
 
@@ -21,8 +21,9 @@ def detection_message(
         confidence: 0 to 1.
         distance: m from the camera.
         frame_id: full name of charger_base.
+        source: image, depth or both.
     """
-    message = ElectrodeDetection(roll=placed.roll, confidence=confidence, range=distance)
+    message = ElectrodeDetection(roll=placed.roll, confidence=confidence, range=distance, source=source)
     message.header.stamp, message.header.frame_id = stamp, frame_id
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, place.z = (float(value) for value in placed.position)

@@ -22,7 +22,7 @@ import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Request, Service
+from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
@@ -494,6 +494,7 @@ def test_no_observation_raises_an_error(run: Faulty) -> None:
     assert run.finish(60.0).code is Code.SERVO_FAULT
 
 
+FAR_WITHOUT_DEPTH = ElectrodePose((0.0, 0.0, 0.08), 0.0, image_range=0.41)
 BAD = MisalignmentEstimate(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
 
 
@@ -501,6 +502,7 @@ BAD = MisalignmentEstimate(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
     ("service", "first", "own", "code"),
     [
         (Service.DETECT, Code.ELECTRODES_NOT_FOUND, {"success": False}, Code.ELECTRODES_NOT_FOUND),
+        (Service.DETECT, Code.ELECTRODES_NOT_FOUND, {"detection": FAR_WITHOUT_DEPTH}, Code.ELECTRODES_NOT_FOUND),
         (Service.TORQUE_ON, Code.SERVO_FAULT, {"success": False}, Code.SERVO_FAULT),
         (Service.TARE, Code.TACTILE_STALE, {"success": False}, Code.TACTILE_STALE),
         (Service.ESTIMATE, Code.TACTILE_STALE, {"estimate": BAD}, Code.CRITICAL_ANGLE),

@@ -12,11 +12,13 @@ from deltacharger_lab.reports.vision import plan as vision_plan
 from deltacharger_lab.reports.vision import views as vision_views
 from deltacharger_lab.reports.vision.conditions import (
     ALARMS,
+    BIASED,
     BY_RANGE,
     CLEAR,
     CONDITIONS,
     MUJOCO,
     OBSTRUCTED,
+    PIXELS,
     RENDERERS,
     key,
     members,
@@ -32,9 +34,7 @@ NOTHING = [*[math.nan] * 10, 1.0]
 
 def seen(x: float = 0.0, z: float = 0.3, roll: float = 0.0) -> Detection:
     axis, normal = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
-    return Detection(
-        np.array((x, 0.0, z)), roll, axis, normal, 1e-6 * np.eye(6), 1.0, 0.3, np.zeros((2, 4, 2)), "fused"
-    )
+    return Detection(np.array((x, 0.0, z)), roll, axis, normal, 1e-6 * np.eye(6), 1.0, 0.3, np.zeros((2, 4, 2)), "both")
 
 
 def test_large_errors_count_as_wrong() -> None:
@@ -78,6 +78,7 @@ def test_a_missed_target_is_reported() -> None:
         rows[f"{ALARMS}: clutter, no electrodes"] = rate(0, wrong=not met)
         results = {"band": whole, "rows": rows, "times": {key(each): {"median_ms": time} for each in members(BY_RANGE)}}
         results |= {OBSTRUCTED: rate(61 if met else 59, sure=not met), CLEAR: rate(99 if met else 98, sure=not met)}
+        results |= {group: rate(90, sure=not met) for group in (BIASED, PIXELS)}
         found = targets(results)
         assert [each["met"] for each in found] == [met] * len(found), found
 

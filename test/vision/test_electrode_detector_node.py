@@ -102,7 +102,7 @@ def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(node: N
     assert found.roll == pytest.approx(TARGET[3], abs=0.005)
     turn = found.pose.pose.orientation
     assert (turn.x, turn.y, 2.0 * math.atan2(turn.z, turn.w)) == pytest.approx((0.0, 0.0, found.roll), abs=0.005)
-    assert found.header.frame_id == "charger_base"
+    assert (found.header.frame_id, found.source) == ("charger_base", "both")
     assert 0.2 < found.range < 0.3
     assert 0.5 < found.confidence <= 1.0
 
@@ -112,11 +112,17 @@ def test_a_request_is_refused_with_its_reason_and_without_a_pose(node: NodeMaker
     torn = shot(made, seen)
     torn.depth.height //= 2
     torn.depth.data = torn.depth.data[: torn.depth.height * torn.depth.step]
+    aside, other, broken = (shot(made, seen) for _ in range(3))
+    aside.depth.header.frame_id = other.info.header.frame_id = "left_infrared"
+    object.__setattr__(broken, "image", mock.Mock(side_effect=OverflowError))
     old, future = shot(made, seen, age=3.0), shot(made, seen, age=-30.0)
     for shots, nouns in (
         ([], ["no images", "0 images"]),
         ([shot(made, empty)], ["no electrodes"]),
         ([torn], ["aligned"]),
+        ([aside], ["left_infrared", "camera_color_optical_frame", "align_depth.enable"]),
+        ([other], ["left_infrared", "color/camera_info"]),
+        ([broken], ["the detector failed", "OverflowError"]),
         ([old], ["old", "clocks", "1 of them"]),
         ([future], ["future", "clocks"]),
         ([shot(made, empty), old], ["no electrodes", "2 images", "1 of them"]),
@@ -270,7 +276,7 @@ def test_no_image_raises_an_unnamed_error(count: int) -> None:
     dice, detector, refused = random.Random(count), ElectrodeDetector(Terminal()), list[str]()
     for _ in range(count):
         try:
-            assert detector.detect(random_shot(dice).image()) is None, "noise"
+            assert detector.detect(random_shot(dice).image(1e-3)) is None, "noise"
         except VisionError as error:
             refused.append(str(error))
     assert 0.1 * count < len(refused) < 0.9 * count

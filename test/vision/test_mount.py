@@ -40,7 +40,7 @@ def seen(pose: np.ndarray, covariance: np.ndarray | None = None) -> Detection:
         confidence=1.0,
         range=float(np.linalg.norm(pose[:3, 3])),
         bars=np.zeros((2, 4, 2)),
-        source="fused",
+        source="both",
     )
 
 
