@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.vision import views
+from deltacharger_lab.reports.vision import strangers, views
 from deltacharger_lab.reports.vision.obstructions import KINDS
 from deltacharger_lab.reports.vision.views import APPROACH, DOCK, DrawnView
 from deltacharger_vision.images import Intrinsics
@@ -28,6 +28,7 @@ ANYWHERE = (0.2, 0.8)
 RAYS, MUJOCO = "ray-caster", "MuJoCo"
 BY_RANGE, DEFECTS, HIDDEN, ALARMS = "range", "defects", "hidden", "alarms"
 INTRINSICS, LENS, SIZE, RENDERERS = "intrinsics", "lens", "size", "renderers"
+BIASED, PIXELS, STRANGE = "biased", "pixels", "strange"
 OBSTRUCTED, CLEAR, HEAVY = "obstructed", "clear", "heavy"
 HALF_HIDDEN = "50 % of one bar hidden"
 CLUTTER, CLUTTER_FLAT = "clutter, no electrodes", "clutter, no electrodes, no depth"
@@ -52,6 +53,7 @@ class Condition:
         renderer: RAYS or MUJOCO.
         stream: rows of one stream share their views.
         away: m, if the row has one range.
+        change: changes the image that was taken.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Condition:
     renderer: str = RAYS
     stream: int = 0
     away: float = math.nan
+    change: strangers.Change = strangers.unchanged
 
 
 _DOCKED = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1])
@@ -198,6 +201,34 @@ def _renderers() -> list[Condition]:
     ]
 
 
+def _strange() -> list[Condition]:
+    """Return rows of biased depth, of other pixels (1000 images each), and of other cameras and bars."""
+    plain, leaning, s = strangers.plain, strangers.leaning, strangers
+    rows = [
+        ("any bias up to 2 %", BIASED, plain, s.biased, 0.8 * _THOUSAND),
+        ("any bias up to 2 %, faces lean by 28–55°", BIASED, leaning, s.biased, 0.2 * _THOUSAND),
+        ("depth unaligned, without frame_id", PIXELS, plain, s.unaligned, 0.3 * _THOUSAND),
+        ("cut by 1–25 %, told", PIXELS, plain, s.cropped, 0.2 * _THOUSAND),
+        ("cut by 1–25 %, not told", PIXELS, plain, s.cropped_untold, 0.1 * _THOUSAND),
+        ("2 × 2 px binned, told", PIXELS, plain, s.binned, 0.2 * _THOUSAND),
+        ("half as large, not told", PIXELS, plain, s.scaled_untold, 0.2 * _THOUSAND),
+        *((f"depth × {factor:g}", STRANGE, plain, s.scaled_by(factor), 1.0) for factor in (0.98, 0.99, 1.01, 1.02)),
+        *((f"disparity off by {off:g} px", STRANGE, plain, s.shifted_by(off), 1.0) for off in (0.3, 1.0)),
+        *((f"no depth below {least:g} m", STRANGE, plain, s.only_beyond(least), 1.0) for least in (0.28, 0.35, 0.7)),
+        ("no depth, faces lean by 28–55°", STRANGE, leaning, s.only_beyond(100.0), 3.0),
+        ("depth of the plate ± 25 %", STRANGE, plain, s.noisy_plate, 1.0),
+        ("depth of the bars mirrored", STRANGE, plain, s.mirrored_depth, 1.0),
+        *((f"dirt on {100 * share:.0f} % of the bars", STRANGE, plain, s.dirty(share), 1.0) for share in (0.15, 0.3)),
+        ("bars that mirror", STRANGE, s.mirrors, s.unchanged, 1.0),
+        *(
+            (f"plate reflects {share:g} (bars 0.65)", STRANGE, s.plate(share), s.unchanged, 1.0)
+            for share in (0.2, 0.35)
+        ),
+        ("light frame 4 mm beside the bars", STRANGE, s.framed, s.unchanged, 1.0),
+    ]
+    return [Condition(name, group, draw, weight, change=change) for name, group, draw, change, weight in rows]
+
+
 def key(condition: Condition) -> str:
     """Return the key of a condition in CONDITIONS and in the figures."""
     return f"{condition.group}: {condition.name}"
@@ -205,7 +236,17 @@ def key(condition: Condition) -> str:
 
 CONDITIONS: dict[str, Condition] = {
     key(condition): condition
-    for part in (_by_range(), _defects(), _FIXED, _obstructed(), _intrinsics(), _lenses(), _sizes(), _renderers())
+    for part in (
+        _by_range(),
+        _defects(),
+        _FIXED,
+        _obstructed(),
+        _intrinsics(),
+        _lenses(),
+        _sizes(),
+        _renderers(),
+        _strange(),
+    )
     for condition in part
 }
 """By group and name."""

@@ -17,6 +17,7 @@ from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condi
 from deltacharger_lab.reports.vision.views import DrawnView, about, draw_light
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.errors import ImageError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.placed import Placed
@@ -75,7 +76,8 @@ class Photographer:
             self._cameras[known] = (MujocoCamera if condition.renderer == MUJOCO else SimulatedCamera)(*known[:2])
         random = np.random.default_rng([seed, condition.stream, 1])
         image = self._cameras[known].render(view.scene, view.pose, random, condition.color_only)
-        return Sample(view, RgbdImage(image.color, image.depth, condition.assumed))
+        image = RgbdImage(image.color, image.depth, condition.assumed)
+        return Sample(view, condition.change(image, view, np.random.default_rng([seed, condition.stream, 2])))
 
     def close(self) -> None:
         """Release the cameras."""
@@ -92,7 +94,11 @@ def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
     with contextlib.closing(Photographer()) as photographer:
         rows = []
         for seed in seeds:
-            sample = photographer.take(condition, seed)
+            try:
+                sample = photographer.take(condition, seed)
+            except ImageError:  # refused before detection
+                rows.append([float(seed), *errors(None, np.eye(4))])
+                continue
             found = detector.detect(sample.image)
             rows.append([float(seed), *errors(found, sample.view.pose, condition.real)])
     return name, rows

@@ -15,7 +15,17 @@ from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 from deltacharger_lab.reports.vision import conditions
-from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, CLEAR, HIDDEN, OBSTRUCTED, members
+from deltacharger_lab.reports.vision.conditions import (
+    ALARMS,
+    BAND,
+    BIASED,
+    BY_RANGE,
+    CLEAR,
+    HIDDEN,
+    OBSTRUCTED,
+    PIXELS,
+    members,
+)
 from deltacharger_lab.reports.vision.measure import FIELDS, MOUNT_FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
@@ -59,7 +69,7 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     images, mounts = gathered(found["images"]), gathered(found["mount"])
     results["rows"] = {name: row(each) for name, each in images.items()}
     results["band"] = row(band(images))
-    for group in (OBSTRUCTED, CLEAR):
+    for group in (OBSTRUCTED, CLEAR, BIASED, PIXELS):
         parts = [images[conditions.key(each)] for each in members(group) if conditions.key(each) in images]
         results[group] = row([image for part in parts for image in part])
     results["mount"] = {name: row(each, MOUNT_FIELDS) for name, each in mounts.items()}
@@ -135,5 +145,9 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         at_most("something before the bars, wrong and sure", hidden["sure"], 0.0, f"of {hidden['images']}"),
         at_least("nothing before the bars, 0.15–1 m, found", 100.0 * clear["found"] / clear["images"], 99.0, "%"),
         at_most("nothing before the bars, wrong and sure", clear["sure"], 0.0, f"of {clear['images']}"),
+        *(
+            at_most(f"{name}, wrong and sure", results[group]["sure"], 0.0, f"of {results[group]['images']}")
+            for name, group in (("depth off by up to 2 %", BIASED), ("unaligned, cut, binned or scaled", PIXELS))
+        ),
         at_most("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
     ]

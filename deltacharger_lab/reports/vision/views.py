@@ -70,7 +70,6 @@ def draw_pose(away: float, random: Random, intrinsics: Intrinsics = OAK_D) -> Ar
     Raises:
         ValueError: no pose at that range shows the complete terminal.
     """
-    size = np.array([intrinsics.width, intrinsics.height]) - 1.0 - _MARGIN
     for _ in range(_TRIES):
         roll, yaw = math.radians(random.uniform(-25.0, 25.0)), math.radians(random.normal(0.0, 8.0))
         # The camera is above and looks down; the angle falls with the range.
@@ -79,12 +78,19 @@ def draw_pose(away: float, random: Random, intrinsics: Intrinsics = OAK_D) -> Ar
         pose[:3, :3] = about(0, pitch) @ about(1, yaw) @ about(2, roll) @ np.diag([-1.0, -1.0, 1.0])
         ray = np.array([random.uniform(-0.5, 0.5), random.uniform(-0.3, 0.3), 1.0])
         pose[:3, 3] = away * ray / np.linalg.norm(ray)
-        corners = Terminal().corners().reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
-        if np.all(corners[:, 2] > _NEAREST):
-            pixels = project(corners, intrinsics)
-            if np.all(pixels > _MARGIN) and np.all(pixels < size):
-                return pose
+        if is_inside(pose, intrinsics):
+            return pose
     raise ValueError(f"no pose at {away} m shows the complete terminal")
+
+
+def is_inside(pose: Array, intrinsics: Intrinsics) -> bool:
+    """Return whether a terminal at (4, 4) `pose` lies completely in the picture."""
+    corners = Terminal().corners().reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+    if np.any(corners[:, 2] <= _NEAREST):
+        return False
+    pixels = project(corners, intrinsics)
+    size = np.array([intrinsics.width, intrinsics.height]) - 1.0 - _MARGIN
+    return bool(np.all(pixels > _MARGIN) and np.all(pixels < size))
 
 
 def about(axis: int, angle: float) -> Array:
