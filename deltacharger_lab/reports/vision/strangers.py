@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,6 +118,8 @@ def noisy_plate(image: RgbdImage, view: DrawnView, random: Random) -> RgbdImage:
 
 def mirrored_depth(image: RgbdImage, view: DrawnView, random: Random) -> RgbdImage:
     """Give the bars, and 5 px around them, the depth of what they mirror."""
+    import cv2
+
     bars = cv2.dilate(_bars(image, view).astype(np.uint8), np.ones((11, 11))) > 0
     return _with_depth(image, np.where(bars, random.uniform(1.3, 2.5) * image.depth, image.depth))
 
@@ -127,6 +128,8 @@ def dirty(share: float) -> Change:
     """Return the change that darkens this share of the bars to a quarter, in blots."""
 
     def change(image: RgbdImage, view: DrawnView, random: Random) -> RgbdImage:
+        import cv2
+
         bars = _bars(image, view)
         blots = cv2.GaussianBlur(random.standard_normal(bars.shape).astype(np.float32), (0, 0), 3.0)
         dark = bars & (blots < np.quantile(blots[bars], share))
@@ -172,6 +175,8 @@ def scaled_untold(image: RgbdImage, view: DrawnView, random: Random) -> RgbdImag
 
 
 def _halved(image: RgbdImage) -> RgbdImage:
+    import cv2
+
     color = cv2.resize(image.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return RgbdImage(np.asarray(color, dtype=np.uint8), image.depth[::2, ::2], image.intrinsics.binned(2, 2))
 
@@ -193,6 +198,8 @@ def _bars(image: RgbdImage, view: DrawnView) -> Mask:
 
 
 def _filled(image: RgbdImage, view: DrawnView, polygons: Array | list[Array]) -> Mask:
+    import cv2
+
     mask = np.zeros(image.depth.shape, dtype=np.uint8)
     for polygon in polygons:
         pixels = project(polygon @ view.pose[:3, :3].T + view.pose[:3, 3], image.intrinsics)
