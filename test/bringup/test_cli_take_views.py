@@ -26,7 +26,6 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.hand_eye.board import AprilTag
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket
@@ -198,12 +197,11 @@ def test_an_image_from_before_the_request_is_not_used(camera: Any) -> None:
         assert (other_clock.shape, (other_clock == 3).all()) == ((400, 640, 3), True)
 
 
-def test_intrinsics_come_from_camera_info_unless_images_are_binned(camera: Any) -> None:
+def test_intrinsics_come_from_camera_info_and_its_binning(camera: Any) -> None:
     client, _, info = camera
     with client() as found:
         with pytest.raises(CameraError, match=r"on /\w+/color/image_raw: .*outside /\w+ with a slash"):
             found.image(0.05, lambda: None)
-        with pytest.raises(CameraInfoError, match="binning"):
-            found.intrinsics(DEADLINE, lambda: info(2))
+        assert found.intrinsics(DEADLINE, lambda: info(2)) == OAK_D.binned(2, 1)
     with client() as found:
         assert found.intrinsics(DEADLINE, lambda: info(0)) == OAK_D
