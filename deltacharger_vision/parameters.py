@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deltacharger_core.parameters import Bounded, flag, number, pose, tunable, words
-from deltacharger_vision.images import MILLIMETRE
+from deltacharger_vision.images import DEPTH_BIAS, MILLIMETRE, NEAREST_DEPTH
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
 
 COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
@@ -31,10 +31,14 @@ class DetectorNodeParameters(Bounded):
     stamp_tolerance: float = number(0.015, 0.0, 1.0, "s", "largest difference between the stamps of colour and depth")
     depth_unit: float = number(MILLIMETRE, 1e-5, 0.01, "m", "unit of 16-bit depth: 1 mm by REP 118, 0.1 mm by some")
     depth_range_min: float = number(
-        0.174, 0.0, 5.0, "m", "depth nearer than the camera can measure is not used: OAK-D 0.174, D435 0.28, D455 0.52"
+        NEAREST_DEPTH,
+        0.0,
+        5.0,
+        "m",
+        "depth nearer than the camera can measure is not used: OAK-D 0.174, D435 0.28, D455 0.52",
     )
     depth_bias: float = number(
-        0.01, 0.0, 0.2, "", "standard deviation of the relative error of all depth; makers allow twice as much"
+        DEPTH_BIAS, 0.0, 0.2, "", "standard deviation of the relative error of all depth; makers allow twice as much"
     )
     color_topic: str = words(COLOR, "topic of the colour images")
     depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")

@@ -33,7 +33,7 @@ from deltacharger_vision.detector.starts import (
     tilted,
 )
 from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
-from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.images import NEAREST_DEPTH, RgbdImage
 from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
@@ -55,9 +55,7 @@ class JudgementSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    stereo_range: float = number(
-        0.174, 0.0, 5.0, "m", "least distance at which depth counts (OAK-D at 640 × 400, extended disparity)"
-    )
+    stereo_range: float = number(NEAREST_DEPTH, 0.0, 5.0, "m", "least distance at which depth counts")
     nearest: float = number(0.08, 0.02, 5.0, "m", "least range")
     farthest: float = number(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
     tilt: float = number(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.images import DEPTH_BIAS, Intrinsics
 from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
@@ -52,7 +52,11 @@ class PlaneSettings(Bounded):
     noise: float = number(0.0035, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth: its steps are 1/8 px")
     step: float = number(0.001, 0.0, 0.1, "m", "steps of depth: millimetres, as in 16UC1")
     bias: float = number(
-        0.01, 0.0, 0.2, "", "standard deviation of the relative error of all depth, and of its change per unit ray"
+        DEPTH_BIAS,
+        0.0,
+        0.2,
+        "",
+        "standard deviation of the relative error of all depth, and of its change per unit ray",
     )
     shift: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of a shift of all inverse depths: 0.03 px")
     slope: float = number(
