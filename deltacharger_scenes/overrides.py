@@ -28,7 +28,7 @@ _SEEING = ("camera_node", "electrode_detector_node")
 
 @dataclass(frozen=True)
 class Overrides:
-    """Arguments that replace values of a scene; their names are the launch arguments' names."""
+    """Arguments that replace values of a scene; launch arguments have these names with a prefix."""
 
     servo_port: str = words("", "serial port of the servos, in place of the scene's")
     board_port: str = words("", "serial port of the board, in place of the scene's")

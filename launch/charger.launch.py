@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start a scene's nodes as separate processes, and its simulated hardware, if any, as another process.
 
-    ros2 launch deltacharger charger.launch.py scene:=bench servo_port:=/dev/ttyUSB1 namespace:=left record:=true
+    ros2 launch deltacharger charger.launch.py scene:=bench charger_servo_port:=/dev/ttyUSB1 charger_namespace:=left
 
 The scene lists nodes and parameters; deltacharger_scenes.overrides applies the other arguments to it. A wrong argument
-ends the launch before anything starts.
+ends the launch before anything starts. deltacharger_bringup.launch_arguments lists the arguments.
 
 Settings of an including launch file (namespace, parameters, remaps, environment) apply to every process, also to nodes
 that start only after the simulated hardware has its ports.
@@ -45,22 +45,21 @@ from launch_ros.substitutions import ExecutableInPackage
 from launch_ros.utilities import prefix_namespace
 
 from deltacharger_bringup.cli.types import namespace
-from deltacharger_bringup.launch_arguments import is_launched_itself, refuse_unknown_arguments
+from deltacharger_bringup.launch_arguments import (
+    CHARGER,
+    LEVELS,
+    given,
+    in_launch,
+    is_launched_itself,
+    refuse_unknown_arguments,
+)
 from deltacharger_core import environment, signals
-from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import Overrides, override
-from deltacharger_scenes.scene import Scene, load_scene
+from deltacharger_scenes.scene import Scene, SceneError, load_scene
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"
-LEVELS = ("debug", "info", "warn", "error", "fatal")
-OWN = {
-    "scene": ("simulated", "name of a scene, or a YAML file"),
-    "namespace": ("", "namespace of the charger"),
-    "log_level": ("info", ", ".join(LEVELS)),
-}
-ARGUMENTS = OWN | {item.name: ("", item.text) for item in declared(Overrides)}
 REFUSED = 2  # exit code of a node that cannot start as configured; a restart would not help
 RESPAWN_DELAY = 1.0  # s
 PATIENCE = ("sigterm_timeout", "sigkill_timeout")  # s before launch sends these signals
@@ -69,20 +68,20 @@ USUAL_PATIENCE = "15"  # launch's 5 s are too short for a node that makes its ha
 
 def generate_launch_description() -> LaunchDescription:
     declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
+        DeclareLaunchArgument(in_launch(name), default_value=default, description=text)
+        for name, (default, text) in CHARGER.items()
     ]
     return LaunchDescription([*declared, OpaqueFunction(function=_wire)])
 
 
 def _wire(context: LaunchContext) -> list[Any]:
-    refuse_unknown_arguments(__file__, context.argv, ARGUMENTS)
-    args = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    refuse_unknown_arguments(__file__, context.argv, CHARGER)
+    args = given(CHARGER, context.launch_configurations)
     if args["log_level"] not in LEVELS:
-        raise ValueError(f"log_level is '{args['log_level']}'; give one of {', '.join(LEVELS)}")
+        raise ValueError(f"{in_launch('log_level')} is '{args['log_level']}'; give one of {', '.join(LEVELS)}")
     args["namespace"] = _namespace(args["namespace"])
     args |= {name: LaunchConfiguration(name, default=USUAL_PATIENCE).perform(context) for name in PATIENCE}
-    scene = override(load_scene(args["scene"]), Overrides(**{item.name: args[item.name] for item in fields(Overrides)}))
+    scene = _override(load_scene(args["scene"]), args)
     variables = dict(context.environment)
     _choose_network(scene, variables)
     variables |= signals.end_with(os.getpid())
@@ -95,12 +94,20 @@ def _wire(context: LaunchContext) -> list[Any]:
     return [LogInfo(msg=_start_message(scene, variables)), *_forward_sigint(started), *wired]
 
 
+def _override(scene: Scene, args: dict[str, str]) -> Scene:
+    """Return the scene with the values that arguments replace; an error names the argument as launch has it."""
+    try:
+        return override(scene, Overrides(**{item.name: args[item.name] for item in fields(Overrides)}))
+    except SceneError as error:
+        raise SceneError(error.file, in_launch(error.key), error.problem) from error
+
+
 def _namespace(text: str) -> str:
-    """Return the argument `namespace`: relative to the including launch file's, unless it begins with a slash."""
+    """Return the charger's namespace: relative to the including launch file's, unless it begins with a slash."""
     try:
         return ("/" if text.startswith("/") else "") + namespace(text)
     except argparse.ArgumentTypeError as error:
-        raise ValueError(f"namespace: {error}") from error
+        raise ValueError(f"{in_launch('namespace')}: {error}") from error
 
 
 def _full_namespace(context: LaunchContext, relative: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from deltacharger_bringup.cli import main as cli
+from deltacharger_bringup.launch_arguments import CHARGER, VIEW, in_launch
 from deltacharger_docking import codes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -107,6 +108,14 @@ def test_every_command_parses(capsys: pytest.CaptureFixture[str]) -> None:
         except SystemExit as error:
             wrong += [f"{page}: {command}\n{capsys.readouterr().err}"] if error.code else []
     assert not wrong, "\n".join(wrong)
+
+
+def test_every_launch_argument_exists() -> None:
+    options = {"charger": CHARGER, "view": VIEW}
+    for path in (*PAGES, *ROOT.glob("launch/*.py")):
+        for file, line in re.findall(r"(charger|view)\.launch\.py(.*)", path.read_text(encoding="utf-8")):
+            given = set(re.findall(r"(\w+):=", line))
+            assert given <= {in_launch(name) for name in options[file]}, f"{ids(path)}: {line}"
 
 
 def defines(path: Path, names: Sequence[str]) -> bool:

@@ -20,7 +20,7 @@ import pytest
 
 from deltacharger_bringup.cli import scene
 from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
-from deltacharger_bringup.launch_arguments import refuse_unknown_arguments
+from deltacharger_bringup.launch_arguments import CHARGER, VIEW, Options, given, in_launch, refuse_unknown_arguments
 from deltacharger_core import streams
 from deltacharger_scenes import executables
 
@@ -384,7 +384,22 @@ def test_an_unknown_argument_of_our_launch_file_is_refused_by_name(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", *started, *ARGUMENTS])
-    known, path = {"scene": "", "servo_port": ""}, file.format(cwd=tmp_path)
-    with pytest.raises(ValueError, match="servo_prot") if refused else contextlib.nullcontext():
-        refuse_unknown_arguments(path, ARGUMENTS, known)
-    refuse_unknown_arguments(path, ["scene:=bench", "launch-prefix:=gdb", "-d"], known)
+    path = file.format(cwd=tmp_path)
+    with pytest.raises(ValueError, match=r"servo_prot.*'charger_servo_port'") if refused else contextlib.nullcontext():
+        refuse_unknown_arguments(path, ARGUMENTS, CHARGER)
+    refuse_unknown_arguments(path, ["scene:=bench", "launch-prefix:=gdb", "-d"], CHARGER)
+
+
+@pytest.mark.parametrize("options", [CHARGER, VIEW])
+def test_arguments_of_the_robot_that_includes_our_launch_file_change_nothing(
+    monkeypatch: pytest.MonkeyPatch, options: Options
+) -> None:
+    usual = {name: default for name, (default, _) in options.items()}
+    configurations = dict.fromkeys(options.keys() - {"scene"}, "the robot's")
+    for name, default in usual.items():  # launch declares only what no including file has
+        configurations.setdefault(in_launch(name), default)
+    assert given(options, configurations) == usual
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "deltacharger", "our.launch.py"])
+    for name in options.keys() - {"scene"}:
+        with pytest.raises(ValueError, match=rf"^unknown argument '{name}'; did you mean 'charger_{name}'\?[^\n]*$"):
+            refuse_unknown_arguments("/opt/our.launch.py", [f"{name}:=left"], options)

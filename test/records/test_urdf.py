@@ -324,7 +324,7 @@ def wired(argv: list[str] | None = None, **arguments: str) -> list[Any]:
 def test_rviz_starts_unless_disabled() -> None:
     names = [node.node_executable for node in wired()]
     assert names == ["robot_state_publisher", "passive_joints_node", "rviz2"]
-    assert [node.node_executable for node in wired(rviz="false")] == names[:2]
+    assert [node.node_executable for node in wired(charger_rviz="false")] == names[:2]
 
 
 def text_of(node: Any) -> str:
@@ -332,7 +332,7 @@ def text_of(node: Any) -> str:
     return str([getattr(value, "value", value) for value in node._Node__parameters[0].values()])
 
 
-@pytest.mark.parametrize("argument", ["geometry_file", "mount_file"])
+@pytest.mark.parametrize("argument", ["charger_geometry_file", "charger_mount_file"])
 def test_an_unreadable_file_is_reported_in_one_line(argument: str, tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.yaml"
     for noun in ("No such file", "armm"):
@@ -355,7 +355,7 @@ def test_a_misspelt_argument_is_refused_by_name(monkeypatch: pytest.MonkeyPatch)
     ],
 )
 def test_a_prefix_reaches_the_model_and_its_joint_states(argument: str, prefix: str, link: str, joint: str) -> None:
-    publisher, joints, _ = wired(**{argument: prefix})
+    publisher, joints, _ = wired(**{f"charger_{argument}": prefix})
     assert f'link name="{link}"' in text_of(publisher)
     assert f'joint name="{joint}_arm_joint"' in text_of(publisher)
     parameters = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
@@ -366,4 +366,4 @@ def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path, monkeypatch: py
     save_geometry(DeltaGeometry(arm=0.1234), tmp_path / "arm.yaml")
     monkeypatch.chdir(tmp_path)  # base of relative paths
     for file in (str(tmp_path / "arm.yaml"), "arm.yaml"):
-        assert "0.1234" in text_of(wired(geometry_file=file)[0])
+        assert "0.1234" in text_of(wired(charger_geometry_file=file)[0])

@@ -24,6 +24,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from deltacharger_bringup.launch_arguments import CHARGER
 from deltacharger_core import runtime
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest
@@ -68,7 +69,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def command(file: Path | str = "", namespace: str = "", **more: Any) -> tuple[str, ...]:
     """Return the command line that launches a scene in a namespace."""
-    given = {"sigterm_timeout": PATIENCE, "scene": file, "namespace": namespace} | more
+    given = {"sigterm_timeout": PATIENCE, "scene": file, "charger_namespace": namespace} | more
     return (*LAUNCH, str(FILE), *(f"{name}:={value}" for name, value in given.items() if value))
 
 
@@ -146,6 +147,7 @@ def test_a_killed_docking_node_ends_the_charger_with_1(launched: Launch, namespa
 
 BROKEN = [
     ({"scen": "mocks"}, "", "did you mean 'scene'"),
+    ({"charger_camera": "usb"}, "", "charger_camera: is 'usb'"),
     ({}, "ports: {servo: /dev/no_servo, board: /dev/no_board}", "there is no such port"),
     (
         {},
@@ -201,11 +203,11 @@ def groups(start: Launch, tmp_path: Path) -> Iterator[list[str]]:
     remaps = "".join(f'<set_remap from="{old}" to="{new}"/>' for old, new in REMAPS.items())
     (tmp_path / "hardware").mkdir()
     with SimulatedCharger(simulation, tmp_path / "hardware") as emulators:
-        ports = {"servo_port": emulators.servo_port, "board_port": emulators.board_port}
+        ports = {"charger_servo_port": emulators.servo_port, "charger_board_port": emulators.board_port}
         chosen = {"scene": "simulated"}, {"scene": "bench", **ports}
-        text = ""
+        text = "".join(f'<arg name="{name}" default="the robot"/>' for name in CHARGER if name != "scene")
         for name, given in zip(names, chosen, strict=True):
-            every = {"namespace": "arm", "sigterm_timeout": PATIENCE, **given}
+            every = {"charger_namespace": "arm", "sigterm_timeout": PATIENCE, **given}
             arguments = "".join(f'<arg name="{key}" value="{value}"/>' for key, value in every.items())
             text += GROUP.format(domain=domain, name=name, remaps=remaps, file=FILE, arguments=arguments)
         file = tmp_path / "robot.launch.xml"
@@ -220,7 +222,10 @@ def groups(start: Launch, tmp_path: Path) -> Iterator[list[str]]:
 def test_a_groups_namespace_remaps_parameters_and_environment_apply(
     groups: list[str], context: Any, spin: Spin
 ) -> None:
-    """Names of a simulated charger and of one on hardware differ only by the group's namespace."""
+    """Names of a simulated charger and of one on hardware differ only by the group's namespace.
+
+    The robot's own arguments, named like options of the charger, change nothing.
+    """
     node = spin(Node("integrator", **options(context)))
 
     def found(group: str) -> set[str]:
