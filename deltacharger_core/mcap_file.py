@@ -246,5 +246,6 @@ def require_mcap() -> None:
         import mcap.writer  # noqa: F401
     except ImportError as error:
         raise RecordingError(
-            f"{error.name} is not installed; install deltacharger[record], or `pip install mcap`"
+            f"{error.name} is not installed; install deltacharger[record], or with ROS by rosdep and "
+            "DELTACHARGER_EXTRAS=record"
         ) from error

@@ -36,16 +36,24 @@ HARD = {  # distribution: rosdep key
     **{f"ros-{name.replace('_', '-')}": name for name in _ROS},
 }
 MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" not in name} | set(HARD.values())
-# rosdep keys of ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then keys of rosdep/python.yaml.
+# rosdep keys of ros/rosdistro: packages released in Humble, Jazzy and Kilted, then keys of rosdep/python.yaml.
 # Look a new key up there before you add it here.
 RELEASED = {
     *("ament_cmake", "ament_cmake_pytest", "ament_cmake_python", "rosidl_default_generators"),
     *("rosidl_default_runtime", "rcl_interfaces", "launch", "launch_ros", "launch_testing", "ros2launch"),
-    *("robot_state_publisher", "rviz2", "tf2_ros_py", "xacro"),
+    *("nav2_msgs", "robot_state_publisher", "rviz2", "tf2_ros_py", "xacro"),
 }
 VIEW = {"robot_state_publisher", "rviz2", "xacro"}
 REPORT = {"python3-jinja2", "python3-matplotlib", "python3-psutil", "python3-scipy"}
-OF_THE_SYSTEM = {*REPORT, "python3-hypothesis", "python3-opencv", "python3-pytest", "python3-pytest-timeout"}
+EXTRAS = {"vision": "python3-opencv", "record": "mcap-ros2-support", "mission": "nav2_msgs"}
+OF_THE_SYSTEM = {
+    *REPORT,
+    "mcap-ros2-support",
+    "python3-hypothesis",
+    "python3-opencv",
+    "python3-pytest",
+    "python3-pytest-timeout",
+}
 
 
 def pyproject() -> dict[str, Any]:
@@ -88,10 +96,10 @@ def test_required_libraries_are_minimal_and_also_ros_dependencies() -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:catkin_pkg")
 def test_without_extras_rosdep_installs_what_docking_by_coordinates_needs() -> None:
-    extras = {"python3-opencv", *VIEW, *REPORT}
+    extras = {*EXTRAS.values(), *VIEW, *REPORT}
     assert asked_for() & extras == set()
     assert set(HARD.values()) <= asked_for()
-    assert asked_for("vision") - asked_for() == {"python3-opencv"}
+    assert {name: asked_for(name) - asked_for() for name in EXTRAS} == {name: {key} for name, key in EXTRAS.items()}
     assert asked_for("all") - asked_for() == extras
     bench, rgbd = (
         {each for name in load_scene(scene).nodes for each in (*NODES[name].needs, *NODES[name].needs_when_used)}

@@ -73,7 +73,7 @@ def dock(options: argparse.Namespace) -> int:
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_records.replay.recorder import Recorder
         from deltacharger_ros.client import ChargerClient
-        from deltacharger_scenes.overrides import recorder_alone, with_recorder
+        from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
@@ -89,10 +89,19 @@ def dock(options: argparse.Namespace) -> int:
             raise CommandError("interrupted", INTERRUPTED)
         if composition is None and options.scene is not None:
             log_line(f"using the running charger; only the goal of scene '{scene.name}' is used")
-        if composition is None and options.record:
-            stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
+        own = composition
+        if own is None and options.record:
+            own = stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
+        keepers = [each.node for each in own.nodes if each.name == RECORDER] if own is not None else []
         recorder = stack.enter_context(Recorder(context, options.namespace))
-        return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+        code = _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+        if own is not None:
+            own.close()  # completes the record
+        for keeper in keepers:
+            if keeper.problem:
+                log_line(f"{RECORDER}: {keeper.problem}")
+                code = code or FAILED
+        return code
 
 
 def _log_warnings_only() -> None:

@@ -52,7 +52,7 @@ class DockingRecorder:
         about: metadata of every record: version, scene, namespace.
 
     Attributes:
-        problem: why the current docking is no longer recorded; '' = it is.
+        problem: why the current docking is not recorded, or no longer; '' = it is.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class DockingRecorder:
             try:
                 mcap = McapStream(stream, self._topics, live=True, metadata=[(ABOUT, about)])
                 flush(stream)  # from now on the head shows that the file is ours, even after a crash
-            except OSError:
+            except (OSError, RecordingError):
                 self._folder.forget(path, stream)
                 raise
             self._file = _File(path, stream, mcap)
@@ -215,15 +215,15 @@ class DockingRecorder:
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
-        """End the recording of this docking if the disk does not accept it."""
+        """End the recording of this docking if the disk does not accept it, or a library is missing."""
         try:
             yield
-        except OSError as error:
+        except (OSError, RecordingError) as error:
             self.fail(error)
 
     def fail(self, error: Exception) -> None:
         """Stop recording this docking; data on the disk stay, and the next docking is recorded again."""
-        self.problem = f"recording ended: {error}"
+        self.problem = f"{'nothing is recorded' if self._file is None else 'recording ended'}: {error}"
         file, self._file = self._file, None
         if file is not None:
             with contextlib.suppress(Exception):

@@ -2,8 +2,8 @@
 """docking_recorder_node: one MCAP file per docking in a bounded folder.
 
 Subscribes to a record's topics (docking_topics), undecoded. Requests the results of all dock and undock goals, and
-docking_node's parameters. Publishes /diagnostics. It commands nothing: a full disk, an unwritable folder or its own end
-never affects docking. One thread reads the topics and writes.
+docking_node's parameters. Publishes /diagnostics. It commands nothing: a full disk, an unwritable folder, a missing
+library or its own end never affects docking. One thread reads the topics and writes.
 """
 
 from __future__ import annotations
@@ -56,12 +56,6 @@ class DockingRecorderNode(Node):
         self._folder_path = given_path(given.folder)
         largest = given.max_megabytes * 10**6
         environment.prepare()
-        try:
-            require_mcap()
-            for topic in TOPICS:
-                schema_text(topic.kind)  # report a missing definition now, not at the first docking
-        except RecordingError as error:
-            raise node_support.StartupError(f"docking_recorder_node: {error}") from error
         names = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
         self._recorder = DockingRecorder(
             RecordFolder(self._folder_path, given.max_files, largest),
@@ -70,6 +64,13 @@ class DockingRecorderNode(Node):
             {names[topic.name]: topic for topic in TOPICS},
             {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
         )
+        try:
+            require_mcap()
+            for topic in TOPICS:
+                schema_text(topic.kind)  # report a missing definition now, not at the first docking
+        except RecordingError as error:
+            self._recorder.fail(error)
+            self._log.error(self._recorder.problem)
         self._state = names[STATE]
         self._feedback = {names[f"{action}/_action/feedback"]: action for action in ACTIONS}
         self._named: set[str] = set()
@@ -85,6 +86,11 @@ class DockingRecorderNode(Node):
         self._topics = PolledTopics(self, TOPICS)
         self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
         self._thread.start()
+
+    @property
+    def problem(self) -> str:
+        """Why the current or last docking is not recorded; '' = it is."""
+        return self._recorder.problem
 
     def close(self) -> None:
         """Write the received messages, and complete the current record. Safe to call twice."""

@@ -126,6 +126,20 @@ def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
 
 
 @pytest.mark.rest
+def test_a_docking_without_the_library_of_its_record_charges_and_ends_with_1(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mcap.py").write_text("raise ModuleNotFoundError('mcap', name='mcap')", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    dock = run("dock", "--json", "--no-picture", "--record", str(tmp_path / "records"))
+    assert result(dock, 1)["success"] is True
+    named = [number for number, line in enumerate(dock.err) if "nothing is recorded: mcap is not installed" in line]
+    goal = next(number for number, line in enumerate(dock.err) if line.startswith("goal: "))
+    assert (len(named), named[0] < goal < named[1]) == (2, True), dock.err
+    assert not list((tmp_path / "records").glob("*"))
+
+
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "line",
     [

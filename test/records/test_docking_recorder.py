@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -160,6 +161,20 @@ def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: P
     play(recording, again)
     assert recording.problem == ""
     assert recording.path is not None
+
+
+def test_without_mcap_dockings_leave_no_file_until_it_is_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = recorder(tmp_path)
+    for missing in (True, False, True, False):  # the folder is empty, then holds a record
+        kept = set(tmp_path.iterdir())
+        with monkeypatch.context() as patch:
+            if missing:
+                patch.setitem(sys.modules, "mcap.writer", None)
+            finish(recording, play(recording, docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)))
+            assert ("deltacharger[record]" in recording.problem) == missing
+        assert len(set(tmp_path.iterdir()) - kept) == (not missing)
 
 
 def full(*_: Any) -> None:

@@ -4,21 +4,26 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ..chargers import wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import DockingDecision
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
 
+from deltacharger_records.recording.docking_recorder_node import DockingRecorderNode
 from deltacharger_records.recording.own import PARTIAL
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import PHASES
 from deltacharger_ros.outcomes import DockRequest, Pose, Progress
 from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
@@ -106,6 +111,21 @@ def test_a_charger_completes_its_record_when_it_ends(quick_scene: Scene, context
         found = cell.record("ends", "CANCELED")
     assert not found.recording.damage
     assert "contact" in {phase.state for phase in found.phases}
+
+
+def test_without_mcap_the_node_runs_and_names_what_to_install(
+    context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[DiagnosticStatus] = []
+    listener = spin(Node("listener", **options(context)))
+    listener.create_subscription(DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 10)
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    logged: list[str] = []
+    monkeypatch.setattr(Log, "error", lambda self, line, pause=0.0: logged.append(line))
+    node = spin(DockingRecorderNode(**options(context, namespace)))
+    found = wait_until(lambda: [each for each in heard if each.name == f"{namespace}/{RECORDER}: recording"], "status")
+    assert (found[0].level, found[0].message, logged) == (DiagnosticStatus.ERROR, node.problem, [node.problem])
+    assert "install deltacharger[record]" in node.problem
 
 
 def test_a_scene_without_a_recorder_starts_none(quick_scene: Scene) -> None:
