@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 
 from deltacharger_core import environment, signals, streams
 from deltacharger_core.exit_timer import exit_within
@@ -84,5 +85,6 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
                 node.destroy_node()
         return 0 if stop.is_set() else 1
     finally:
-        # To uninstall handlers, even none, rclpy restores the default for an instant, and a second signal would kill.
-        rclpy.try_shutdown(uninstall_handlers=False)
+        # Kilted's rclpy.try_shutdown also uninstalls handlers, even none. That restores the default for an instant, and
+        # a second signal would kill. This function uninstalls none, in Jazzy and Kilted.
+        try_shutdown()

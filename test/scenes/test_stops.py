@@ -99,6 +99,7 @@ def test_nodes_as_processes_log_a_docking_and_end_with_0_after_any_number_of_sig
     assert any("contactor open" in line for line in lines)
 
 
+@pytest.mark.version
 def test_a_node_that_ends_never_restores_the_default_action_of_a_signal(start: Start) -> None:
     """rclpy restores it whenever it uninstalls its handlers; a second signal would kill the node then."""
     code = (
@@ -106,6 +107,7 @@ def test_a_node_that_ends_never_restores_the_default_action_of_a_signal(start: S
         "from rclpy.node import Node\n"
         "from deltacharger_ros import node_support\n"
         "rclpy.uninstall_signal_handlers = lambda: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "rclpy.signals.uninstall_signal_handlers = rclpy.uninstall_signal_handlers\n"
         "class Stopped(Node):\n"
         "    def __init__(self):\n"
         "        super().__init__('stopped')\n"
