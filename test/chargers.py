@@ -7,6 +7,7 @@ import contextlib
 import functools
 import itertools
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -64,27 +65,44 @@ class Process:
             lines.append(line.rstrip("\n"))
 
     def wait_for_line(self, text: str, lines: list[str]) -> None:
-        def seen() -> bool:
-            assert self.process.poll() is None or any(text in line for line in lines), (self.out, self.err)
-            return any(text in line for line in list(lines))
+        self.wait_until(lambda: any(text in line for line in list(lines)), f"'{text}'")
 
-        wait_until(seen, f"'{text}' from {self.process.args}")
+    def wait_until(self, condition: Callable[[], object], what: str) -> None:
+        """Wait for what the program is to do; fail at once if it has ended, and tell its output in any case."""
+        try:
+            wait_until(lambda: condition() or self.process.poll() is not None, what)
+        except AssertionError as error:
+            self._abort()
+            raise AssertionError(f"{error}\n{self}") from None
+        if not condition():
+            self._read_all()
+            assert condition(), f"ended with {self.process.poll()} before: {what}\n{self}"
 
     def end(self, number: int | None = None) -> int:
         """Send a signal and return the exit code; a hanging process prints its stack to standard error."""
         if number is not None:
             self.process.send_signal(number)
-        hangs = False
         try:
             code = self.process.wait(ENDS)
         except subprocess.TimeoutExpired:
-            hangs = True
-            self.process.send_signal(signal.SIGABRT)
-            code = self.process.wait(DEADLINE)
+            self._abort()
+            raise AssertionError(f"waited {ENDS:g} s for its end\n{self}") from None
+        self._read_all()
+        return code
+
+    def __str__(self) -> str:
+        """Return the command line and all output."""
+        return "\n".join((shlex.join(self.process.args), *self.out, *self.err))
+
+    def _abort(self) -> None:
+        """End the program; Python prints the stack of each thread."""
+        self.process.send_signal(signal.SIGABRT)
+        self.process.wait(DEADLINE)
+        self._read_all()
+
+    def _read_all(self) -> None:
         for reader in self._readers:
             reader.join(DEADLINE)
-        assert not hangs, (self.process.args, self.out, self.err)
-        return code
 
 
 @pytest.fixture

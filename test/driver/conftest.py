@@ -52,6 +52,7 @@ def line(emulator: ServoBusEmulator, clock: Any) -> Iterator[Any]:
 @pytest.fixture
 def terminal(emulator: ServoBusEmulator) -> Iterator[PseudoTerminal]:
     with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed  # one that answers late would else answer at a speed that it has not
         yield terminal
 
 

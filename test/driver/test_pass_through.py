@@ -39,7 +39,7 @@ from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..nodes import call, options
 from ..quick import PATIENT_MARGIN
-from ..waiting import DEADLINE, host, wait_until
+from ..waiting import host, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -159,7 +159,7 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
             ("servos.servo_node", "board", "-p", f"reply_margin:={PATIENT_MARGIN}"),
         )
     ]
-    assert torque.wait_for_service(DEADLINE)
+    nodes[1].wait_until(torque.service_is_ready, "set_torque")
     assert call(torque, SetBool.Request(data=True)).success
     assert torque_registers(servos) == [1, 1, 1]
     for node in nodes:

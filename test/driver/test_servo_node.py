@@ -6,6 +6,7 @@ Its rules are tested in virtual time: test_servo_controller*.py and test_traject
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import sys
@@ -128,6 +129,15 @@ class Servos:
         wait_until(lambda: self.goals() == pytest.approx(list(angles), abs=TICK), f"goals {angles}")
 
 
+@contextlib.contextmanager
+def emulated(arm: BenchArm) -> Iterator[str]:
+    """Serve an arm's servos, and yield their port."""
+    emulator = ServoBusEmulator(arm)
+    with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        yield terminal.path
+
+
 @pytest.fixture(scope="module")
 def shared(context: Any) -> Iterator[Servos]:
     spinners: list[Spinner] = []
@@ -136,8 +146,8 @@ def shared(context: Any) -> Iterator[Servos]:
         spinners.append(Spinner(node))
         return node
 
-    with patience(), PseudoTerminal(ServoBusEmulator(arm := BenchArm(START))) as terminal:
-        yield Servos(context, terminal.path, arm, spin)
+    with patience(), emulated(arm := BenchArm(START)) as path:
+        yield Servos(context, path, arm, spin)
         for spinner in reversed(spinners):
             spinner.close()
 
@@ -210,8 +220,8 @@ def test_frequent_refusals_are_reported_at_a_bounded_rate(servos: Servos) -> Non
 def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque(context: Any, spin: Spin) -> None:
     """A running line becomes a hold; the diagnostics name a refused sender."""
     arm = BenchArm(START)
-    with patience(), PseudoTerminal(ServoBusEmulator(arm)) as port:
-        servos = Servos(context, port.path, arm, spin)
+    with patience(), emulated(arm) as path:
+        servos = Servos(context, path, arm, spin)
         stage = spin(PowerStage(context, servos.namespace, arm))
         stranger = spin(Client(context, servos.namespace, "stranger"))
         wait_until(lambda: stage.powers.get_subscription_count() and stranger.trajectories.get_subscription_count())
@@ -268,6 +278,7 @@ def test_the_executable_ends_cleanly_on_a_signal(
     module = "deltacharger_driver.servos.servo_node"
     words = ("-r", f"__ns:=/{namespace}", "-p", f"port:={terminal.path}", "-p", f"reply_margin:={PATIENT_MARGIN}")
     process = start(sys.executable, "-m", module, "--ros-args", *words)
+    process.wait_until(client.torque.service_is_ready, "set_torque")
     assert client.set_torque(True).success
     assert process.end(signal.SIGINT) == 0
     assert arm.torque_enabled() == [False] * 3
