@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import sys
 import weakref
+from array import array
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -63,7 +64,8 @@ def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
     """Refuse given parameters that the node does not have; call it after all are declared.
 
     Those that a parameter file gives to all nodes (`/**`) may belong to another node: they are ignored, with a warning.
-    It also makes later settings accept integers for floats.
+    It also makes later settings accept integers for floats, and every value that a parameter has already: a file that
+    `ros2 param dump` wrote can be loaded at any time.
 
     Args:
         node: owner of the parameters.
@@ -80,16 +82,19 @@ def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
                 raise StartupError(f"{node.get_name()}: {problem}")
             Log(node).warning(f"{problem}: ignored, since a parameter file gives it to all nodes")
 
-    described = weakref.WeakMethod(node.describe_parameter)  # weak: a node that fails to start must be freed
+    this = weakref.ref(node)  # weak: a node that fails to start must be freed
 
-    def widened(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
-        describe = described()
-        return [
-            each if describe is None or each.name not in known else _widened(each, describe(each.name).type)
-            for each in given
-        ]
+    def changes(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
+        if (node := this()) is None:
+            return given
+        changed = []
+        for each in given:
+            here = node.has_parameter(each.name)
+            wide = _widened(each, node.describe_parameter(each.name).type) if here else each
+            changed += [] if here and _is_same(node, wide) else [wide]
+        return changed or [node.get_parameter("use_sim_time")]  # as it is: rclpy refuses an empty list
 
-    node.add_pre_set_parameters_callback(widened)
+    node.add_pre_set_parameters_callback(changes)
 
 
 def _of_all_nodes(node: str, arguments: Sequence[str]) -> set[str]:
@@ -144,6 +149,13 @@ def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
         return given
     value = list(map(float, given.value)) if wider is Parameter.Type.DOUBLE_ARRAY else float(given.value)
     return Parameter(given.name, wider, value)
+
+
+def _is_same(node: Node, given: Parameter[Any]) -> bool:
+    """Return whether a parameter has this value; as text, in which NaN is NaN and lists have one type."""
+    values = given.value, node.get_parameter(given.name).value
+    new, old = (repr(list(value) if isinstance(value, list | tuple | array) else value) for value in values)
+    return new == old
 
 
 def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -252,6 +253,23 @@ def test_values_that_the_node_refuses_stay_unchanged(subject: Subject) -> None:
     assert subject.values_now()["low"] == 0.4
     subject.refusal = ""
     assert subject.together(low=0.45) == ""
+
+
+def test_unchanged_values_are_no_change_whatever_is_fixed_or_refused_now(subject: Subject) -> None:
+    """So a file that `ros2 param dump` wrote can be loaded; it also has the parameters of every node."""
+    subject.refusal = "a goal is running"
+    subject.declare_parameter("unknown", math.nan, ParameterDescriptor(read_only=True))
+    heard: list[str] = []
+    subject.get_logger().info = lambda line: heard.append(line)  # type: ignore[method-assign,assignment]
+    every = {name: each.value for name, each in subject.get_parameters_by_prefix("").items()}
+    assert {"port", "files", "rate", "unknown", "use_sim_time"} <= set(every)
+    assert subject.each(**every) == [""] * len(every)
+    assert subject.together(**every) == ""
+    assert subject.each(rate=100, files=("",), unknown=math.nan) == [""] * 3
+    assert "read-only parameter: rate" in subject.together(**{**every, "rate": 101.0})
+    assert "read-only parameter: unknown" in subject.each(unknown=1.0)[0]
+    assert "low not set: a goal is running" in subject.together(**{**every, "low": 0.45})
+    assert (subject.taken, heard) == ([], [])
 
 
 def test_a_rate_can_change_and_a_stop_is_final() -> None:
