@@ -166,7 +166,7 @@ class GoalDesk:
         context = self._context
         context.observe(observation)
         self.is_open, self.cancel_requested, self.outcome = True, False, None
-        context.started = context.time
+        context.started, context.status.elapsed = context.time, 0.0
         self.renew()
         context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
         context.charge_end, context.regenerated = "", False

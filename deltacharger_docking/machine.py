@@ -63,6 +63,7 @@ class DockingMachine:
         self._interruptible = self._halted = False  # halted: no look ends what makes the arm safe
         self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # that ends the goal after another goal arrived
+        self._failure: DockingError | None = None  # the first error of the goal
 
     @property
     def parameters(self) -> DockingParameters:
@@ -179,10 +180,18 @@ class DockingMachine:
             self._docking, self._interruptible = None, False
         return context.command()
 
-    def emergency(self) -> Command:
-        """Return the command that makes everything safe at once, and forget the goal: for a shell that must end."""
+    def emergency(self, error: DockingError | None = None) -> Command:
+        """Return the command that makes everything safe at once, for a shell that must end.
+
+        The goal is forgotten. If it is to end with `error`, further steps count its energy and time, until `end`.
+        """
         self._forget_script()
-        self._desk.is_open = False
+        self._desk.is_open &= error is not None
+        if error is not None and self._desk.is_open:
+            if self._context.status.charging:
+                self._context.end_charge(error.code.name)
+            if not self._context.status.code:
+                self._failure = self._report(None, error)
         self._context.energise, self._context.closing = False, None
         self._context.status.charging = False
         self._context.enter(State.IDLE, math.inf)
@@ -191,6 +200,11 @@ class DockingMachine:
         else:
             self._context.feed.stop()
         return self._context.command()
+
+    def end(self) -> None:
+        """End the goal that an emergency has interrupted, if there is one."""
+        if self._failure is not None:
+            self._desk.fail(self._failure)
 
     def _begin(self, script: Callable[[Context], Script[str]], observation: Observation, request_id: str = "") -> None:
         """Accept a goal and begin its script in place of supervision; the contactor stays as it is."""
@@ -240,7 +254,7 @@ class DockingMachine:
         If docking again may help, it restarts, at most `restarts` times.
         """
         context, desk = self._context, self._desk
-        first: DockingError | None = None
+        self._failure = None
         while True:
             self._interruptible, self._halted, self._watches = True, False, Watches(context)
             try:
@@ -253,12 +267,12 @@ class DockingMachine:
             finally:
                 self._interruptible = False
             if self._docking is not None and self._docking.supervising:
-                first = None  # the restart succeeded, so the earlier error no longer counts
-            first = self._report(first, last)
+                self._failure = None  # the restart succeeded, so the earlier error no longer counts
+            self._failure = self._report(self._failure, last)
             try:
                 home = yield from self._retract(last)
             except ContactorWelded as error:  # whatever ended the goal, a person must come
-                first, home = error, False
+                self._failure, home = error, False
             if not (home and restarts and last.restart_may_help) or desk.cancel_requested:
                 break
             restarts -= 1
@@ -266,7 +280,7 @@ class DockingMachine:
             context.status.code, context.status.message = Code.NONE, ""
             desk.renew()
         context.enter(State.IDLE, math.inf)
-        desk.fail(first)
+        desk.fail(self._failure)
 
     def _report(self, first: DockingError | None, last: DockingError) -> DockingError:
         """Return and report the error that counts: the first one, unless the client has cancelled."""

@@ -51,7 +51,7 @@ class MissionMachine:
         self._home = home
         self._context = MissionContext(parameters)
         self._runner = Runner()
-        self._cancel = self._interruptible = self._returns = False
+        self._cancel = self._interruptible = self._returns = self._charged = False
         self._started = 0.0
         self._notice = ""  # further information for the client after success
         self.outcome: MissionOutcome | None = None
@@ -91,7 +91,7 @@ class MissionMachine:
         self._mount = mount or self._mount
         self._context.begin(goal.request_id, observation)
         self._started = observation.time
-        self._cancel = False
+        self._cancel = self._charged = False
         self._notice = ""
         self.outcome = None
         self._runner.start(self._mission(goal))
@@ -121,6 +121,13 @@ class MissionMachine:
         self._context.drop()
         return self._context.command()
 
+    def ended_by(self, error: DockingError, time: float) -> MissionOutcome:
+        """Return the outcome of the goal that an emergency interrupted and `error` ends at `time`."""
+        return MissionOutcome(False, error.code, str(error), self._may_retry(error), time - self._started)
+
+    def _may_retry(self, error: DockingError) -> bool:
+        return error.retriable and not self._charged  # a charged target needs no second mission
+
     def _problem(self) -> DockingError | None:
         """Return the reason to interrupt the script now, if any."""
         time, stage = self._context.time, self.status.stage
@@ -144,7 +151,7 @@ class MissionMachine:
             first, message = error, str(error)
         finally:
             self._interruptible = False
-        charged = first is None
+        self._charged = first is None
         self._report(first)
         try:
             yield from self._context.call_off()
@@ -162,9 +169,7 @@ class MissionMachine:
             yield from self._context.call_off()
         self._returns = False
         self._report(first)
-        # A charged target needs no second mission, even if the charger failed afterwards.
-        retriable = first is not None and first.retriable and not charged
-        status = self.status
+        retriable, status = first is not None and self._may_retry(first), self.status
         self.outcome = MissionOutcome(
             first is None, status.code, message, retriable, status.elapsed, notice=self._notice, returned=returned
         )

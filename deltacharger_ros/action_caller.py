@@ -68,6 +68,11 @@ class ActionCaller:
         return self._echo.answers()
 
     @property
+    def is_idle(self) -> bool:
+        """Whether every goal has ended."""
+        return not self._calls
+
+    @property
     def is_settled(self) -> bool:
         """Whether every goal has ended or its cancel was sent."""
         return all(call.sent is not None and call.sent.is_canceled for call in self._calls.values())

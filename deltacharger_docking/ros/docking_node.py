@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_core import runtime
 from deltacharger_core.frames import END_EFFECTOR, TransformParameters
 from deltacharger_core.version import package_version
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
@@ -128,14 +128,17 @@ class DockingNode(Node):
         self._frames.close()
         self._stopping.set()
         self._thread.join(2.0)
+        why = Canceled(_SHUTTING_DOWN)
         with self._lock:
-            command = self._machine.emergency()
+            command = self._machine.emergency(why)
             self._carry_out(command, self._observe())
             self._reports.decided(command.decisions, self._machine.status.request_id)
         end = time.monotonic() + _OPEN_TIMEOUT
-        while self._observe().contactor_closed and time.monotonic() < end:
-            self._calls.contactor(False, True)
+        while self._count().contactor_closed and time.monotonic() < end:
             time.sleep(0.02)
+        with self._lock, contextlib.suppress(Exception):  # the machine may be the defect that ends this node
+            self._machine.end()
+        self._count()
         if self._settings.always_live and self._machine.status.docked:
             self._log.error(
                 "the electrodes stay on the target, live and unmonitored: start docking_node again and undock, or "
@@ -147,7 +150,17 @@ class DockingNode(Node):
             self._await_torque_off()
         self._reports.show(self._machine.status, force=True)
         self._reports.log(self._machine.status, (), self._observe())
-        self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True, energy=math.nan))
+        unknown = DockingOutcome(code=why.code, message=_SHUTTING_DOWN, retriable=True, energy=math.nan)
+        self._goals.close(self._machine.outcome or unknown)
+
+    def _count(self) -> Observation:
+        """Keep the contactor open, and let the machine count what still flows; return the observation."""
+        observation = self._observe()
+        self._calls.contactor(False, observation.contactor_closed)
+        with self._lock, contextlib.suppress(Exception):  # as above
+            decisions = self._machine.step(observation).decisions
+            self._reports.decided(decisions, self._machine.status.request_id)
+        return observation
 
     def _await_torque_off(self) -> None:
         """Switch the torque off and wait until it is, even if an order to switch it on is pending."""
@@ -225,7 +238,8 @@ class DockingNode(Node):
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
             self._calls.forget()
             words = f"internal error: {error}; see the log"
-            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=words, energy=math.nan))
+            lasted = self._machine.status.elapsed
+            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=words, elapsed=lasted, energy=math.nan))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed, command.limits)

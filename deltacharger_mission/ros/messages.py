@@ -85,7 +85,7 @@ def read_state(message: Any) -> DockingReport | None:
 
 
 def unknown_dock(frame_id: str = END_EFFECTOR, energy: float = 0.0) -> Any:
-    """Return the result of a docking that did not take place: measurements are NaN; J of earlier ones."""
+    """Return the result of a docking of which none is known: measurements are NaN; J of earlier ones."""
     return Dock.Result(
         energy=energy,
         misalignment=unknown_misalignment(frame_id),

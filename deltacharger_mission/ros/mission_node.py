@@ -22,7 +22,7 @@ from rclpy.node import Node
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_core.texts import titled
-from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
+from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
 from deltacharger_docking.ros.messages import in_charger_base, refusal
 from deltacharger_mission.dialogue import MissionOutcome
@@ -154,7 +154,7 @@ class MissionNode(Node):
         while self._others.is_at_work and time.monotonic() < end:
             self._others.observe()
             time.sleep(_TICK)
-        self._end(MissionOutcome(code=Code.CANCELED, message=_SHUT_DOWN, retriable=True))
+        self._end_with(Canceled(_SHUT_DOWN))
 
     def destroy_node(self) -> None:
         """Close, then destroy the ROS side."""
@@ -172,11 +172,10 @@ class MissionNode(Node):
                     self._report()
             except Exception as error:  # a defect must cancel everything and end the goal, but not end the thread
                 self._log.error(f"an internal error stopped the mission: {type(error).__name__}: {error}", pause=1.0)
-                outcome = MissionOutcome(message=f"internal error: {error}; the robot stays where it is, see the log")
                 with self._lock:
                     with contextlib.suppress(Exception):  # the machine may be the defect; the goal must still end
                         self._others.carry_out(self._machine.emergency())
-                    self._end(outcome)
+                    self._end_with(DockingError(f"internal error: {error}; the robot stays where it is, see the log"))
 
     def _report(self) -> None:
         """Hand over a finished mission, publish feedback if the stage changed, and diagnostics when due."""
@@ -196,6 +195,9 @@ class MissionNode(Node):
         if time.monotonic() - self._diagnosed > _DIAGNOSTICS:
             self._diagnosed = time.monotonic()
             self._diagnose()
+
+    def _end_with(self, error: DockingError) -> None:
+        self._end(self._machine.ended_by(error, time.monotonic()))
 
     def _end(self, outcome: MissionOutcome) -> None:
         mission, self._mission = self._mission, None

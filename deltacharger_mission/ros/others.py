@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -75,9 +76,10 @@ class Others:
 
     @property
     def is_at_work(self) -> bool:
-        """Whether a cancel has not been sent yet, or docking_state still reports charging."""
+        """Whether a cancel has not been sent yet, a docking has no result, or docking_state still reports charging."""
         charging = self._docking is not None and self._docking.charging
-        return charging or not all(caller.is_settled for caller in self._callers.values())
+        docks = not self._callers[Task.DOCK].is_idle
+        return charging or docks or not all(caller.is_settled for caller in self._callers.values())
 
     def observe(self) -> MissionObservation:
         """Return the present observation; every reply is returned once."""
@@ -120,7 +122,7 @@ class Others:
         if request.task is Task.DOCK:
             assert request.goal is not None
             self._delivered = self.dock_result.energy
-            self.dock_result = unknown_dock(self._end_effector, self._delivered)
+            self.dock_result = unknown_dock(self._end_effector, math.nan)  # until its result is known
             return Dock.Goal(  # an empty frame_id: docking asks the camera again, at rest and near the target
                 hold=True,
                 stop_energy=request.goal.stop_energy,
@@ -147,4 +149,6 @@ class Others:
         if result is not None:
             result.energy += self._delivered
             self.dock_result = result
+        elif end is not End.LOST:  # it never began
+            self.dock_result = unknown_dock(self._end_effector, self._delivered)
         return read_dock(number, end, result, feedback)

@@ -29,7 +29,7 @@ from rosgraph_msgs.msg import Clock
 
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.messages import CODES
+from deltacharger_ros.messages import CODES, seconds
 from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
@@ -333,8 +333,8 @@ def test_goals_while_docking_node_ends_are_answered_and_everything_is_safe_befor
 ) -> None:
     with RunningCharger(quick_scene, context) as charger:
         raw = RawGoals(charger.client)
-        running = raw.send(pose())
-        wait_until(lambda: charger.is_closed, "charging")
+        running = raw.send(goal_with(hold=True))
+        wait_until(lambda: charger.state.charging, "charging")
         running_result = running.get_result_async()
         closing = threading.Thread(target=charger.node("docking_node").close)
         closing.start()
@@ -348,7 +348,11 @@ def test_goals_while_docking_node_ends_are_answered_and_everything_is_safe_befor
             assert (result.success, CODES[result.error_code], bool(result.error_message)) == (False, "REJECTED", True)
         assert "shutting down" in results[-1].error_message
         assert results[-1].retriable
-        assert CODES[answer(running_result).result.error_code] in ("NONE", "CANCELED")
+        account = answer(running_result).result
+        assert (CODES[account.error_code], account.charge_end) == ("CANCELED", "CANCELED")
+        assert seconds(account.elapsed) > 0.1
+        assert account.energy > 0.0
+        assert 0.3 < account.contact_current < 0.6
 
 
 @pytest.mark.rest

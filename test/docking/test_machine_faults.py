@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
@@ -485,6 +485,42 @@ def test_after_an_emergency_everything_is_off() -> None:
     assert not command.energise
     assert command.trajectory == ()
     assert not run.machine.busy
+
+
+def test_a_goal_that_an_emergency_ends_keeps_its_account() -> None:
+    """What flows until the contactor is open counts too."""
+    run = Faulty(off=0.0)
+    run.begin(DockGoal(run.found, hold=True, request_id="order-1"))
+    run.until(lambda: run.machine.status.state is State.CHARGING, 60.0)
+    run.run(1.0)
+    before, why = run.machine._context.energy, Canceled("the charger is shutting down")
+    run._follow(run.machine.emergency(why))
+    run.until(lambda: not run.observe().contactor_closed, 1.0)
+    run.machine.end()
+    run.tick()
+    outcome, status = run.outcome, run.machine.status
+    assert outcome is not None
+    assert (outcome.code, outcome.retriable, outcome.message) == (Code.CANCELED, True, str(why))
+    assert (status.code, status.message, status.charging) == (Code.CANCELED, str(why), False)
+    assert outcome.elapsed == pytest.approx(run.now - run.machine._context.started, abs=2 * TICK)
+    assert 0.0 < before < outcome.energy
+    assert (outcome.charge_end, outcome.estimate) == ("CANCELED", status.estimate)
+    assert outcome.charge_voltage > 20.0
+    assert outcome.contact_current > 0.3
+    assert not run.machine.busy
+
+
+def test_an_emergency_on_the_way_back_keeps_the_first_error(run: Faulty) -> None:
+    run.reach(State.CHARGING)
+    run.machine.start_dock(DockGoal(run.found, hold=True), run.observe())
+    run.shown = {"power_fault": 2}
+    run.until(lambda: run.machine.status.state is State.RETRACT, 5.0)
+    run._follow(run.machine.emergency(Canceled("the charger is shutting down")))
+    run.machine.end()
+    run.tick()
+    assert run.outcome is not None
+    assert (run.outcome.code, run.outcome.charge_end) == (Code.SHORT_CIRCUIT, "SHORT_CIRCUIT")
+    assert run.outcome.message == run.machine.status.message != ""
 
 
 def test_no_observation_raises_an_error(run: Faulty) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.rotation import Pose, composed
-from deltacharger_docking.codes import Busy, Code, Rejected, State
+from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
 from deltacharger_mission.parameters import MissionParameters
@@ -476,13 +476,19 @@ def test_a_stationary_charger_gives_up_in_time_and_suggests_a_base_pose() -> Non
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
 
 
-def test_an_emergency_cancels_open_requests_and_forgets_the_goal() -> None:
+@pytest.mark.parametrize(("task", "again"), [(Task.DRIVE, True), (Task.DOCK, True), (Task.UNDOCK, False)])
+def test_an_emergency_cancels_open_requests_and_ends_the_goal_with_its_time(task: Task, again: bool) -> None:
+    """A charged target needs no second mission."""
     world = quick()
     world.machine.start(MissionGoal(TARGET), world._observe(()))
-    while not world.requests:
+    while task not in [request.task for request in world.requests]:
         world.step()
     assert world.machine.emergency().cancels == (world.requests[-1].number,)
     assert not world.machine.busy
+    outcome = world.machine.ended_by(Canceled("mission_node was shut down"), world.time + 1.0)
+    assert (outcome.code, outcome.retriable, outcome.returned) == (Code.CANCELED, again, False)
+    assert outcome.elapsed == pytest.approx(world.machine.status.elapsed + 1.0)
+    assert outcome.elapsed > 1.0
 
 
 WAYS = ("done",) * 12 + ("failed", "retriable", "refused", "canceled", "lost", "silent")

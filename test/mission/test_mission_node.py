@@ -25,7 +25,7 @@ from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
 from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import CODES, duration
+from deltacharger_ros.messages import CODES, duration, seconds
 from deltacharger_ros.tf_tree import installed
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
@@ -289,6 +289,8 @@ def test_closing_mission_node_ends_charging_and_its_goal_and_drives_nowhere(made
     result = active.end()
     assert named(result) == (False, "CANCELED", False), result
     assert "undock before you drive it" in result.error_message
+    assert seconds(result.elapsed) > 0.5
+    assert result.energy > 0.0
     assert docking is not None
     wait_until(lambda: not docking.charging, "an open contactor")
     assert robot.place == stood
