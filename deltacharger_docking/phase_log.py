@@ -12,6 +12,8 @@ from deltacharger_core.texts import passage
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockingStatus, Observation
 
+_WANTED = (Code.NONE, Code.CANCELED)
+
 
 def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
     """Return the states to report after `before`: those passed through within one tick, then the present one."""
@@ -22,10 +24,13 @@ class PhaseLog:
     """Turns changes of the machine into log lines.
 
     Every line begins with the title of the last goal. Later events, such as the end of charging, belong to that goal.
+
+    Attributes:
+        lost: which of the last lines tells that a failure has ended charging, or the rest on a target; '' = none.
     """
 
     def __init__(self) -> None:
-        self._title = "docking"
+        self._title, self.lost = "docking", ""
         self._state, self._since = State.IDLE, math.nan
         self._code = Code.NONE
         self._closed, self._closed_since = False, math.nan
@@ -42,7 +47,7 @@ class PhaseLog:
             passed: states entered since the last call, in their order.
             seen: the observation that the machine was stepped with.
         """
-        lines = []
+        lines, self.lost = [], ""
         if seen.contactor_closed is not self._closed:
             lines.append(self._switched(seen))
         if passed or status.state is not self._state or status.code is not self._code:
@@ -64,6 +69,8 @@ class PhaseLog:
             lasted = math.nan if self._state is State.IDLE else seen.time - self._since
             about = news if index == back else []
             lines.append(passage(self._title, self._state.name, state.name, lasted, *about, *_figures(status, seen)))
+            rested = status.docked and self._state in (State.CHARGING, State.IDLE)
+            self.lost = lines[-1] if about and rested and status.code not in _WANTED else self.lost
             self._state, self._since = state, seen.time
         if news and not entered:
             lines.append(f"{self._title}: {self._state.name.lower()}, {news[0]}")

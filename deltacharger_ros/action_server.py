@@ -223,14 +223,14 @@ class WorkServer:
         return result
 
     def _log_end(self, handle: GoalHandle, result: Any, failed: str = "failed") -> None:
-        """Log how a goal ended; an error in logging must not cost its client the result."""
+        """Log how a goal ended, a lost charge as a warning; an error in logging must not cost its client the result."""
         try:
             outcome = to_outcome(self._name, result)
             line = f"{self._title(handle)}: {outcome.ending(failed)}"
             if failed == "failed":
                 lasted = "" if outcome.success else f" (after {outcome.elapsed:.1f} s)"
                 line = "; ".join(filter(None, (f"{line}{lasted}", outcome.figures())))
-            self._log.info(line)
+            (self._log.warning if outcome.lost_the_charge else self._log.info)(line)
         except Exception as error:
             self._log.error(f"cannot log the end of a goal: {type(error).__name__}: {error}")
 

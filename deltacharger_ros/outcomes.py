@@ -120,6 +120,11 @@ class Outcome:
         retry = "; the same goal may succeed if sent again" if self.retriable else ""
         return f"{failed}, {self.error_code} {self.error_name}: {self.error_message}{retry}"
 
+    @property
+    def lost_the_charge(self) -> bool:
+        """Whether the failure itself ended charging, without its client's wish."""
+        return self.details.get("charge_end") == self.error_name != "CANCELED"
+
     def figures(self) -> str:
         """Return the figures of a docking, or of a mission's last one, as text; '' for undock; – = not measured."""
         details = self.details

@@ -54,9 +54,9 @@ class Reports:
         self._log.info(f"{title}: accepted{wish and f', {wish}'}")
 
     def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
-        """Log changes: phases, failures, the contactor."""
+        """Log changes: phases, failures, the contactor; a lost charge as a warning."""
         for line in self._phases.lines(status, passed, observation):
-            self._log.info(line)
+            (self._log.warning if line == self._phases.lost else self._log.info)(line)
 
     def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
         """Publish docking_state if it changed, once for each state passed through since the last call."""

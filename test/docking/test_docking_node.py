@@ -228,6 +228,8 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     """servo_state with the names of other joints, which only docking_node and kinematics_node read."""
     charger.charge()
     docking, publisher = charger.node("docking_node"), charger.node("mock_servo_node")._state
+    warned: list[str] = []
+    monkeypatch.setattr(docking._log, "warning", lambda line, *more: warned.append(line))
     before, publish = docking._inputs.refused.count, publisher.publish
 
     def mislabel(message: Any) -> None:
@@ -241,6 +243,7 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     assert CODES[charger.state.error_code] == "SERVO_FAULT"
     assert docking._inputs.refused.count > before
     assert docking._inputs.refused.last.startswith("servo_state")
+    assert any("charging → retract" in line and "SERVO_FAULT" in line for line in warned), warned
     monkeypatch.undo()
     bring_home(charger)
 

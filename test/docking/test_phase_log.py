@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -77,6 +78,26 @@ def test_docking_again_and_a_failure_without_a_new_phase_are_logged() -> None:
     (line,) = log.lines(limp, (), Observation(5.0))
     assert "304 SERVO_FAULT: limp" in line
     assert log.lines(limp, (), Observation(5.1)) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "code", "is_lost"),
+    [
+        (State.CHARGING, Code.NO_CONTACT, True),
+        (State.IDLE, Code.NO_CONTACT, True),  # it rests, with electrodes wired to the battery or without current
+        (State.CHARGING, Code.CANCELED, False),
+        (State.CHARGING, Code.NONE, False),  # undocked, or full
+        (State.ENERGISE, Code.SHORT_CIRCUIT, False),
+    ],
+)
+def test_a_charge_that_a_failure_ends_is_told_as_lost(before: State, code: Code, is_lost: bool) -> None:
+    log = PhaseLog()
+    log.begin("dock order-1")
+    entered = (State.CONTACT, State.ENERGISE, before)
+    log.lines(replace(status(before), docked=True), entered, Observation(1.0))
+    ended = replace(status(State.RETRACT, code, "why"), docked=True)
+    (line,) = log.lines(ended, (State.RETRACT,), Observation(3.0))
+    assert log.lost == (line if is_lost else "")
 
 
 @given(states, st.lists(states), states)

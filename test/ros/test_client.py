@@ -326,5 +326,22 @@ def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: flo
     assert told in to_outcome("dock", result).figures()
 
 
+@pytest.mark.parametrize(
+    ("code", "end", "is_lost"),
+    [
+        (Code.NO_CONTACT, "NO_CONTACT", True),
+        (Code.NO_CONTACT, "", False),
+        (Code.STUCK, "full", False),
+        (Code.CANCELED, "CANCELED", False),
+        (Code.NONE, "", False),
+    ],
+)
+def test_a_lost_charge_is_one_that_the_goals_own_failure_ended(code: Code, end: str, is_lost: bool) -> None:
+    result = unknown_dock()
+    result.success, result.error_code, result.charge_end = not code, int(code), end
+    assert to_outcome("dock", result).lost_the_charge is is_lost
+    assert not to_outcome("undock", Undock.Result()).lost_the_charge
+
+
 def test_a_client_names_every_code() -> None:
     assert {code: Code(code).name for code in Code} == CODES
