@@ -108,15 +108,19 @@ class DockingMachine:
         if self.busy:
             raise Busy(self._activity())
 
-    def start_dock(self, goal: DockGoal, observation: Observation) -> None:
-        """Begin to dock; if already docked, do what the goal still needs.
+    def check(self, goal: DockGoal) -> None:
+        """Refuse a goal that can never be served as given, also while another one is.
 
         Raises:
-            Rejected: the goal cannot be served; nothing moved.
+            Rejected: it cannot be served.
             Unreachable: the electrodes lie outside the workspace.
         """
-        self.check_free()
         check_goal(goal, self._context.planner, self.parameters, self._context.profiles)
+
+    def start_dock(self, goal: DockGoal, observation: Observation) -> None:
+        """Begin to dock; if already docked, do what the goal still needs. Raises as `check` and `check_free`."""
+        self.check(goal)
+        self.check_free()
         check_change(goal, self._context)
         if not self._context.status.charging:
             self._context.choose_profile(goal.target_profile)
@@ -135,9 +139,9 @@ class DockingMachine:
             Busy: another goal is being served, or the arm is on its way back already.
             Rejected: the request_id is too long.
         """
+        check_id(request_id)
         if self._desk.is_open or (self._runner.is_running and not self._interruptible):
             raise Busy(self._activity())
-        check_id(request_id)
         self._begin(_undock, observation, request_id)
 
     def tune(self, parameters: DockingParameters) -> str:

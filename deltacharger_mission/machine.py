@@ -71,6 +71,17 @@ class MissionMachine:
         """Whether a goal is being served."""
         return self._runner.is_running
 
+    def check(self, goal: MissionGoal) -> None:
+        """Refuse a goal that can never be served as given, also while another one is.
+
+        Raises:
+            Rejected: it cannot.
+        """
+        check_id(goal.request_id)
+        check_stops(goal.stop_energy, goal.stop_after)
+        if self._home is not None and goal.electrodes is None:
+            raise Rejected("the target has no frame_id: give the navigator's, such as map")
+
     def start(self, goal: MissionGoal, observation: MissionObservation, mount: BaseMount | None = None) -> None:
         """Begin a mission.
 
@@ -80,14 +91,11 @@ class MissionMachine:
             mount: of the arm on the robot, if updated.
 
         Raises:
-            Rejected: the goal cannot be served; nothing moved.
+            Rejected: the goal cannot be served; nothing moved. Busy: another one is.
         """
+        self.check(goal)
         if self.busy:
             raise Busy("another mission is under way; cancel it or wait for its result")
-        check_id(goal.request_id)
-        check_stops(goal.stop_energy, goal.stop_after)
-        if self._home is not None and goal.electrodes is None:
-            raise Rejected("the target has no frame_id: give the navigator's, such as map")
         self._mount = mount or self._mount
         self._context.begin(goal.request_id, observation)
         self._started = observation.time

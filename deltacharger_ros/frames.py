@@ -65,6 +65,10 @@ class Frames:
         """Whether tf2_ros is installed."""
         return self._tf is not None
 
+    def needs_tf(self, frame: str) -> bool:
+        """Whether `charger_base_in` looks this frame up in tf."""
+        return self.follows_tf and frame not in ("", self.charger_base) and len(frame) <= LONGEST
+
     def charger_base_in(self, frame: str, stamp: Stamp | None = None, timeout: float | None = None) -> Pose:
         """Return the pose of charger_base in a frame.
 
@@ -79,11 +83,13 @@ class Frames:
         """
         if frame in ("", self.charger_base):
             return IDENTITY
+        if self._tf is None and frame == self._base_frame:
+            return self._base_pose
+        if self._tf is None or not self.needs_tf(frame):
+            raise UnknownFrame(f"unknown frame {quoted(frame)}: {self._remedy()}")
         base = self.base_pose(timeout)
         if frame == self._base_frame:
             return base
-        if self._tf is None or len(frame) > LONGEST:
-            raise UnknownFrame(f"unknown frame {quoted(frame)}: {self._remedy()}")
         try:
             if self._tf.knows(self.charger_base):
                 return self._tf.lookup(frame, self.charger_base, stamp, timeout)

@@ -10,7 +10,6 @@ from typing import Any
 
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import Misalignment
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.texts import titled
@@ -18,7 +17,7 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Busy, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose, Observation
+from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
@@ -231,9 +230,12 @@ class Goals:
             raise Busy(self._refusal)
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
-        """Return the plain values of a Dock goal. The pose is converted once, since the robot stands still."""
-        return DockGoal(
-            electrodes=self._electrodes(request.electrodes),
+        """Return the plain values of a Dock goal. The pose is converted once, since the robot stands still.
+
+        What can never be served is refused first, so that nobody sends it again after a goal that is served now.
+        """
+        goal = DockGoal(
+            electrodes=None,
             critical_angle=request.critical_angle,
             start_charging=request.start_charging,
             hold=request.hold,
@@ -242,16 +244,18 @@ class Goals:
             request_id=request.request_id,
             target_profile=request.target_profile,
         )
-
-    def _electrodes(self, message: PoseStamped) -> ElectrodePose | None:
+        io.check_numbers(request.electrodes)
+        frame = request.electrodes.header.frame_id
         with self._lock:
+            self._machine.check(goal)
             self._check_open()
-            self._machine.check_free()  # before tf, whose first lookup takes long: live electrodes must not wait for it
+            if self._frames.needs_tf(frame):  # whose first lookup takes long: live electrodes must not wait for it
+                self._machine.check_free()
         try:
-            charger = self._frames.charger_base_in(message.header.frame_id, message.header.stamp)
+            charger = self._frames.charger_base_in(frame, request.electrodes.header.stamp)
         except TransformError as error:
             raise io.refusal(error) from error
-        return io.electrodes(message, self._mount, charger)
+        return replace(goal, electrodes=io.electrodes(request.electrodes, self._mount, charger))
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return to_result(

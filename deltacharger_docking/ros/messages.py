@@ -65,6 +65,21 @@ def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> J
     return message
 
 
+def check_numbers(message: PoseStamped) -> None:
+    """Refuse a goal's electrodes with numbers that are no pose, in whatever frame; an empty frame_id needs none.
+
+    Raises:
+        Rejected: a pose that is not finite, or an orientation that is not a unit quaternion.
+    """
+    turn, point = message.pose.orientation, message.pose.position
+    if not message.header.frame_id:
+        return
+    if not all(map(math.isfinite, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))):
+        raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
+    if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
+        raise Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
+
+
 def electrodes(
     message: PoseStamped, mount: DockingNodeParameters, charger: Sequence[float] = IDENTITY
 ) -> ElectrodePose | None:
@@ -78,17 +93,13 @@ def electrodes(
         charger: charger_base in the goal's frame.
 
     Raises:
-        Rejected: a pose that is not finite, an orientation that is not a unit quaternion, or a z axis that leans from
-            charger_base's by more than `lean_max`.
+        Rejected: as `check_numbers`, or a z axis that leans from charger_base's by more than `lean_max`.
     """
+    check_numbers(message)
     if not message.header.frame_id:
         return None
     turn, point = message.pose.orientation, message.pose.position
     position, axes = np.array([point.x, point.y, point.z]), np.array(rotation(turn.x, turn.y, turn.z, turn.w))
-    if not np.isfinite(position).all() or not np.isfinite(axes).all():
-        raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
-    if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
-        raise Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
     base = np.array(rotation(*charger[3:]))
     position, axes = base.T @ (position - np.asarray(charger[:3])), base.T @ axes
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])

@@ -227,25 +227,24 @@ class MissionNode(Node):
         Raises:
             DockingError: the goal is refused.
         """
-        where = self._where(handle.request) if self._mission is None else None
+        if (joined := self._joined(handle)) is not None:
+            return joined
+        target, mount = self._where(handle.request)
         with self._lock:
-            if self._closed:
-                raise Rejected("mission_node is shutting down")
-            running = self._mission
-            if running is not None:
-                same = handle.request.request_id and handle.request.request_id == running.request_id
-                if same and len(running.handles) < _WAITING_MAX:
-                    running.handles.append(handle)
-                    return running
-                raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
-            if where is None:
-                raise Busy("the previous mission has just ended: send the goal again")
             settings = self._machine.parameters
             electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
-            goal = io.goal(handle.request, electrodes if self._drives else None, where[0])
+            goal = io.goal(handle.request, electrodes if self._drives else None, target)
+            self._machine.check(goal)
+            if self._closed:
+                raise Busy("mission_node is shutting down; send the goal again when it is back")
+            if (joined := self._joined(handle)) is not None:
+                return joined
+            if self._mission is not None:
+                running = self._mission.request_id
+                raise Busy(f"another mission is under way (request_id '{running}'): cancel it, or wait")
             mission = _Mission(handle)
             try:
-                self._machine.start(goal, self._others.observe(), where[1])
+                self._machine.start(goal, self._others.observe(), mount)
             except DockingError:
                 raise
             except Exception:  # it may have begun; without this, nothing would end it
@@ -256,6 +255,15 @@ class MissionNode(Node):
             self._stages.begin(title := titled("charge_robot", mission.request_id))
             self._log.info(f"{title}: accepted")
             return mission
+
+    def _joined(self, handle: GoalHandle) -> _Mission | None:
+        """Return the running mission if the goal joins it."""
+        with self._lock:
+            running, name = self._mission, handle.request.request_id
+            if running is None or not name or name != running.request_id or len(running.handles) >= _WAITING_MAX:
+                return None
+            running.handles.append(handle)
+            return running
 
     def _unknown_dock(self) -> Any:
         return io.unknown_dock(self._end_effector)

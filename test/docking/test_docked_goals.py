@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking.codes import Busy, Code, State
+from deltacharger_core.texts import REQUEST_ID_MAX
+from deltacharger_docking.codes import Busy, Code, DockingError, Rejected, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters, PortParameters, TargetParameters
@@ -250,6 +251,22 @@ def test_a_goal_ends_in_time_despite_clock_jumps(seconds: float) -> None:
     outcome = run.finish(run.parameters.goal_timeout)
     assert outcome.success if seconds < 0.0 else outcome.code is Code.TIMEOUT
     assert (run.machine.status.state is State.IDLE) != outcome.success
+
+
+def test_a_goal_that_can_never_be_served_is_refused_for_good_also_while_another_one_is() -> None:
+    run = docked()
+    run.begin(DockGoal(GOAL, hold=True))
+    far = replace(GOAL, position=(0.0, 0.0, 0.5))
+    for goal in (DockGoal(far), DockGoal(GOAL, stop_after=-1.0), DockGoal(GOAL, target_profile="unheard")):
+        with pytest.raises(DockingError) as refusal:
+            run.machine.start_dock(goal, run.observe())
+        assert not refusal.value.retriable
+    with pytest.raises(Rejected) as refusal:
+        run.machine.start_undock("x" * (REQUEST_ID_MAX + 1), run.observe())
+    assert not refusal.value.retriable
+    for act in (lambda: run.machine.start_dock(DockGoal(GOAL), run.observe()), run.machine.check_free):
+        with pytest.raises(Busy):
+            act()
 
 
 def lose_contact(run: VirtualCharger) -> None:

@@ -120,6 +120,10 @@ WRONG = {
 }
 
 
+IN_TF = ("unknown frame", "blank frame", "frame with a newline", "huge place in the robot's frame")
+"""Goals of which nothing is known without tf, on whose first lookup live electrodes must not wait."""
+
+
 @pytest.mark.version
 @pytest.mark.parametrize("goal", WRONG.values(), ids=WRONG)
 def test_an_impossible_goal_is_refused_before_anything_moves(
@@ -137,6 +141,22 @@ def test_an_impossible_goal_is_refused_before_anything_moves(
     assert all(map(math.isnan, (result.contact_current, result.contact_force, result.charge_current)))
     assert result.energy == 0.0, "counted, and none flowed"
     assert result.alignments == result.redockings == 0
+
+
+@pytest.mark.rest
+def test_an_impossible_goal_is_told_apart_from_one_that_must_wait(charger: RunningCharger, raw: RawGoals) -> None:
+    held = raw.send(goal_with(hold=True))
+    wait_until(lambda: charger.state.charging, "charging")
+    assert raw.result(pose()).retriable
+    for name, goal in WRONG.items():
+        if name not in IN_TF:
+            result = raw.result(goal)
+            assert (result.success, result.retriable) == (False, False), (name, result.error_message)
+    assert not raw.result(Undock.Goal(request_id="x" * 300)).retriable
+    assert raw.result(Undock.Goal()).retriable
+    assert charger.is_closed
+    held.cancel_goal_async()
+    wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the end")
 
 
 @pytest.mark.parametrize(("fault", "name"), [("beyond_reach", "UNREACHABLE"), ("leaning", "LEANING")])

@@ -427,10 +427,15 @@ def test_a_charger_that_another_client_uses_is_not_driven() -> None:
 def test_a_second_mission_and_impossible_goals_are_refused() -> None:
     world = quick()
     observation = world._observe(())
-    for wrong in (MissionGoal(TARGET, stop_energy=math.nan), MissionGoal(TARGET, stop_after=-1.0), MissionGoal(None)):
-        with pytest.raises(Rejected):
-            world.machine.start(wrong, observation)
-    world.machine.start(MissionGoal(TARGET), observation)
+    wrong = MissionGoal(TARGET, stop_energy=math.nan), MissionGoal(TARGET, stop_after=-1.0), MissionGoal(None)
+    for busy in (False, True):
+        assert world.machine.busy is busy
+        for goal in wrong:
+            with pytest.raises(Rejected) as caught:
+                world.machine.start(goal, observation)
+            assert not caught.value.retriable, "it can never be served"
+        if not busy:
+            world.machine.start(MissionGoal(TARGET), observation)
     with pytest.raises(Busy) as caught:
         world.machine.start(MissionGoal(TARGET), observation)
     assert caught.value.retriable

@@ -197,6 +197,9 @@ def test_a_second_goal_is_rejected_the_same_request_joins_and_its_cancel_comes_h
     second, _ = robot.run(request_id="another")
     assert named(second) == (False, "REJECTED", False)
     assert second.retriable
+    for wrong in ({"request_id": "x" * 300}, {"at": replace(TARGET, x=math.nan)}, {"frame": ""}, {"stop_after": -1.0}):
+        never, _ = robot.run(**wrong)
+        assert (named(never), never.retriable) == ((False, "REJECTED", False), False), "it can never be served"
     same = robot.send(request_id="twice")
     same.reach(Stage.CHARGE)
     assert named(robot.run(request_id="twice")[0])[1] == "REJECTED", "one may join, not a crowd"
