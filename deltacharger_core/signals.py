@@ -3,18 +3,22 @@
 
 The first signal sets an event at any moment; later ones have no effect. So neither a second Ctrl-C nor one that arrives
 from both a terminal and `ros2 launch` interrupts the shutdown.
+
+A program's first module imports this one before any other, so that it ends in order also while it is imported: what
+takes long to import is imported where it is used.
 """
 
 from __future__ import annotations
 
 import _thread
-import contextlib
-import ctypes
 import os
-import select
 import signal
-import threading
+from collections.abc import Callable, Iterable
 from types import FrameType
+
+TYPE_CHECKING = False  # not typing's, which takes as long to import as all the rest
+if TYPE_CHECKING:
+    import threading
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _STARTER = "DELTACHARGER_STARTER"  # id of the process whose end also ends this one
@@ -27,6 +31,8 @@ def listen() -> threading.Event:
 
     Call only in the main thread. An ignored SIGHUP stays ignored: nohup started the process.
     """
+    import threading
+
     global _event
     if _event is None:
         _event = threading.Event()
@@ -34,6 +40,19 @@ def listen() -> threading.Event:
             signal.signal(number, _on_signal)
         follow_starter()
     return _event
+
+
+def end_at_once(code: Callable[[int], int], numbers: Iterable[int] = ENDING) -> None:
+    """End the process at these signals without an exception, until other handlers are installed.
+
+    For a program that is still being imported, so that nothing needs to be cleaned up.
+
+    Args:
+        code: returns the exit code for the number of a signal; may write to file descriptors.
+        numbers: of the signals.
+    """
+    for number in set(numbers).intersection(ending_signals()):
+        signal.signal(number, lambda number, frame: os._exit(code(number)))
 
 
 def ignore() -> None:
@@ -67,6 +86,9 @@ def follow_starter() -> None:
     starter = os.environ.pop(_STARTER, "")  # our own children get another one
     if not starter.isdecimal():
         return
+    import contextlib
+    import ctypes
+
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
     if os.getppid() != int(starter) and _has_ended(int(starter)):  # already gone; a debugger may be in between
@@ -80,6 +102,8 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 def _has_ended(process: int) -> bool:
     """Return whether a process has ended, including zombies."""
+    import select
+
     try:
         handle = os.pidfd_open(process)
     except ProcessLookupError:

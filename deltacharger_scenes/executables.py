@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Entry points of the executables in setup.cfg: handle signals before importing the node.
+"""Entry points of the executables in setup.cfg: handle signals before anything else is imported.
 
-The import takes a second; without this, Ctrl-C in that second would end in a traceback.
+The imports take a second; without this, Ctrl-C in that second would end in a traceback.
 """
 
 from __future__ import annotations
@@ -9,26 +9,30 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable
-from functools import partial
 
-from deltacharger_core import environment, signals, streams
-from deltacharger_scenes.node_table import NODES
-
-_OTHERS = {"passive_joints_node": "deltacharger_records.view.passive_joints_node"}  # not part of a scene
-MODULES = {name: spec.module for name, spec in NODES.items()} | _OTHERS
-"""Module with the main of each executable."""
+from deltacharger_core import signals
 
 
 def __getattr__(name: str) -> Callable[[], int]:
-    """Return the entry point of the node with this name."""
-    if name not in MODULES:
+    """Return the entry point of the node with this name, which is looked up when it runs."""
+    if not name.endswith("_node"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return partial(_run, MODULES[name])
+    return lambda: _run(name)
 
 
-def _run(module: str) -> int:
-    signals.listen()
+def modules() -> dict[str, str]:
+    """Return the module with the main of each executable."""
+    from deltacharger_scenes.node_table import NODES
+
+    others = {"passive_joints_node": "deltacharger_records.view.passive_joints_node"}  # not part of a scene
+    return {name: spec.module for name, spec in NODES.items()} | others
+
+
+def _run(name: str) -> int:
+    signals.end_at_once(lambda number: 0)
+    from deltacharger_core import environment, streams
+
     if problem := environment.problem():
         streams.write(f"cannot start: {problem}", sys.stderr)
         return 2
-    return int(importlib.import_module(module).main())
+    return int(importlib.import_module(modules()[name]).main())

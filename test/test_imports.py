@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -104,3 +106,18 @@ def test_product_code_does_not_depend_on_assert() -> None:
         for found in re.findall(r"^ *assert (.*)", text, re.MULTILINE):
             calls = set(re.findall(r"(\w+)\(", found)) - {"isinstance"}
             assert not calls, f"{module}: assert {found}"
+
+
+def test_a_program_handles_signals_before_it_imports_what_takes_long() -> None:
+    """In the standard library alone threading, ctypes, dataclasses and typing take longer than all that is allowed."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); "
+        "import deltacharger_bringup.cli.__main__, deltacharger_scenes.executables; print(*sys.modules)"
+    )
+    found = subprocess.run([sys.executable, "-S", "-I", "-c", code], capture_output=True, text=True, check=True)
+    ours = {name for name in found.stdout.split() if name.startswith("deltacharger_")}
+    assert ours == {
+        *("deltacharger_core", "deltacharger_core.signals", "deltacharger_scenes", "deltacharger_scenes.executables"),
+        *("deltacharger_bringup", "deltacharger_bringup.cli", "deltacharger_bringup.cli.__main__"),
+    }
+    assert not {"threading", "ctypes", "dataclasses", "typing", "re"} & set(found.stdout.split())

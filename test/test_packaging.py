@@ -179,11 +179,12 @@ def test_every_executable_exists() -> None:
     found = re.findall(r"^ {4}(\w+) = ([\w.]+:\w+)$", text, re.MULTILINE)
     nodes = {name for name, function in found if function == f"deltacharger_scenes.executables:{name}"}
     assert sorted(found) == sorted(
-        [("deltacharger", "deltacharger_bringup.cli.main:main")]
+        [("deltacharger", "deltacharger_bringup.cli.__main__:main")]
         + [(name, f"deltacharger_scenes.executables:{name}") for name in nodes]
     )
-    assert nodes == set(executables.MODULES)
-    for module in executables.MODULES.values():
+    modules = executables.modules()
+    assert nodes == set(modules)
+    for module in modules.values():
         assert "\ndef main(" in (ROOT / (module.replace(".", "/") + ".py")).read_text("utf-8"), module
 
 

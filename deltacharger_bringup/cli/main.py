@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from functools import partial
 from types import FrameType
+from typing import Any
 
 from deltacharger_bringup.cli.output import (
     DONE,
@@ -96,6 +99,7 @@ _ELSEWHERE = {
     "tactile compare": "report.tactile",
 }
 
+_SOON = 0.01  # s, after which an interruption is repeated
 _LONGEST_WORD = 4096  # characters; also the limit of a path
 
 _EXTRA_OF = {
@@ -106,7 +110,7 @@ _EXTRA_OF = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; the entry point."""
+    """Run one command and return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:
         streams.secure()
@@ -119,6 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interruptible(words: list[str]) -> int:
+    sys.unraisablehook = _repeat
     try:
         signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, handles signals
         return _run(words)
@@ -141,6 +146,15 @@ def _show_warning(message: Warning | str, *where: object, **more: object) -> Non
 def _interrupt(number: int, frame: FrameType | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not stop the clean-up
     raise KeyboardInterrupt
+
+
+def _repeat(lost: Any) -> None:
+    """Interrupt once more if the interruption came to a destructor or to the import system, which drop exceptions."""
+    if lost.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(lost)
+    elif signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _interrupt)
+        threading.Timer(_SOON, os.kill, (os.getpid(), signal.SIGINT)).start()
 
 
 def _run(words: list[str]) -> int:

@@ -221,7 +221,7 @@ def test_a_missing_middleware_ends_commands_and_nodes_with_2(capsys: Capture, mo
     """rcl would end the process with 102."""
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_nowhere_cpp")
     refuses(capsys, "undock", "rmw_nowhere_cpp")
-    monkeypatch.setattr(executables.signals, "listen", lambda: None)
+    monkeypatch.setattr(executables.signals, "end_at_once", lambda code: None)
     assert executables.__getattr__("docking_node")() == 2
     assert "rmw_nowhere_cpp" in capsys.readouterr().err
 

@@ -105,17 +105,30 @@ def test_a_hostile_shell_costs_a_command_only_its_output(command: str, shell: st
 
 @pytest.mark.night
 @pytest.mark.parametrize("shell", ["full", "all closed", "full errors", "C", "optimised", "a home that cannot be"])
-@pytest.mark.parametrize("module", sorted(executables.MODULES.values()))
+@pytest.mark.parametrize("module", sorted(executables.modules().values()))
 def test_a_node_that_cannot_start_reports_it_in_every_shell(module: str, shell: str, tmp_path: Path) -> None:
     words = ("-m", module, "--ros-args", "-p", "no_such_parameter:=1")
     assert ended(words, shell, tmp_path)[:2] == (2, b"")
 
 
-@pytest.mark.parametrize("times", [rest(1), rest(2)])
+READS = "import time\nprint('reading', flush=True)\ntime.sleep(5)\n"
+DROPS = """
+import time
+class Old:
+    def __del__(self):
+        print('reading', flush=True)
+        time.sleep(5)
+Old()
+time.sleep(5)
+"""
+
+
+@pytest.mark.parametrize(("times", "library"), [rest(1, READS), rest(2, READS), rest(1, DROPS)])
 def test_ctrl_c_during_start_ends_with_130_and_one_object(
-    start: Callable[..., Process], tmp_path: Path, times: int
+    start: Callable[..., Process], tmp_path: Path, times: int, library: str
 ) -> None:
-    (tmp_path / "yaml.py").write_text("import time\nprint('reading', flush=True)\ntime.sleep(30)\n", encoding="utf-8")
+    """Also in a destructor, from which no exception comes."""
+    (tmp_path / "yaml.py").write_text(library, encoding="utf-8")
     source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
     source += "from deltacharger_bringup.cli.main import main; sys.exit(main())"
     process = start(sys.executable, "-c", source, "dock", "--json")

@@ -117,23 +117,39 @@ def test_a_node_that_ends_never_restores_the_default_action_of_a_signal(start: S
     assert start(sys.executable, "-c", code).end() == 0
 
 
-@pytest.mark.witness
-def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) -> None:
-    code = (
+NODE = "from deltacharger_scenes.executables import docking_node; sys.exit(docking_node())"
+COMMAND = "import runpy; runpy.run_module('deltacharger_bringup.cli', run_name='__main__')"
+
+
+@pytest.mark.parametrize(
+    ("words", "imported", "number", "code", "told"),
+    [
+        ((), "deltacharger_scenes.node_table", INT, 0, []),
+        rest((), "rclpy", INT, 0, []),
+        rest((), "rclpy", TERM, 0, []),
+        (("up",), "deltacharger_bringup.cli.main", INT, 130, ["interrupted"]),
+        rest(("up",), "deltacharger_bringup.cli.main", TERM, 0, []),
+        rest(("up",), "deltacharger_bringup.cli.up", HUP, 0, []),
+        rest(("simulate", "--as-node"), "deltacharger_bringup.cli.main", INT, 0, []),
+        rest(("dock",), "deltacharger_bringup.cli.dock", INT, 130, ["interrupted"]),
+    ],
+)
+def test_a_signal_while_a_program_is_being_imported_ends_it_silently(
+    start: Start, words: tuple[str, ...], imported: str, number: int, code: int, told: list[str]
+) -> None:
+    slow = (
         "import sys, time\n"
         "class Slow:\n"
         "    def find_spec(self, name, *more):\n"
-        "        if name == 'rclpy':\n"
+        f"        if name == {imported!r}:\n"
         "            print('importing', flush=True)\n"
         "            time.sleep(0.5)\n"
         "sys.meta_path.insert(0, Slow())\n"
-        "from deltacharger_scenes.executables import docking_node\n"
-        "sys.exit(docking_node())\n"
     )
-    process = start(sys.executable, "-c", code)
-    wait_until(lambda: process.out, "the import")
-    assert process.end(INT) == 0
-    assert (set(process.out), process.err) == ({"importing"}, [])  # it is also looked for before
+    process = start(sys.executable, "-c", slow + (COMMAND if words else NODE), *words)
+    process.wait_for_line("importing", process.out)
+    assert process.end(number) == code
+    assert (set(process.out), process.err) == ({"importing"}, told)  # it is also looked for before
 
 
 @pytest.mark.rest
