@@ -195,9 +195,9 @@ def end(process: subprocess.Popen[Any]) -> None:
 
 
 @contextlib.contextmanager
-def busy() -> Iterator[None]:
-    """Keep one core busy with a process at ordinary priority."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+def busy(niceness: int = 0) -> Iterator[None]:
+    """Keep one core busy with a process of this niceness."""
+    process = subprocess.Popen(["nice", "-n", str(niceness), sys.executable, "-c", "while True: pass"])
     try:
         yield
     finally:

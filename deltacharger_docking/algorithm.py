@@ -19,7 +19,6 @@ from deltacharger_docking.codes import (
     DetectionStale,
     ElectrodesNotFound,
     Leaning,
-    ServoFailure,
     State,
     TactileStale,
 )
@@ -178,7 +177,7 @@ def prepare(context: Context) -> Script[None]:
         while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
             yield NEXT
     if _servos_silent(context):
-        raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
+        raise context.observation.servo_silence()
     if _pads_silent(context):
         raise TactileStale("no tactile frames; check the board's cable and tactile_node")
     yield from context.answered()

@@ -11,8 +11,6 @@ from enum import IntEnum
 from deltacharger_core.picklable import Picklable
 from deltacharger_kinematics.geometry import Vector
 
-SILENT_SERVOS = "check the servo bus and servo_node, and whether this computer is too busy"
-
 
 class State(IntEnum):
     """What the charger is doing."""
@@ -45,6 +43,7 @@ class Code(IntEnum):
     SERVO_FAULT = 304
     STUCK = 305
     TARGET_ROLLS = 306
+    SERVO_STALE = 307
     NO_TACTILE_CONTACT = 401
     TACTILE_STALE = 402
     CRITICAL_ANGLE = 403
@@ -149,7 +148,7 @@ class ChargeOvercurrent(Overcurrent, retriable=False, restart_may_help=False):
 
 
 class ServoFailure(DockingError, code=Code.SERVO_FAULT):
-    """A servo is missing, silent, without torque or hot, or reports a hardware error."""
+    """A servo does not answer, is without torque or hot, or reports a hardware error."""
 
 
 class Astray(ServoFailure):
@@ -162,6 +161,10 @@ class Stuck(DockingError, code=Code.STUCK, retriable=True):
 
 class TargetRolls(Stuck, code=Code.TARGET_ROLLS):
     """The target gives way to the push or comes along with the magnets. Example: its brakes are not set."""
+
+
+class ServoStale(DockingError, code=Code.SERVO_STALE, retriable=True):
+    """servo_state stopped, perhaps only briefly. Example: the computer stalled."""
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
@@ -249,6 +252,7 @@ REMEDIES: dict[Code, str] = {
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
     Code.TARGET_ROLLS: "set the brakes of target and charger, and move the target back to its place",
+    Code.SERVO_STALE: "check servo_node, and whether this computer is too busy",
     Code.NO_TACTILE_CONTACT: "check coordinates, what lies between pads and ridges, the cable, and each servo's id",
     Code.TACTILE_STALE: "check the board's cable, tactile_node and misalignment_node",
     Code.CRITICAL_ANGLE: "level the target or the charger",

@@ -15,7 +15,6 @@ from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import ORDER_AGE_MAX
 from deltacharger_core.script import NEXT, Calls, Script, Wait
 from deltacharger_docking.codes import (
-    SILENT_SERVOS,
     Astray,
     DockingError,
     PhaseTimeout,
@@ -323,7 +322,7 @@ class Context:
             observation = self.observation
             told = f"the arm waited {_HELD_MAX:g} s for {self._held}"
             if observation.servo_age > self.parameters.press_age_max:
-                return ServoFailure(f"{told}, but it is {observation.servo_age:.2f} s old; {SILENT_SERVOS}")
+                return observation.servo_silence()
             return TactileStale(
                 f"{told}, but it is {observation.tactile_age:.2f} s old; check the board's cable, tactile_node, and "
                 "whether this computer is too busy"

@@ -28,8 +28,8 @@ from deltacharger_docking.watch import (
     duplicate,
     is_closed,
     reason_not_to_close,
-    servo_problem,
     stage_problem,
+    unfit_servos,
     welded,
 )
 
@@ -191,7 +191,7 @@ def _await_cause(context: Context) -> Script[None]:
     """Raise the servos' problem if one shows: servo_node opens the contactor if a servo fails, which ends a probe."""
     end = context.time + _CAUSE
     while context.time < end:
-        if (problem := servo_problem(context)) is not None:
+        if (problem := unfit_servos(context)) is not None:
             raise problem
         yield NEXT
 

@@ -13,7 +13,7 @@ from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import Code, DockingError, State
+from deltacharger_docking.codes import Code, DockingError, ServoFailure, ServoStale, State
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
@@ -162,6 +162,14 @@ class Observation:
     clock_problem: str = ""
     stopped: str = ""
     taxels: Array | None = None
+
+    def servo_silence(self) -> DockingError:
+        """Return the error of servo data that are too old: they come late, or a servo does not answer."""
+        if self.servos_valid or self.servo_age == math.inf:
+            return ServoStale(
+                f"servo_state is {self.servo_age:.1f} s old; check servo_node, and whether this computer is too busy"
+            )
+        return ServoFailure(f"a servo has not answered for {self.servo_age:.1f} s; check the servo bus and its power")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from deltacharger_core.machine import (
     DOCKING_JITTER,
     GAIN_MAX,
     GRAVITY,
+    LONGEST_LEASE,
     MAGNET_FLOOR,
     MAGNET_FORCE,
     MAGNET_WIDTH,
@@ -226,7 +227,7 @@ class DockingParameters(Bounded):
     pause_max: float = number(1.0, 0.1, 5.0, "s", "longest pause of docking while the electrodes are live")
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
-    live_servo_age_max: float = number(0.2, 0.02, 0.5, "s", "age of servo_state that opens a closed contactor")
+    live_servo_age_max: float = number(LONGEST_LEASE, 0.02, 0.5, "s", "age of servo_state that opens the contactor")
     press_age_max: float = number(0.1, 0.02, 1.0, "s", "age of servo_state and tactile frames that stops the arm")
     tactile_age_max: float = number(0.5, 0.05, 2.0, "s", "age of tactile frames that ends docking")
     power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")

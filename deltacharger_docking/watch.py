@@ -15,7 +15,6 @@ from deltacharger_core.charge_port import LIVE_VOLTAGE
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_docking.codes import (
     POWER_FAULTS,
-    SILENT_SERVOS,
     Astray,
     ChargeOvercurrent,
     Code,
@@ -126,10 +125,9 @@ class Watches:
         )
 
     def _servos_silent(self) -> DockingError | None:
-        age = self._context.observation.servo_age
-        if self._is_missing(age, self._context.parameters.servo_age_max):
-            return ServoFailure(f"servo_state is {age:.1f} s old; {SILENT_SERVOS}")
-        return None
+        seen = self._context.observation
+        is_missing = self._is_missing(seen.servo_age, self._context.parameters.servo_age_max)
+        return seen.servo_silence() if is_missing else None
 
     def _hardware_error(self) -> DockingError | None:
         bits = self._context.observation.hardware_error
@@ -250,7 +248,7 @@ class Watches:
         if refusal or live.refused:
             return self._refusal(live, refusal)
         if live.was_closed and not observation.contactor_closed:
-            return PowerStale("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
+            return self._lost("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
         if live.was_closed and not math.isfinite(observation.charge_current):
             return PowerStale("the charge current is no longer measured; check the power stage")
         current, most = observation.charge_current, (context.profile.current if context.profile else 0.0) + _OVER
@@ -279,7 +277,12 @@ class Watches:
             context.energise = False
         if context.time - live.refused_at <= context.parameters.fault_delay:
             return None
-        return PowerStale(f"the contactor's lease was not renewed: {live.refused}")
+        return self._lost(f"the contactor's lease was not renewed: {live.refused}")
+
+    def _lost(self, how: str) -> DockingError:
+        """Return the error of a contactor that another node opened: servo_node does so if a servo does not answer."""
+        seen = self._context.observation
+        return PowerStale(how) if seen.servos_valid else seen.servo_silence()
 
     def _voltages(self) -> DockingError | None:
         """A voltage that is unknown or off for longer than a spike; the charger's battery may sag under load."""
@@ -342,6 +345,15 @@ def reason_not_to_close(context: Context) -> DockingError | None:
         return NoTactileContact("the pads lost contact before the contactor was closed")
     if observation.duplicate_sources:
         return duplicate(observation.duplicate_sources)
+    return unfit_servos(context)
+
+
+def unfit_servos(context: Context) -> DockingError | None:
+    """Return why the servos must not begin to hold live electrodes, if anything."""
+    seen = context.observation
+    measured = (context.contact.value, *seen.angles, *seen.currents)  # contact.value lags: a median
+    if not all(map(math.isfinite, measured)):
+        return ServoFailure("the servos' currents or angles are not measured; check the servo bus")
     return servo_problem(context)
 
 
@@ -349,10 +361,7 @@ def servo_problem(context: Context) -> DockingError | None:
     """Return why the servos must not hold live electrodes, if anything."""
     observation = context.observation
     if observation.servo_age > context.parameters.live_servo_age_max:
-        return ServoFailure(f"servo_state stopped while the electrodes were live; {SILENT_SERVOS}")
-    measured = (context.contact.value, *observation.angles, *observation.currents)  # contact.value lags: a median
-    if not all(map(math.isfinite, measured)):
-        return ServoFailure("the servos' currents or angles are no longer measured; check the servo bus")
+        return observation.servo_silence()
     if not observation.torque_enabled:
         return ServoFailure("the servos lost their torque while electrodes were live; see servo_node's diagnostics")
     if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
@@ -460,6 +469,7 @@ _UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
 _UNMEASURED = (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT)
 _POWER_CODES = tuple(dict.fromkeys(kind.code for kind, _ in POWER_FAULTS.values()))
 _SERVO, _PADS, _WELDED = (Code.SERVO_FAULT,), (Code.TACTILE_STALE,), (Code.CONTACTOR_WELDED,)
+_SERVO_DATA = (Code.SERVO_STALE, Code.SERVO_FAULT)
 _GIVES_WAY, _BEHIND = (Code.TARGET_ROLLS, Code.NO_CONTACT), (Code.SERVO_FAULT, Code.NO_CONTACT)
 _VOLTAGE = (Code.VOLTAGE_OUT_OF_RANGE, Code.POWER_STALE)
 
@@ -473,14 +483,14 @@ WATCHES = (
     Watched("docking itself", LIVE, "tactile_node", "0.25 s, its lease", (Code.POWER_STALE,)),
     Watched("docking itself", (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT), "docking", "the phase", (Code.TIMEOUT,)),
     Watched("charge current", LIVE, "board", "2 ms", _POWER_CODES, Watches._fault),
-    Watched("servos", _ALL, "docking", "0.5 s", _SERVO, Watches._servos_silent),
+    Watched("servos", _ALL, "docking", "0.5 s", _SERVO_DATA, Watches._servos_silent),
     Watched("servos", _ALL, "docking", "a cycle", _SERVO, Watches._hardware_error),
-    Watched("servos", LIVE, "docking", "0.2 s", _SERVO, Watches._servos),
+    Watched("servos", LIVE, "docking", "0.25 s", _SERVO_DATA, Watches._servos),
     Watched("push", _ALL, "docking", "0.06 s", (Code.OVERCURRENT,), Watches._pushes_too_hard),
     Watched("push", _TOUCHING, "docking", "11 mm", _GIVES_WAY, Watches._gives_way),
     Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _BEHIND, Watches._does_not_follow),
     Watched("pads", (State.APPROACH, *_TOUCHING, *LIVE), "docking", "0.5 s", _PADS, Watches._pads_silent),
-    Watched("pads", LIVE, "tactile_node", "0.1 s, no lease", (Code.POWER_STALE,)),
+    Watched("pads", LIVE, "tactile_node", "0.25 s, no lease", (Code.POWER_STALE,)),
     Watched("pads", (State.LOCATE,), "docking", "in APPROACH", _PADS),
     Watched("pads", (State.RETRACT,), "docking", "at home", (Code.TARGET_ROLLS, Code.STUCK)),
     Watched("servos", _UNDER_TORQUE, "docking", "a cycle", _SERVO, Watches._torque_lost, halts=True),

@@ -26,6 +26,9 @@ from deltacharger_core.parameters import Bounded, ParameterError, number, number
 REPLY_MARGIN = 0.02
 """s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms. The
 margin covers scheduling delays of an ordinary kernel and costs nothing until a servo fails."""
+STALL_MARGIN = 0.03
+"""s added while all servos answer: then this computer is late rather than a servo silent. Beside other programs the
+ordinary scheduler wakes a process 40 ms late; a lost reply would have every servo asked by itself."""
 BOARD_MARGIN = 0.03
 """s added if the servos are connected to the board: pad sampling and tactile frames have precedence, and on a busy
 computer bytes also wait for tactile_node."""
@@ -85,6 +88,3 @@ class TactileNodeParameters(Bounded):
     baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "baud", "speed on a UART ({unit}); any on USB")
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
     pitch: float = number(0.0024, 0.0001, 0.1, "m", "distance between neighbouring taxels")
-    heartbeat_priority: int = number(
-        1, 0, 99, "", "SCHED_FIFO priority of the heartbeat thread, if permitted; 0 = ordinary"
-    )

@@ -14,7 +14,9 @@ from rclpy.utilities import try_shutdown
 
 from deltacharger_core import environment, signals, streams
 from deltacharger_core.exit_timer import exit_within
+from deltacharger_core.real_time import take_priority
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.log import Log
 
 _LEAVING = 5.0  # s for a node to leave the network: Jazzy's Fast DDS may deadlock
 
@@ -33,7 +35,7 @@ def ros_problem(error: Exception) -> str:
     return f"ROS refuses: {problem}; check names, --ros-args, ROS_DOMAIN_ID and ROS_LOG_DIR"
 
 
-def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run(factory: Callable[[], Node], args: Sequence[str] | None = None, has_deadlines: bool = False) -> int:
     """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main function of every executable.
 
     Later signals are ignored. The end of the starting process counts as SIGTERM if that process asked for it
@@ -42,6 +44,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     Args:
         factory: builds the node (its class).
         args: command line; None = sys.argv.
+        has_deadlines: a charge ends if the node is late, so it asks for real-time priority.
 
     Returns:
         Exit code: 0 after a signal, 2 if the node cannot start as configured, 1 if it ended by itself.
@@ -49,12 +52,13 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     streams.secure()
     stop = signals.listen()
     try:
-        return 0 if stop.is_set() else _run(factory, args, stop)
+        return 0 if stop.is_set() else _run(factory, args, stop, has_deadlines)
     finally:
         signals.ignore()
 
 
-def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threading.Event) -> int:
+def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threading.Event, has_deadlines: bool) -> int:
+    slow = take_priority() if has_deadlines else ""
     try:
         problem = environment.domain_problem()
         if problem:
@@ -73,6 +77,8 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
                 raise
             streams.write(streams.shortened(problem), sys.stderr)
             return 0 if stop.is_set() else 2
+        if slow:
+            Log(node).info(slow)
         spinner = Spinner(node)
         try:
             while not stop.wait(0.5) and spinner.is_alive():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import os
 import shutil
 import tempfile
@@ -15,6 +16,7 @@ DOMAIN = "88"
 """Default ROS domain of the tests."""
 APART = 10
 """Domains between two workers; some tests also use the next ones."""
+_DROP_FOR_CHILDREN, _MAY_HAVE_PRIORITY = 24, 23  # PR_CAPBSET_DROP and CAP_SYS_NICE of Linux
 
 
 def stay_apart() -> None:
@@ -23,6 +25,8 @@ def stay_apart() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # threads that spin for each other starve other processes
+    # As on a laptop: nodes with real-time priority would starve the hardware that the tests of other workers emulate.
+    ctypes.CDLL(None).prctl(_DROP_FOR_CHILDREN, _MAY_HAVE_PRIORITY, 0, 0, 0)
     worker = os.environ.pop("PYTEST_XDIST_WORKER", None)  # not for a pytest started by a test
     if worker is None:
         return

@@ -7,7 +7,7 @@
 #   STOPSIGNAL SIGINT
 # Programs outside hear it only with the host's network, ipc and user (docs/security.md, "Users and containers"):
 #   docker run --network host --ipc host --user "$(id -u robot)" --group-add dialout -e HOME=/tmp ...
-# With `docker run --cap-add SYS_NICE` the board's heartbeat runs with real-time priority.
+# With `docker run --cap-add SYS_NICE` the nodes with deadlines run with real-time priority.
 set -e
 for setup in "/opt/ros/$ROS_DISTRO/setup.bash" "${WORKSPACE:-/ws}/install/setup.bash"; do
     if [ -f "$setup" ]; then

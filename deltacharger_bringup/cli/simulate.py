@@ -21,7 +21,7 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_core import signals
+from deltacharger_core import real_time, signals
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
@@ -49,6 +49,7 @@ def simulate(options: argparse.Namespace) -> int:
         )
     if options.record:
         file_to_write("--record", options.record)
+    real_time.take_priority()  # no program delays a real board
     hardware = SimulatedCharger(scene.simulation, Path(options.directory), options.namespace)
     with Interrupts() as interrupts, hardware as charger:
         signals.follow_starter()

@@ -26,7 +26,7 @@ from deltacharger_bringup.cli.charger import (
 )
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, log_line
 from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
-from deltacharger_core import environment
+from deltacharger_core import environment, real_time
 
 if TYPE_CHECKING:
     from rclpy.context import Context
@@ -58,6 +58,8 @@ def up(options: argparse.Namespace) -> int:
     if options.recording and options.scene is None:
         options.scene = "replay"
     scene = _with_options(prepare(options), options)
+    if scene.docks and (slow := real_time.take_priority()):
+        log_line(slow)
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         if scene.docks:
             stack.enter_context(only_charger(options.namespace))

@@ -283,7 +283,7 @@ def main(args: Sequence[str] | None = None) -> int:
     computer is refused.
     """
     with contextlib.ExitStack() as lock:
-        return node_support.run(lambda: _alone(DockingNode(held=True), lock), args)
+        return node_support.run(lambda: _alone(DockingNode(held=True), lock), args, has_deadlines=True)
 
 
 def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:

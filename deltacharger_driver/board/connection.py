@@ -51,7 +51,6 @@ class BoardConnection:
             contactor is open. Must not wait for a command.
         on_gone: called once, in any thread, when the port has vanished.
         on_servo: called in the reader's thread with bytes from the servos' bus, if it is connected to the board.
-        heartbeat_priority: SCHED_FIFO priority of the heartbeat thread, if permitted; 0 = ordinary.
     """
 
     def __init__(
@@ -63,13 +62,11 @@ class BoardConnection:
         on_boot: Callable[[], None] | None = None,
         on_gone: Callable[[PortGone], None] | None = None,
         on_servo: Callable[[bytes], None] | None = None,
-        heartbeat_priority: int = 0,
     ) -> None:
         self.port = port
         self.baud_rate = baud_rate
         self._on_boot = on_boot
         self._on_gone = on_gone
-        self._heartbeat_priority = heartbeat_priority
         self._decoder = PacketDecoder()
         self._requests = BoardRequests()
         self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
@@ -104,7 +101,7 @@ class BoardConnection:
         self._decoder = PacketDecoder()
         self._decoder.counters = counters
         before = replace(counters)
-        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}", self._heartbeat_priority)
+        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}")
         self._reader = threading.Thread(target=self._read, name=f"board reader {self.port}", daemon=True)
         self._heartbeat.start()
         self._reader.start()
@@ -165,12 +162,6 @@ class BoardConnection:
         """Lateness of the heartbeats of this connection; None without a connection."""
         heartbeat = self._heartbeat
         return None if heartbeat is None else heartbeat.lateness
-
-    @property
-    def heartbeat_runs_with(self) -> str:
-        """Priority of the heartbeat thread in words; '' without a connection."""
-        heartbeat = self._heartbeat
-        return "" if heartbeat is None else heartbeat.runs_with
 
     def hello(self) -> Hello:
         """Request the board's HELLO.
@@ -262,7 +253,7 @@ class BoardConnection:
             self._on_boot()
 
     def _read(self) -> None:
-        port = self._port
+        port, heartbeat = self._port, self._heartbeat
         assert port is not None
         try:
             while not self._closing.is_set():
@@ -270,5 +261,7 @@ class BoardConnection:
                 received = time.monotonic()
                 for packet in self._decoder.feed(data):
                     self._receiver.take(packet, received)
+                if heartbeat is not None and port.is_writable:
+                    heartbeat.send_if_due()
         except PortGone as error:
             self._vanish(error)

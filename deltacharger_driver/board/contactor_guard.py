@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
@@ -25,7 +25,7 @@ from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileS
 from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.errors import DriverError, NoAnswer
 
-STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now
+STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now; during a lease, LONGEST_LEASE
 STALE_POWER = 0.5  # s
 _PROBE_SHARED = 0.05  # s for which a probe that several callers awaited is reused
 _FRAMES = 32  # kept; at the highest rate 20 arrive within STALE_FRAME
@@ -37,9 +37,10 @@ class ContactorGuard:
 
     Thread-safe. `observe_*` are called in the link's reader thread and never wait; the others may wait for the board.
 
-    A close or a renewal needs fresh tactile frames with contact: any live taxel at 1 N or more on at least one pad
-    within the last 0.1 s. TARE of the board uses the same criterion. One pad suffices, because a misaligned ridge may
-    miss the other. A first close also needs limits, and a fresh probe that allows it.
+    A close needs fresh tactile frames with contact: any live taxel at 1 N or more on at least one pad within the last
+    0.1 s. TARE of the board uses the same criterion. One pad suffices, because a misaligned ridge may miss the other. A
+    first close also needs limits, and a fresh probe that allows it. A renewal may see the frames late by up to the
+    lease, because a stall of this computer does no harm for so long; it needs contact in the last 0.1 s of them.
 
     Args:
         link: to the board.
@@ -212,11 +213,13 @@ class ContactorGuard:
             raise LeaseRefused("the power stage sends no data; check the board")
 
     def _check_contact(self, now: float) -> None:
-        age = now - self._frames[-1].time if self._frames else math.inf
-        if age > STALE_FRAME:
+        newest = self._frames[-1].time if self._frames else -math.inf
+        age, renewal = now - newest, self._lease.is_live(now)
+        if age > (LONGEST_LEASE if renewal else STALE_FRAME):
             age_text = "none received" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
             raise LeaseRefused(f"tactile frames are stale ({age_text}); contact is not confirmed")
-        if not any(_in_contact(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
+        since = (newest if renewal else now) - STALE_FRAME
+        if not any(_in_contact(sample) for sample in reversed(self._frames) if sample.time >= since):
             raise LeaseRefused(f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
 
     def _begin(self, until: float, limits: ChargeLimits) -> None:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 
 from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD
-from deltacharger_driver.board.real_time import take_priority
 from deltacharger_driver.errors import PortGone
 from deltacharger_driver.rate_meter import Lateness
 
@@ -16,36 +15,31 @@ _NEVER = float("-inf")
 
 
 class Heartbeat:
-    """A thread that sends every 20 ms until a deadline.
+    """Sends every 20 ms until a deadline, by a thread of its own and by any other thread that calls `send_if_due`.
 
     It never extends the deadline itself: if the client dies or hangs, the heartbeat stops and the board opens the
     contactor.
 
     Attributes:
         lateness: of each heartbeat.
-        runs_with: the thread's priority in words; '' before `start`.
 
     Args:
         send: sends one heartbeat; may raise `PortGone`, which ends the thread.
         name: of the thread.
-        priority: SCHED_FIFO priority of the thread, if permitted; 0 = ordinary.
     """
 
-    def __init__(self, send: Callable[[], None], name: str, priority: int = 0) -> None:
+    def __init__(self, send: Callable[[], None], name: str) -> None:
         self.lateness = Lateness()
-        self.runs_with = ""
-        self._priority = priority
-        self._begun = threading.Event()
         self._send = send
         self._changed = threading.Condition()
         self._until = _NEVER
+        self._due = 0.0
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
         """Start the thread; nothing is sent yet."""
         self._thread.start()
-        self._begun.wait()
 
     def close(self) -> None:
         """Stop and join the thread."""
@@ -62,21 +56,33 @@ class Heartbeat:
             PortGone: the port vanished.
         """
         with self._changed:
-            idle = time.monotonic() >= self._until
+            now = time.monotonic()
+            if now >= self._until:
+                self._due = now
             self._until = until
             self._changed.notify_all()
-        if idle and time.monotonic() < until:
-            self._send()
+        self.send_if_due()
 
     def stop(self) -> None:
         """Send no more."""
         with self._changed:
             self._until = _NEVER
 
+    def send_if_due(self) -> None:
+        """Send a heartbeat if one is due. Where other programs delay one thread, another may be in time.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        with self._changed:
+            now = time.monotonic()
+            if not self._due <= now < self._until:
+                return
+            self.lateness.note(now - self._due)
+            self._due = max(self._due + HEARTBEAT_PERIOD, now)
+        self._send()
+
     def _run(self) -> None:
-        self.runs_with = take_priority(self._priority)
-        self._begun.set()
-        due = time.monotonic()
         while True:
             with self._changed:
                 if self._closing:
@@ -84,14 +90,9 @@ class Heartbeat:
                 now = time.monotonic()
                 if now >= self._until:
                     self._changed.wait()
-                    due = time.monotonic()
-                    continue
-                if now < due:
-                    self._changed.wait(due - now)
-                    continue
-            self.lateness.note(now - due)
-            due = max(due + HEARTBEAT_PERIOD, now)
+                elif now < self._due:
+                    self._changed.wait(self._due - now)
             try:
-                self._send()
+                self.send_if_due()
             except PortGone:
                 return

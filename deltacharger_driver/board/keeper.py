@@ -44,7 +44,6 @@ class BoardKeeper:
         on_power: called in the reader's thread.
         on_change: called in the keeper's thread with `problem` whenever it changes.
         servo_port: path of the servo port, if the board carries the bus.
-        heartbeat_priority: as for `BoardConnection`.
     """
 
     def __init__(
@@ -56,7 +55,6 @@ class BoardKeeper:
         on_power: Callable[[PowerSample], None],
         on_change: Callable[[str], None],
         servo_port: Path,
-        heartbeat_priority: int = 0,
     ) -> None:
         self._rate = rate
         self._on_tactile = on_tactile
@@ -76,7 +74,6 @@ class BoardKeeper:
             on_boot=self._take_boot,
             on_gone=self._take_gone,
             on_servo=self._take_servo,
-            heartbeat_priority=heartbeat_priority,
         )
         self.servos = PassThrough(self.link, servo_port)
         self.guard = ContactorGuard(self.link, on_lease=self._wake.set)

@@ -4,7 +4,7 @@
 Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), battery, target_battery and
 /diagnostics (1 Hz).
 Serves: tare, set_contactor, probe.
-Parameters: port, baud_rate, rate, pitch, heartbeat_priority, frame_prefix.
+Parameters: port, baud_rate, rate, pitch, frame_prefix.
 
 Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s. While it lives, the
 node relays it as the board's heartbeat; it never sends a heartbeat without a lease. The node refuses to close without
@@ -31,6 +31,7 @@ from deltacharger_core.charge_port import port_of
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.quantity import quantity
+from deltacharger_core.real_time import priority
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
@@ -97,7 +98,6 @@ class TactileNode(Node):
             self._publish_power,
             self._report,
             runtime.servos(domain(), self.get_namespace()),
-            given.heartbeat_priority,
         )
         self._keeper.start()
 
@@ -134,8 +134,7 @@ class TactileNode(Node):
         else:
             link = self._keeper.link
             servos = f"; servos connected through it: {self._keeper.servos.path}" if self._keeper.carries_servos else ""
-            runs_with = link.heartbeat_runs_with
-            self._lines.info(f"board connected at {link.port}; heartbeat priority: {runs_with}{servos}")
+            self._lines.info(f"board connected at {link.port}{servos}")
 
     def _served(self, response: Any, action: Callable[[], str], opens: bool = False) -> Any:
         """Fill `success` and `message` from an action that returns the message or raises an error.
@@ -198,7 +197,7 @@ class TactileNode(Node):
         link = self._keeper.link
         drift = quantity(link.drift, ".2e", "s/s")
         values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": drift}
-        values["heartbeat_priority"] = link.heartbeat_runs_with
+        values["priority"] = priority()
         lateness = link.heartbeat_lateness
         if lateness is not None:
             values["heartbeat_late_max"] = quantity(1e3 * lateness.largest, ".1f", "ms")
@@ -228,7 +227,7 @@ class TactileNode(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see node_support.run for the exit codes."""
-    return node_support.run(TactileNode, args)
+    return node_support.run(TactileNode, args, has_deadlines=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_WRITE
 
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault, WrongThread
-from deltacharger_driver.parameters import REPLY_MARGIN
+from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
 from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, SPEEDS, describe_status_error
 from deltacharger_driver.servos.port import PATIENCE, ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, instruction_packet
@@ -169,6 +169,8 @@ class ServoLink:
     ) -> dict[int, tuple[int, bytes]]:
         """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
         self._begin(hurry=True)
+        if len(servos) > 1:
+            self._handler.margin += STALL_MARGIN
         return self._protocol.sync_read(self._handler, servos, address, length, ahead)
 
     def send(self, packets: bytes) -> None:

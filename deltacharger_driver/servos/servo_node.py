@@ -266,7 +266,7 @@ class ServoNode(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see node_support.run for the exit codes."""
-    return node_support.run(ServoNode, args)
+    return node_support.run(ServoNode, args, has_deadlines=True)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,9 @@ from deltacharger_driver.servos.mx64 import (
     indirect_data,
 )
 
-WATCHDOG = 6
-"""Bus watchdog, units of 20 ms: a servo that receives nothing for 120 ms stops on its own."""
+WATCHDOG = 13
+"""Bus watchdog, units of 20 ms: a servo that receives nothing for 260 ms stops on its own, which ends its push. Longer
+than the contactor's lease: a stall that the lease outlives does not end a charge. A silent bus moves no goal."""
 
 CONSTANT_BLOCK = {"status_return_level": 2, "registered": 0}
 """Registers of known value, read last. The checksum follows the data low byte first, so it may miss a burst error

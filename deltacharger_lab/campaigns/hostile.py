@@ -86,7 +86,7 @@ FAULTS: tuple[HostileFault, ...] = (
     ),
     HostileFault("pads_untared", "pads", "NONE TACTILE_STALE", seen=do.sees(tared=False)),
     HostileFault(
-        *("servo_late", "time", "NONE SERVO_FAULT TIMEOUT", (0.1, 0.5)), unit="s", seen=do.servo_late, nodelike=True
+        *("servo_late", "time", "NONE SERVO_STALE TIMEOUT", (0.1, 0.5)), unit="s", seen=do.servo_late, nodelike=True
     ),
     HostileFault(
         *("tactile_late", "time", "NONE TACTILE_STALE NO_TACTILE_CONTACT TIMEOUT", (0.1, 0.5)),

@@ -15,7 +15,7 @@ import numpy as np
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.algorithm import locate, prepare
-from deltacharger_docking.codes import DockingError, Rejected, ServoFailure, State, Unreachable
+from deltacharger_docking.codes import DockingError, Rejected, State, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
@@ -30,12 +30,6 @@ _RUN_UP = 0.006  # m before the standoff, where the run-up along +z starts
 
 class NotKept(DockingError):
     """A docking could not be written. Example: the disk is full."""
-
-
-class ServoSilence(ServoFailure):
-    """servo_state stopped, perhaps only briefly. Example: the computer stalled."""
-
-    retriable = True
 
 
 @dataclass(frozen=True)
@@ -112,17 +106,8 @@ class TouchSession:
         """Make the dockings of the session.
 
         Raises:
-            ServoSilence: servo_state stopped.
             DockingError: as in a docking.
         """
-        try:
-            return (yield from self._run(context))
-        except ServoFailure as error:
-            if context.observation.servo_age > context.parameters.servo_age_max:
-                raise ServoSilence(str(error)) from error
-            raise
-
-    def _run(self, context: Context) -> Script[str]:
         yield from prepare(context)
         for number, command in enumerate(self.commands):
             self.keeper.begin(number)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -260,7 +261,9 @@ def without(values: Sequence[float], index: int | None) -> Any:
 
 OBSERVATION = (
     *fields(may_close, 0.49, (0.51, INF, NAN), "power_age", "tactile_age"),
-    *fields(may_close, 0.19, (0.21, INF, NAN), "servo_age"),
+    *fields(may_close, 0.24, (0.26, INF, NAN), "servo_age"),
+    Limit("unknown angle", lambda v: may_close(angles=without(pressing().angles, v)), None, 0, (1, 2)),
+    Limit("unknown current", lambda v: may_close(currents=without(pressing().currents, v)), None, 0, (1, 2)),
     *fields(may_close, 23.71, (23.69, NAN, -INF), "battery_voltage"),
     *fields(may_close, 29.49, (29.51,), "stage_voltage"),
     *fields(may_close, 29.11, (29.09, 0.0), "stage_voltage"),
@@ -275,7 +278,7 @@ OBSERVATION = (
     Limit("port in contact before, V", lambda v: keeps_port(0.0, before=v), 9.4, 9.6, ()),
     Limit("charger_power of a collapse", lambda v: keeps_port(0.0, v), 1, 2, ()),
     *fields(stays_closed, 0.49, (0.51, INF, NAN), "power_age"),
-    *fields(stays_closed, 0.19, (0.21, INF, NAN), "servo_age"),
+    *fields(stays_closed, 0.24, (0.26, INF, NAN), "servo_age"),
     *fields(stays_closed, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
     *fields(stays_closed, 10.4, (10.6, INF, NAN), "charge_current"),
     *fields(stays_closed, -0.49, (-0.51, -INF), "charge_current"),
@@ -291,9 +294,11 @@ OBSERVATION = (
     *fields(stays_closed, 0.99, (1.01,), "time"),  # docking itself paused
     Limit("contact while live, A", lambda v: stays_closed(pressing(v)), 0.16, 0.14, ()),
     Limit("retreat while live, mm", lambda v: stays_closed(pressing(z=0.08 - v * MM)), 1.4, 1.6, ()),
-    Limit("unknown angle", lambda v: stays_closed(angles=without(pressing().angles, v)), None, 0, (1, 2)),
-    Limit("unknown current", lambda v: stays_closed(currents=without(pressing().currents, v)), None, 0, (1, 2)),
-    Limit("servos_valid", lambda v: stays_closed(servos_valid=v, time=0.21), True, False, ()),
+    Limit("unknown angle, s", lambda v: stays_closed(angles=without(pressing().angles, 0), time=v), 0.24, 0.26, ()),
+    Limit(
+        "unknown current, s", lambda v: stays_closed(currents=without(pressing().currents, 0), time=v), 0.24, 0.26, ()
+    ),
+    Limit("servos not read, s", lambda v: stays_closed(servos_valid=False, time=v), 0.24, 0.26, ()),
     *fields(touches_live, 0.49, (0.51, INF, NAN), "tactile_age"),
     *fields(touches_live, 5.1, (4.9, NAN), "thermal_reserve"),
     *fields(continues, 0.49, (0.51, INF, NAN), "servo_age", "tactile_age"),
@@ -551,6 +556,22 @@ def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_ag
     return passes(guard.close, "docking", 0.25, "", LIMITS)
 
 
+def renews(newest: float, touched: float) -> bool:
+    """Return whether the guard renews a lease with a newest frame and a last contact of these ages (s)."""
+    link, now = Mock(), 10.0
+    link.probe.return_value = samples.ProbeResult(NAN, 24.0, 10.0)
+    guard = contactor_guard.ContactorGuard(link, clock=lambda: now)
+    guard.probe()
+    guard.observe_power(samples.PowerSample(10.0, payloads.Power(26.0, 24.0, 0.0, False, 0)))
+    guard.observe_tactile(samples.TactileSample(10.0, 0, 0, np.full((2, 10, 10), 2.0), True, False))
+    guard.close("docking", 0.25, "", LIMITS)
+    now = 10.2
+    guard._frames.clear()
+    for age, newton in ((touched, 2.0), (newest, 2.0 if newest == touched else 0.0)):
+        guard.observe_tactile(samples.TactileSample(now - age, 1, 0, np.full((2, 10, 10), newton), True, False))
+    return passes(guard.close, "docking", 0.25)
+
+
 def stage(resistance: float = NAN, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
     reading = StageReading(26.0, 24.0, 24.0, 5.0 if closed else 0.0, closed, fault)
     return SimpleNamespace(probe=lambda: (resistance, voltage), read_power=lambda: reading, drive=lambda outputs: None)
@@ -649,6 +670,8 @@ BOARD = (
     Limit("longest lease, s", lambda v: leases(9.0, v), 0.249, 0.251),
     *fields(guards, 0.49, (0.51, INF, NAN), "power_age"),
     *fields(guards, 0.09, (0.11, INF, NAN), "frame_age"),
+    Limit("frame of a renewal, s", lambda v: renews(v, v), 0.24, 0.26, (INF,)),
+    Limit("contact before the newest frame of a renewal, s", lambda v: renews(0.1, 0.1 + v), 0.09, 0.11, ()),
     *fields(guards, 1.01, (0.99, 0.0, NAN), "newton"),
     *fields(guards, 0, range(1, 10), "fault"),
     *fields(guards, NAN, (0.99, 1.01, INF), "resistance"),

@@ -168,7 +168,7 @@ def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -
 @pytest.mark.parametrize(
     ("wrong", "code", "within"),
     [
-        ({"servo_age": 0.3}, Code.SERVO_FAULT, 0.1),
+        ({"servo_age": 0.3}, Code.SERVO_STALE, 0.1),
         ({"thermal_reserve": 0.0}, Code.SERVO_FAULT, 0.1),
         ({"tactile_age": 1.0}, Code.TACTILE_STALE, 0.1),
         ({"currents": (0.0, 0.0, 0.0)}, Code.NO_CONTACT, 0.3),

@@ -260,7 +260,7 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     age_max = docking.get_parameter("servo_age_max").value
     wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(OPENS))
     wait_until(lambda: charger.state.error_code, "a code")
-    assert CODES[charger.state.error_code] == "SERVO_FAULT"
+    assert CODES[charger.state.error_code] == "SERVO_STALE"
     assert docking._inputs.refused.count > before
     assert docking._inputs.refused.last.startswith("servo_state")
     assert any("charging → retract" in line and "SERVO_FAULT" in line for line in warned), warned
@@ -470,5 +470,5 @@ def test_goals_are_refused_before_the_first_clock_message_and_served_until_the_c
         simulator.close()
         wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(0.5))
         wait_until(lambda: charger.state.error_code, "a code")
-        assert CODES[charger.state.error_code] in ("SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
+        assert CODES[charger.state.error_code] in ("SERVO_STALE", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
         assert "/clock" in charger.state.error_message

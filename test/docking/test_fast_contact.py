@@ -142,7 +142,7 @@ def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
 
 @pytest.mark.parametrize(
     ("line", "code"),
-    [*((line, Code.CANCELED) for line in range(5)), *(rest(line, Code.SERVO_FAULT) for line in range(5))],
+    [*((line, Code.CANCELED) for line in range(5)), *(rest(line, Code.SERVO_STALE) for line in range(5))],
 )
 def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, code: Code) -> None:
     run = charger(9, 6, seed=2)

@@ -8,7 +8,6 @@ import itertools
 import math
 import os
 import termios
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +18,9 @@ import pytest
 import serial
 
 from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_driver.board import heartbeat
 from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
+from deltacharger_driver.board.heartbeat import Heartbeat
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import MINOR, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
@@ -253,6 +254,17 @@ def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(r
         rig.link.open()
 
 
+def test_any_thread_sends_a_heartbeat_that_is_due_and_none_after_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent, clock = list[float](), Mock(return_value=1.0)
+    monkeypatch.setattr(heartbeat.time, "monotonic", clock)
+    beats = Heartbeat(lambda: sent.append(clock()), "late for ever")  # not started
+    beats.keep_alive(1.1)
+    for clock.return_value in (1.01, 1.02, 1.03, 1.07, 1.1):
+        beats.send_if_due()
+    assert sent == [1.0, 1.02, 1.07]
+    assert beats.lateness.largest == pytest.approx(0.03)
+
+
 @pytest.mark.parametrize(
     "hang_up",
     [serial.SerialException("gone"), OSError(errno.EIO, "I/O"), termios.error(errno.EIO, "gone"), b""],
@@ -267,33 +279,3 @@ def test_every_kind_of_hang_up_is_one_error(
         with pytest.raises(PortGone):
             wait_until(lambda: port.read(1.0))
     port.close()
-
-
-@pytest.mark.parametrize("priority", [0, 3])
-def test_only_the_heartbeat_thread_has_the_reported_priority(rig: Rig, priority: int) -> None:
-    link = BoardLink(rig.cable.path, heartbeat_priority=priority)
-    assert link.heartbeat_runs_with == ""
-    with link:
-        (thread,) = [each.native_id for each in threading.enumerate() if each.name.startswith("board heartbeat")]
-        assert thread is not None
-        kind, level = os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(thread).sched_priority
-        others = [each.native_id or 0 for each in threading.enumerate() if each.native_id != thread]
-        assert {os.sched_getscheduler(each) for each in others} == {os.SCHED_OTHER}
-        reported = link.heartbeat_runs_with
-    real_time = reported == f"real time {priority}"
-    assert (kind, level) == ((os.SCHED_FIFO, priority) if real_time else (os.SCHED_OTHER, 0))
-    assert real_time or reported.startswith("ordinary")
-    assert priority or not real_time
-
-
-def test_without_permission_for_real_time_the_heartbeat_works_and_reports_it(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*arguments: object) -> None:
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    with BoardLink(rig.cable.path, heartbeat_priority=3) as link:
-        assert link.heartbeat_runs_with.startswith("ordinary; ")
-        link.keep_alive(time.monotonic() + 1.0)
-        wait_until(lambda: link.counters.heartbeats >= 3)

@@ -15,7 +15,7 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, ControlTable
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
 from deltacharger_driver.servos.setup import MOTION
-from deltacharger_driver.servos.snapshot import GAINS, BusSettings
+from deltacharger_driver.servos.snapshot import GAINS, WATCHDOG, BusSettings
 
 from .servo_rig import BOUND, OVERLOAD, START
 
@@ -206,7 +206,7 @@ def test_every_fault_of_every_servo_is_reported_and_good_servos_are_configured(
         closed.open()
     assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
     assert emulator.servo(1).table.get("torque_enable") == 0
-    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips after the port is closed
+    assert emulator.servo(2).table.get("bus_watchdog") in (WATCHDOG, 255)  # armed; it trips after the port is closed
     assert emulator.servo(3).table.get("operating_mode") == 3
 
 
@@ -269,7 +269,7 @@ def test_servos_set_to_send_no_replies_are_set_to_reply(closed: ServoBus, emulat
 @pytest.mark.parametrize(
     "settings",
     [
-        *({"ids": (1, 1, 2)}, {"ids": (1, 2)}, {"direction": (1, 0, 1)}, {"watchdog": 7}, {"watchdog": 0}),
+        *({"ids": (1, 1, 2)}, {"ids": (1, 2)}, {"direction": (1, 0, 1)}, {"watchdog": WATCHDOG + 1}, {"watchdog": 0}),
         *({"gains": (-1, 0, 0)}, {"gains": (434, 0, 16384)}),
     ],
 )

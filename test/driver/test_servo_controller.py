@@ -14,6 +14,7 @@ from deltacharger_driver.servos.controller import OPENING_TIME
 from deltacharger_driver.servos.joint_watch import STOP_TIME
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
+from deltacharger_driver.servos.snapshot import WATCHDOG
 
 from ..waiting import host
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig
@@ -149,7 +150,7 @@ def test_a_servo_that_restarts_on_its_own_is_configured_again_without_torque(rig
     rig.emulator.reboot(3, rig.clock())
     rig.until(lambda report: not report.valid[2])
     rig.until(lambda report: all(report.valid))
-    assert rig.emulator.servo(3).table.get("bus_watchdog") == 6
+    assert rig.emulator.servo(3).table.get("bus_watchdog") == WATCHDOG
     assert rig.emulator.servo(3).table.get("position_p_gain") == POSITION_P_GAIN
     assert rig.arm.torque_enabled() == [False] * 3
     assert any("servo 3" in sentence for _, sentence in rig.events)

@@ -156,7 +156,7 @@ def test_a_cancel_in_any_step_returns_the_arm_home_and_switches_the_torque_off(s
 
 FAULTS = {
     "tactile silence": ({"tactile_age": 1.0}, Code.TACTILE_STALE, True),
-    "servo silence": ({"servo_age": 1.0, "servos_valid": False}, Code.SERVO_FAULT, True),
+    "servo silence": ({"servo_age": 1.0}, Code.SERVO_STALE, True),
     "servo error": ({"hardware_error": 32}, Code.SERVO_FAULT, False),
     "torque lost": ({"torque_enabled": False}, Code.SERVO_FAULT, False),
 }

@@ -34,12 +34,12 @@ SLACK = 0.1  # s: an opening's ramp (0.05) and its confirmation, the power stage
 SETTLING = 0.003  # m, settling of a loaded arm after a stop
 OLDEST = 1.5  # s of permitted age
 ENDS = {
-    "servo_node": {"SERVO_FAULT"},
+    "servo_node": {"SERVO_STALE"},
     "tactile_node": {"TACTILE_STALE", "POWER_STALE", "CONTACTOR_WELDED"},
     "misalignment_node": {"TACTILE_STALE"},
     "mock_detector_node": {"ELECTRODES_NOT_FOUND"},
     # what it finds stale or open when it continues; an opening is not confirmed by stale power
-    "docking_node": {"POWER_STALE", "SERVO_FAULT", "TACTILE_STALE", "DETECTION_STALE", "CONTACTOR_WELDED"},
+    "docking_node": {"POWER_STALE", "SERVO_STALE", "TACTILE_STALE", "DETECTION_STALE", "CONTACTOR_WELDED"},
     "kinematics_node": set(),
 }
 CELLS = [(name, number, phase) for phase in PHASES for name in NODES for number in (KILL, STOP)]
@@ -161,7 +161,7 @@ def test_all_nodes_are_stopped_at_once_and_continue(charger: RunningCharger) -> 
     for name in reversed(NODES):
         charger.restart(name)
     wait_until(lambda: charger.state.error_code, "a code in docking_state")
-    assert CODES[charger.state.error_code] in ("SERVO_FAULT", "POWER_STALE"), charger.state.error_message
+    assert CODES[charger.state.error_code] in ("SERVO_STALE", "POWER_STALE"), charger.state.error_message
     wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the way back")
     assert not [event for event in charger.world.since(0, 0, True) if event.time > at]
     charger.go_home()

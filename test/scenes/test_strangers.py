@@ -117,7 +117,7 @@ def test_actions_and_faults_of_one_do_not_affect_the_other(quick_scene: Scene, c
         events, states = len(inner.world.events), len(inner.states)
         outer.set("mock_servo_node", fault="silence")
         wait_until(lambda: outer.state.error_code, "the outer to notice")
-        assert CODES[outer.state.error_code] == "SERVO_FAULT"
+        assert CODES[outer.state.error_code] == "SERVO_STALE"
         wait_until(lambda: outer.state.state == outer.state.STATE_IDLE, "the end of its retreat")
         outer.set("mock_servo_node", fault="none")
         outer.go_home()

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import NAN3
 
 TOUCHING = (State.LOCATE, State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
 PHASES = (*TOUCHING, State.ENERGISE, State.CHARGING, State.RETRACT)
@@ -46,7 +47,12 @@ class Input:
 
 
 INPUTS = {
-    "servo_node": Input(*[_ends(*[_SERVO] * 4)] * 2, opens=0.35),
+    "servo_node": Input(*[_ends(*[Code.SERVO_STALE] * 4)] * 2, opens=0.35),
+    "missing servo": Input(
+        {State.APPROACH: _SERVO, State.CONTACT: _SERVO, State.CHARGING: _SERVO},
+        shown={"angles": NAN3, "servos_valid": False},
+        opens=0.35,
+    ),
     # While retracting the contactor may be closed: the arm stays. A late answer to the last probe is not too late.
     "tactile_node": Input(
         _ends(_PADS, _POWER, _POWER, Code.CONTACTOR_WELDED),
@@ -117,7 +123,7 @@ class Row:
 
 def _stopped(kind: str, *warning: str, within: float = LEASE + 0.2, **others: Any) -> Row:
     """Return the row of a servo fault that stops all three."""
-    return Row(kind, warning=warning, opens=within, torque_off=True, **{"shows": "servo_node", **others})
+    return Row(kind, warning=warning, opens=within, torque_off=True, **{"shows": "missing servo", **others})
 
 
 def _latched(kind: str, error: str, **others: Any) -> Row:

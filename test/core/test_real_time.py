@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process with deadlines has real-time priority in all its threads, or says what to permit."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import threading
+from typing import Any
+
+import pytest
+
+from deltacharger_core import real_time
+from deltacharger_scenes.node_table import NODES
+
+
+def test_threads_that_start_later_have_the_priority_of_the_one_that_took_it() -> None:
+    found: list[str] = []
+
+    def begin() -> None:
+        found.append(real_time.take_priority() or "real time")
+        later = threading.Thread(target=lambda: found.append(real_time.priority()))
+        later.start()
+        later.join()
+
+    thread = threading.Thread(target=begin)
+    thread.start()
+    thread.join()
+    told, later = found
+    assert later == ("real time" if told == "real time" else "ordinary")
+    assert real_time.priority() == "ordinary"
+
+
+def test_without_permission_the_process_goes_on_and_says_what_to_permit(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*arguments: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    told = real_time.take_priority()
+    assert all(word in told for word in ("not permitted", "LimitRTPRIO=1", "rtprio 1", "CAP_SYS_NICE"))
+
+
+@pytest.mark.ros
+def test_the_nodes_that_keep_the_contactor_closed_ask_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: set[str] = set()
+
+    def run(factory: Any, args: Any = None, has_deadlines: bool = False) -> int:
+        asked.update([name] if has_deadlines else [])
+        return 0
+
+    monkeypatch.setattr("deltacharger_ros.node_support.run", run)
+    for name in ("servo_node", "tactile_node", "docking_node", "misalignment_node", "kinematics_node", "mission_node"):
+        assert importlib.import_module(NODES[name].module).main() == 0
+    assert asked == {"servo_node", "tactile_node", "docking_node"}
