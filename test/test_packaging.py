@@ -91,6 +91,8 @@ def sources() -> Iterator[Path]:
 
 def test_required_libraries_are_minimal_and_also_ros_dependencies() -> None:
     assert {distribution(each) for each in project()["dependencies"]} == set(HARD)
+    bound = [each for each in project()["dependencies"] if re.search(r"[<>=!~]", each)]
+    assert not bound, "rosdep brings the version of the ROS distribution"
     assert set(HARD.values()) <= keys("depend", "exec_depend")
 
 

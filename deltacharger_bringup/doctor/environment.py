@@ -20,7 +20,6 @@ from deltacharger_core import environment
 _OLDEST_PYTHON = (3, 10)
 _MODULES = ("numpy", "yaml", "serial", "dynamixel_sdk")
 _DISTRIBUTIONS = {"yaml": "PyYAML", "serial": "pyserial", "dynamixel_sdk": "dynamixel-sdk"}
-_OLDEST_SDK = (4, 1)
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _LONGEST_PROBE = 60.0  # s; a loaded computer takes 10 s to load ROS
 
@@ -43,12 +42,9 @@ def _library(module: str) -> Finding:
     except Exception as error:
         return wrong(name, f"cannot be loaded: {str(error).strip().splitlines()[0]}", install(module))
     try:
-        found = version(name)
+        return ok(name, version(name))
     except PackageNotFoundError:
-        found = "unknown version"
-    if module == "dynamixel_sdk" and found[0].isdigit() and tuple(map(int, found.split(".")[:2])) < _OLDEST_SDK:
-        return wrong(name, f"{found} is too old", "pip install 'dynamixel-sdk>=4.1'")
-    return ok(name, found)
+        return ok(name, "unknown version")
 
 
 def examine_settings() -> Iterator[Finding]:

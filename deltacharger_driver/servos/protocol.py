@@ -135,14 +135,13 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         if port.writePort(packets) != len(packets):
             raise PortGone(str(port.port_name), "it accepts no more bytes")
 
-    def rxPacket(  # noqa: N802
-        self, port: ServoPort, fast_option: bool = False
-    ) -> tuple[Sequence[int], int]:
+    def rxPacket(self, port: ServoPort) -> tuple[Sequence[int], int]:  # noqa: N802
         """Receive one packet from any servo, and count errors."""
         intact = self._take_intact(port)
         if intact:
             return intact, COMM_SUCCESS
-        packet, result = super().rxPacket(port, fast_option)
+        receive = super().rxPacket
+        packet, result = receive(port, *[False] * (receive.__code__.co_argcount - 2))  # `fast_option`, since SDK 3.8
         if result == COMM_RX_TIMEOUT:
             self.counters.timeouts += 1
         elif result != COMM_SUCCESS:

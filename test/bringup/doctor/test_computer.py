@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.doctor import environment
 from deltacharger_bringup.doctor.camera import examine_camera
-from deltacharger_bringup.doctor.environment import RosProbe, examine_settings
+from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
@@ -52,6 +53,14 @@ def test_settings_that_disable_ros_are_wrong(monkeypatch: pytest.MonkeyPatch, na
     assert not parts(examine_settings(), "wrong")
     monkeypatch.setenv(name, value)
     named(examine_settings(), ("wrong", part, ""))
+
+
+@pytest.mark.parametrize("found", ["3.8.4", "4.0.3"])
+def test_the_libraries_of_a_ros_distribution_are_not_wrong(monkeypatch: pytest.MonkeyPatch, found: str) -> None:
+    monkeypatch.setattr(environment, "version", lambda name: found)
+    findings = list(examine_versions())
+    named(findings, ("ok", "dynamixel-sdk", found))
+    assert not parts(findings, "wrong")
 
 
 def test_a_missing_camera_is_reported_but_never_wrong(tmp_path: Path) -> None:
