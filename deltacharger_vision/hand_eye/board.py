@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +19,15 @@ from deltacharger_vision.hand_eye.board_corners import (
     Gray,
     Sighting,
     dictionary,
+    find_markers,
     grayscale,
-    marker_detector,
+    marker_cells,
 )
 
 SMALLEST, LARGEST = 0.002, 1.0
 """Side of a tag or a square, m."""
 _SQUARES = (3, 30)  # each way
+_CELL = np.ones((10, 10), dtype=bool)  # of a marker, in the drawing
 _MARKER = (0.3, 0.95)  # of a square's side
 _HINTED = ("36h11", "25h9", "4x4_1000", "5x5_1000", "6x6_1000", "7x7_1000")
 
@@ -86,14 +86,13 @@ class AprilTag(Board):
 
     def cells(self) -> Mask:
         """Return (rows, columns), True = black: the border and the bits."""
-        family = dictionary(self.family)
-        return np.asarray(family.generateImageMarker(self.tag, int(family.markerSize) + 2) == 0)
+        return marker_cells(self.family, self.tag)
 
     def _find(self, gray: Gray) -> tuple[Array, Array, float] | None:
-        quads, numbers, _ = marker_detector(self.family).detectMarkers(gray)
-        if numbers is None or np.count_nonzero(numbers == self.tag) != 1:
+        quads, numbers = find_markers(self.family, gray)
+        if np.count_nonzero(numbers == self.tag) != 1:
             return None
-        pixels = np.asarray(quads[int(np.argmax(np.ravel(numbers) == self.tag))], dtype=float).reshape(4, 2)
+        (pixels,) = quads[numbers == self.tag]
         shortest = float(np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1).min())
         return self.corners(), pixels, 0.5 * shortest / len(self.cells())
 
@@ -167,35 +166,52 @@ class Charuco(Board):
         return np.stack([across.ravel(), down.ravel(), np.zeros(across.size)], axis=-1)
 
     def cells(self) -> Mask:
-        """Return (rows, columns), True = black; the marker's size is rounded to a 60th of a square."""
-        side = 60
-        image = self._board.generateImage((self.columns * side, self.rows * side), marginSize=0, borderBits=1)
-        return np.asarray(image < 128)
+        """Return (rows, columns), True = black; markers are set in by a whole number of tenths of their cells."""
+        places = np.argwhere(self._white())
+        markers = [np.kron(marker_cells(self.dictionary, number), _CELL) for number in range(len(places))]
+        size = len(markers[0])
+        edge = round(size * (self.square / self.marker - 1.0) / 2)
+        side = size + 2 * edge
+        found = np.kron(~self._white(), np.ones((side, side), dtype=bool))
+        for marker, (row, column) in zip(markers, places, strict=True):
+            top, left = side * row + edge, side * column + edge
+            found[top : top + size, left : left + size] = marker
+        return found
 
-    @cached_property
-    def _board(self) -> Any:
-        import cv2
+    def _white(self) -> Mask:
+        """Return (rows, columns), True = white with a marker, numbered row by row; the first square is black.
 
-        size = (self.columns, self.rows)
-        return cv2.aruco.CharucoBoard(size, self.square, self.marker, dictionary(self.dictionary))
-
-    @cached_property
-    def _detector(self) -> Any:
-        import cv2
-
-        return cv2.aruco.CharucoDetector(self._board)
+        So it is in OpenCV since 4.7. An older one begins boards with an even number of rows with a white square.
+        """
+        return np.asarray(np.indices((self.rows, self.columns)).sum(axis=0) % 2 == 1)
 
     def _find(self, gray: Gray) -> tuple[Array, Array, float] | None:
-        found, numbers, _, _ = self._detector.detectBoard(gray)
-        if numbers is None or len(numbers) < FEWEST_CORNERS:
-            return None
-        corners = self.corners()[np.ravel(numbers)]
-        pixels = np.asarray(found, dtype=float).reshape(-1, 2)
-        if np.linalg.matrix_rank(corners[:, :2] - corners[0, :2], tol=1e-9) < 2:
+        import cv2
+
+        quads, numbers = find_markers(self.dictionary, gray)
+        white = np.argwhere(self._white())
+        inset = (1.0 - self.marker / self.square) / 2
+        square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float32)
+        marker = inset + (1.0 - 2.0 * inset) * square
+        # An inner corner lies between two markers, one above and one below it. Both must tell where it is.
+        told = np.full((2, self.rows + 1, self.columns + 1, 2), np.nan)
+        for quad, number in zip(quads, numbers, strict=True):
+            if number < len(white) and np.count_nonzero(numbers == number) == 1:
+                row, column = white[number]
+                mapping = cv2.getPerspectiveTransform(marker, quad.astype(np.float32))
+                upper_left, upper_right, lower_right, lower_left = cv2.perspectiveTransform(square[None], mapping)[0]
+                told[1, row, column : column + 2] = upper_left, upper_right
+                told[0, row + 1, column : column + 2] = lower_left, lower_right
+        pixels = told.mean(axis=0)[1:-1, 1:-1].reshape(-1, 2)
+        seen = np.isfinite(pixels).all(axis=1)
+        corners, pixels = self.corners()[seen], pixels[seen].astype(np.float32)
+        if len(corners) < FEWEST_CORNERS or np.linalg.matrix_rank(corners[:, :2] - corners[0, :2], tol=1e-9) < 2:
             return None
         distance = np.linalg.norm(pixels[:, None] - pixels, axis=-1)
-        shortest = float(distance[distance > 0].min())
-        return corners, pixels, 0.6 * shortest * (1.0 - self.marker / self.square) / 2
+        gap = float(distance[distance > 0].min()) * inset  # px between a corner and the markers beside it
+        window = (max(1, int(gap)),) * 2
+        cv2.cornerSubPix(gray, pixels, window, (-1, -1), (cv2.TERM_CRITERIA_COUNT, 10, 0.0))
+        return corners, pixels.astype(float), 0.6 * gap
 
     def _edges(self, corners: Array) -> Array:
         half = self.square * np.linspace(0.25, 0.75, 8)
@@ -235,9 +251,8 @@ def markers_in(image: NDArray[np.uint8]) -> tuple[str, ...]:
     gray = grayscale(image)
     found = []
     for name in _HINTED:
-        numbers = marker_detector(name).detectMarkers(gray)[1]
         kind = "apriltag" if name in FAMILIES else "marker"
-        found += [] if numbers is None else sorted({f"{kind} {name} {number}" for number in np.ravel(numbers)})
+        found += sorted({f"{kind} {name} {number}" for number in find_markers(name, gray)[1]})
     return tuple(found)
 
 

@@ -102,19 +102,45 @@ class Board(ABC):
 
 @cache
 def dictionary(name: str) -> Any:
-    """Return OpenCV's dictionary with a name of `FAMILIES` or `DICTIONARIES`."""
+    """Return OpenCV's dictionary with a name of `FAMILIES` or `DICTIONARIES`.
+
+    Raises:
+        ModuleNotFoundError: this OpenCV has no markers; states what to install.
+    """
     import cv2
 
+    if not hasattr(cv2, "aruco"):
+        raise ModuleNotFoundError(
+            f"OpenCV {cv2.__version__} has no markers (cv2.aruco): install OpenCV 4.7 or newer, or its contrib modules "
+            "(apt: python3-opencv, pip: opencv-contrib-python-headless)",
+            name="cv2",
+        )
     kind = f"APRILTAG_{name}" if name in FAMILIES else name.upper()
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{kind}"))
 
 
-@cache
-def marker_detector(name: str) -> Any:
-    """Return OpenCV's marker detector for a dictionary."""
+def find_markers(name: str, gray: Gray) -> tuple[Array, NDArray[np.int64]]:
+    """Return the markers of a dictionary: their outer corners (K, 4, 2) px from the upper left on, and numbers (K,)."""
     import cv2
 
-    return cv2.aruco.ArucoDetector(dictionary(name), cv2.aruco.DetectorParameters())
+    known = dictionary(name)
+    markers: Any = cv2.aruco
+    is_new = hasattr(markers, "ArucoDetector")  # since OpenCV 4.7
+    parameters = markers.DetectorParameters() if is_new else markers.DetectorParameters_create()
+    parameters.minMarkerDistanceRate = 0.03  # at 0.05, until 4.8, the outline of its white margin hid a tag
+    if is_new:
+        found = markers.ArucoDetector(known, parameters).detectMarkers(gray)
+    else:
+        found = markers.detectMarkers(gray, known, parameters=parameters)
+    quads, numbers = found[:2]
+    return np.array(quads, dtype=float).reshape(-1, 4, 2), np.array([] if numbers is None else numbers, int).ravel()
+
+
+def marker_cells(name: str, number: int) -> Mask:
+    """Return (n, n) cells of a marker with its border, True = black."""
+    family = dictionary(name)
+    bits = family.getBitsFromByteList(family.bytesList[number : number + 1], family.markerSize)
+    return np.pad(bits == 0, 1, constant_values=True)
 
 
 def grayscale(image: NDArray[np.uint8]) -> Gray:

@@ -17,6 +17,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.hand_eye.board import AprilTag
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -84,19 +85,13 @@ def test_a_picture_has_calibration_and_depth_if_subscribed(
 def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     camera: Callable[..., SimulatedCameraNode], viewer: Viewer
 ) -> None:
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     camera(seed=3, board="apriltag:36h11:7", board_size=0.03)
     viewer.watch("color/image_raw")
     without = viewer.color().astype(float)
     viewer.arm_at(0.0, 0.0, 0.03)
     wait_until(lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform in the picture")
-    finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
-
-    def found() -> bool:
-        numbers = finder.detectMarkers(viewer.color())[1]
-        return numbers is not None and 7 in numbers.ravel()
-
-    wait_until(found, "the tag in the picture")
+    wait_until(lambda: AprilTag(tag=7).detect(viewer.color()) is not None, "the tag in the picture")
 
 
 @pytest.mark.parametrize(

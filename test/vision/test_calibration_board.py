@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deltacharger_vision.errors import BoardError, RenderingError
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, markers_in, parse_board
+from deltacharger_vision.hand_eye.board_corners import dictionary, find_markers
 from deltacharger_vision.hand_eye.board_print import board_svg
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
@@ -22,7 +24,7 @@ from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from ..marks import rest
 from .views import DISTORTIONS, view
 
-pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 BOARDS = [
     AprilTag(),
@@ -117,6 +119,44 @@ def test_other_and_duplicate_boards_are_rejected_and_named() -> None:
     for wrong in (seen.astype(float), seen[:, :, :2], seen[None]):
         with pytest.raises(BoardError, match="image"):
             AprilTag().detect(wrong)
+
+
+@pytest.mark.parametrize("board", BOARDS[:2], ids=str)
+def test_markers_are_found_by_the_interface_that_opencv_had_before_4_7(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, (name, *_) = image(board, AHEAD)[:, :, 1], dataclasses.astuple(board)
+    quads, numbers = find_markers(name, seen)
+    assert len(numbers) == (1 if isinstance(board, AprilTag) else 10)
+    new = cv2.aruco
+    if hasattr(new, "ArucoDetector"):  # an older OpenCV has found them by its own
+
+        def detect_markers(gray: np.ndarray, known: object, parameters: object) -> object:
+            return new.ArucoDetector(known, parameters).detectMarkers(gray)
+
+        old = SimpleNamespace(detectMarkers=detect_markers, DetectorParameters_create=new.DetectorParameters)
+        monkeypatch.setattr(cv2, "aruco", old)
+        np.testing.assert_array_equal(find_markers(name, seen)[0], quads)
+
+
+def test_an_opencv_without_markers_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(cv2, "aruco")
+    with pytest.raises(ModuleNotFoundError, match=r"OpenCV \d.*4\.7.*opencv-contrib"):
+        dictionary.__wrapped__("36h11")
+
+
+@pytest.mark.skipif(not hasattr(cv2.aruco, "CharucoDetector"), reason="OpenCV drew another pattern before 4.7")
+@pytest.mark.parametrize("board", [each for each in BOARDS if isinstance(each, Charuco)], ids=str)
+def test_a_charuco_board_is_the_one_that_opencv_draws(board: Charuco) -> None:
+    side = 60  # px
+    squares = (board.columns, board.rows)
+    theirs = cv2.aruco.CharucoBoard(squares, board.square, board.marker, dictionary(board.dictionary))
+    drawn = theirs.generateImage((side * board.columns, side * board.rows), marginSize=0)
+    found = board.detect(np.pad(drawn, side // 2, constant_values=255))
+    assert found is not None
+    assert len(found.corners) == len(board.corners())
+    expected = side * (found.corners[:, :2] / board.square * (1, -1) + np.array(squares) / 2) + side // 2 - 0.5
+    np.testing.assert_allclose(found.pixels, expected, atol=0.1)
 
 
 def test_names_can_be_parsed() -> None:
