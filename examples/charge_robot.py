@@ -3,22 +3,20 @@
 
 The request_id is the actionId. Ctrl-C is stopCharging: the charger undocks and returns. Exit code 0: that succeeded.
     deltacharger up --scene mission_standing    # in another shell
-    python examples/charge_robot.py [seconds to charge; 0 = until full]
+    python3 examples/charge_robot.py [seconds to charge; 0 = until full]
 """
 
 import json
+import os
 import signal
 import sys
 
-from deltacharger_core import environment
+import rclpy
+from deltacharger.action import ChargeRobot
+from rclpy.action import ActionClient
 
-environment.prepare()  # before rclpy if ROS comes from pip; a ROS installation needs neither line
-environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set
-
-import rclpy  # noqa: E402
-from deltacharger.action import ChargeRobot  # noqa: E402
-from rclpy.action import ActionClient  # noqa: E402
-
+os.environ.setdefault("ROS_DOMAIN_ID", "87")  # of simulated chargers; a real one is in the domain of its shell
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 RESULT, STAGE = ChargeRobot.Result, ChargeRobot.Feedback
 FATAL = (304, 305, 306, 502, 504, 505, 506, 507, 999)  # the codes that need a person: docs/fleet.md
 goal = ChargeRobot.Goal(request_id="order-1/startCharging")

@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Send a Dock goal as a fleet's own program would: with rclpy's action client and nothing else.
+"""Send a Dock goal as a fleet's own program would: with rclpy's action client and the interfaces, nothing else.
 
 Prints each phase, then the result. Exit code 0 if charging has begun, else 1.
 
     deltacharger up                  # in another shell
-    python examples/send_a_goal.py [z of the electrodes in charger_base, m]
+    python3 examples/send_a_goal.py [z of the electrodes in charger_base, m]
 """
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
-from deltacharger_core import environment
+import rclpy
+from deltacharger.action import Dock
+from rclpy.action import ActionClient
 
-environment.prepare()  # before rclpy if ROS comes from pip; a ROS installation needs neither line
-environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set
-
-import rclpy  # noqa: E402
-from deltacharger.action import Dock  # noqa: E402
-from rclpy.action import ActionClient  # noqa: E402
-
+os.environ.setdefault("ROS_DOMAIN_ID", "87")  # of simulated chargers; a real one is in the domain of its shell
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 PHASES = {getattr(Dock.Feedback, name): name[6:].lower() for name in dir(Dock.Feedback) if name.startswith("STATE_")}
 shown: list[int] = []
 
