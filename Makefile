@@ -84,9 +84,10 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package, interfaces alone firs
 	. $(COLCON)/install/local_setup.sh && $(BIN)/python -c 'import deltacharger.action as a; print(a.__file__)' \
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
+	PATH=/usr/bin:/bin WORKSPACE="$(CURDIR)/$(COLCON)" .ci/docks "$(CURDIR)/config/container/entrypoint.sh" deltacharger
 	rm -rf $(COMPILED)/deltacharger/test_results
 	$(COLCON_HERE) test --base-paths . --build-base $(COMPILED) --install-base $(COLCON)/install --ctest-args -R '^core$$'
-	$(COLCON_HERE) test-result --verbose --test-result-base $(COMPILED) | tee /dev/stderr \
+	$(COLCON_HERE) test-result --verbose --test-result-base $(COMPILED) | tee -a /dev/stderr \
 	  | grep -qE '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
 
 # $(INSTALLED) has already built the interfaces, so this takes seconds plus pip's downloads.

@@ -23,7 +23,7 @@ def take_priority() -> str:
         why = getattr(error, "strerror", None) or "this is not Linux"
         return (
             f"ordinary priority ({why}): programs beside it may end a charge; to permit real time, set LimitRTPRIO=1 "
-            "in a systemd unit, 'USER - rtprio 1' in /etc/security/limits.d/, or give a container CAP_SYS_NICE"
+            "in a systemd unit, 'USER - rtprio 1' in /etc/security/limits.d/, or docker run --ulimit rtprio=1"
         )
     return ""
 

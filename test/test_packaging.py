@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import importlib
+import json
+import os
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -18,6 +21,8 @@ from deltacharger_bringup.cli import main as cli
 from deltacharger_scenes import executables
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import load_scene
+
+from .waiting import DEADLINE
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -138,7 +143,7 @@ def test_the_error_names_a_missing_extra(
 
     monkeypatch.setattr(cli_calibrate, "kinematics", fit)
     assert cli.main(["calibrate", "kinematics", str(tmp_path / "data.csv")]) == 1
-    assert "scipy is not installed; install deltacharger[calibrate]" in capsys.readouterr().err
+    assert "scipy is not installed; install deltacharger[calibrate], or by rosdep" in capsys.readouterr().err
     assert set(cli._EXTRA_OF.values()) <= set(project()["optional-dependencies"])
 
 
@@ -188,6 +193,27 @@ def test_every_executable_exists() -> None:
     assert nodes == set(modules)
     for module in modules.values():
         assert "\ndef main(" in (ROOT / (module.replace(".", "/") + ".py")).read_text("utf-8"), module
+
+
+def test_the_container_becomes_its_command_once_the_workspace_is_sourced(tmp_path: Path) -> None:
+    lines = (ROOT / "config" / "container" / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    said = dict(line.split(" ", 1) for line in lines if line and line[0] != "#")
+    copied, place = said["COPY"].split()  # the last one
+    ((entry,), words) = (json.loads(said[name]) for name in ("ENTRYPOINT", "CMD"))
+    assert (entry, said["STOPSIGNAL"]) == (place + Path(copied).name, "SIGINT")
+    assert f"{words[0]} = " in (ROOT / "setup.cfg").read_text(encoding="utf-8")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "install").mkdir()
+    setup, command = tmp_path / "install" / "setup.bash", tmp_path / "bin" / words[0]
+    command.write_text('#!/bin/sh\necho $$ $SOURCED "$@"\n')
+    command.chmod(0o755)
+    for last, code in (("true", 0), ("false", 1)):
+        setup.write_text(f'export PATH="{tmp_path}/bin:$PATH" SOURCED=yes\n{last}\n')
+        variables = {"PATH": os.defpath, "WORKSPACE": str(tmp_path), "ROS_DISTRO": "none"}
+        container = subprocess.Popen([ROOT / copied, *words], stdout=subprocess.PIPE, text=True, env=variables)
+        out, _ = container.communicate(timeout=DEADLINE)
+        assert container.returncode == code
+        assert out.split() == ([str(container.pid), "yes", *words[1:]] if code == 0 else [])
 
 
 def test_every_source_begins_with_the_licence() -> None:

@@ -206,7 +206,8 @@ def _known(error: Exception) -> CommandError | None:
     if name == "cv2":  # its message says how to install it; FAILED would mean that no electrodes were found
         return CommandError(str(error), WRONG_INPUT)
     if name in _EXTRA_OF:
-        return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]", FAILED)
+        others = ", or by rosdep with DELTACHARGER_EXTRAS=all" if name == "scipy" else ""  # what a robot needs
+        return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]{others}", FAILED)
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
         from deltacharger_ros.client import ClientError
         from deltacharger_ros.node_support import ros_problem

@@ -38,7 +38,7 @@ def test_without_permission_the_process_goes_on_and_says_what_to_permit(monkeypa
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     told = real_time.take_priority()
-    assert all(word in told for word in ("not permitted", "LimitRTPRIO=1", "rtprio 1", "CAP_SYS_NICE"))
+    assert all(word in told for word in ("not permitted", "LimitRTPRIO=1", "USER - rtprio 1", "--ulimit rtprio=1"))
 
 
 @pytest.mark.ros
