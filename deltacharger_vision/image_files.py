@@ -59,7 +59,9 @@ def require_opencv() -> Any:
         import cv2
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "OpenCV is not installed; install it with pip install 'deltacharger[vision]'", name="cv2"
+            "OpenCV is not installed; install it with pip install 'deltacharger[vision]', or by rosdep with "
+            "DELTACHARGER_EXTRAS=vision",
+            name="cv2",
         ) from error
     return cv2
 
