@@ -20,7 +20,9 @@ _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
 _LONGEST_WAIT = 0.1  # s between checks
 _SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
-_FINAL_REPORTS = 0.2  # s of power samples after the last opening: clients that are closing wait for its report
+FINAL_REPORTS = 0.35
+"""s of power samples after the last opening: clients that are closing wait for its report. On Jazzy, which does not
+tell publishers apart, servo_node believes it only when the last report of a closed contactor is 0.2 s old."""
 
 
 class BoardKeeper:
@@ -135,7 +137,7 @@ class BoardKeeper:
         with contextlib.suppress(DriverError):
             self.guard.shut_down()
         if was_closed:
-            threading.Event().wait(_FINAL_REPORTS)  # the reader continues
+            threading.Event().wait(FINAL_REPORTS)  # the reader continues
         self.servos.wait_until_quiet(_SERVOS_SAFE)
         with contextlib.suppress(DriverError):
             self.link.stop()
