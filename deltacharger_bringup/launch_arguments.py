@@ -7,14 +7,13 @@ prefix: a robot's own `namespace` or `camera` does not change its charger.
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Collection, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 
-from deltacharger_core.parameters import declared
+from deltacharger_core.parameters import declared, did_you_mean
 from deltacharger_scenes.overrides import Overrides
 
 _PACKAGE = "deltacharger"
@@ -93,6 +92,5 @@ def refuse_unknown_arguments(file: str, words: Iterable[str], options: Collectio
     for word in words:
         name, assigned, _ = word.partition(":=")
         if assigned and name not in known and name not in _OF_LAUNCH:
-            near = difflib.get_close_matches(name.removeprefix(_PREFIX), options, 1)
-            hint = f"; did you mean '{in_launch(near[0])}'?" if near else ""
+            hint = did_you_mean(in_launch(name) if name in options else name, known)
             raise ValueError(f"unknown argument '{name}'{hint}; known: {', '.join(known)}")
