@@ -20,7 +20,7 @@ from deltacharger_kinematics.trajectory_feed import Waypoint
 T = TypeVar("T", bound="GoalOutcome")
 
 NAN3: Vector = (math.nan, math.nan, math.nan)
-
+_STALL_MAX = 1.0  # s for which a stall of the computer may silence all servos
 
 Reading = tuple[float, Vector, Vector]
 """Reading of the servos: time (s), angles (rad), currents (A)."""
@@ -128,7 +128,8 @@ class Reply:
 class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
-    `duplicate_sources` names nodes that publish or serve the same input of docking; '' = none. `earlier` holds
+    `servos_mute`: not even one servo answers. `duplicate_sources` names nodes that publish or serve the same input of
+    docking; '' = none. `earlier` holds
     readings of the servos since the last observation, before this one. `charge_current` and `least_current` (A) are
     the mean and the least of a period of charger_power; `stage_voltage` NaN = the board sets it. `clock_problem`
     describes a problem of the clock that ages are measured by; '' = none. `stopped` is why servo_node stopped a
@@ -140,6 +141,7 @@ class Observation:
     currents: Vector = NAN3
     servo_age: float = math.inf
     servos_valid: bool = False
+    servos_mute: bool = False
     hardware_error: int = 0
     torque_enabled: bool = False
     thermal_reserve: float = math.inf
@@ -164,12 +166,19 @@ class Observation:
     taxels: Array | None = None
 
     def servo_silence(self) -> DockingError:
-        """Return the error of servo data that are too old: they come late, or a servo does not answer."""
+        """Return the error of servo data that are too old: they come late, or a servo does not answer.
+
+        All servos at once fall silent also where the computer or a USB adapter stalls, but not for long.
+        """
         if self.servos_valid or self.servo_age == math.inf:
             return ServoStale(
                 f"servo_state is {self.servo_age:.1f} s old; check servo_node, and whether this computer is too busy"
             )
-        return ServoFailure(f"a servo has not answered for {self.servo_age:.1f} s; check the servo bus and its power")
+        who = "no servo has" if self.servos_mute else "a servo has not"
+        silence = f"{who} answered for {self.servo_age:.1f} s; check the servo bus and its power"
+        if self.servos_mute and self.servo_age < _STALL_MAX:
+            return ServoStale(f"{silence}, and whether this computer is too busy")
+        return ServoFailure(silence)
 
 
 @dataclass(frozen=True)

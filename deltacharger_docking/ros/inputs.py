@@ -134,6 +134,7 @@ class Heard:
                 angles=tuple(servo.position),
                 currents=tuple(servo.current),
                 servos_valid=all(servo.valid),
+                servos_mute=not any(servo.valid),
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
                 thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown

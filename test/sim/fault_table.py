@@ -53,6 +53,11 @@ INPUTS = {
         shown={"angles": NAN3, "servos_valid": False},
         opens=0.35,
     ),
+    "mute servos": Input(
+        {State.APPROACH: Code.SERVO_STALE, State.CONTACT: Code.SERVO_STALE, State.CHARGING: Code.SERVO_STALE},
+        shown={"angles": NAN3, "servos_valid": False, "servos_mute": True},
+        opens=0.35,
+    ),
     # While retracting the contactor may be closed: the arm stays. A late answer to the last probe is not too late.
     "tactile_node": Input(
         _ends(_PADS, _POWER, _POWER, Code.CONTACTOR_WELDED),
@@ -136,6 +141,7 @@ def _tolerated(kind: str, part: str, counted: str, amount: float) -> Row:
     return Row(kind, part, counted=counted, amount=amount)
 
 
+_MUTE: dict[str, Any] = {"unknown": (1, 2, 3), "shows": "mute servos"}
 SERVO_ROWS = (
     _stopped("servo_missing", "servo 2 does not answer", at_once=(2,), unknown=(2,)),
     _stopped("servo_reboot", "servo 2", "has restarted", at_once=(2,), unknown=(2,)),
@@ -149,10 +155,10 @@ SERVO_ROWS = (
     Row("servo_watchdog", counted="watchdog_trips", shows="lost push"),
     _stopped("servo_wrong_baud", "servo 2 does not answer", deaf=(2,), unknown=(2,), amount=57600.0),
     _stopped("servo_duplicate_id", "servo 2 does not answer", unknown=(1, 2), amount=1.0),
-    _stopped("servo_deaf", "servo 1 does not answer", "servo 3 does not answer", deaf=(1, 2, 3), unknown=(1, 2, 3)),
-    _stopped("servo_delay", "does not answer", unknown=(1, 2, 3), amount=0.1),
+    _stopped("servo_deaf", "servo 1 does not answer", "servo 3 does not answer", deaf=(1, 2, 3), **_MUTE),
+    _stopped("servo_delay", "does not answer", amount=0.1, **_MUTE),
     _tolerated("servo_delay", BUS, "", 0.005),
-    _stopped("servo_unplugged", "/servo", within=LEASE, deaf=(1, 2, 3), unknown=(1, 2, 3)),
+    _stopped("servo_unplugged", "/servo", within=LEASE, deaf=(1, 2, 3), **_MUTE),
     _tolerated("servo_drop", BUS, "timeouts", 0.05),
     _stopped("servo_drop", "servo 3 does not answer", servo=3, unknown=(3,), amount=1.0),
     *(_tolerated(f"servo_{name}", BUS, "corrupt", 0.05) for name in ("corrupt", "truncate")),
