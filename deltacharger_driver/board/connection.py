@@ -253,7 +253,7 @@ class BoardConnection:
             self._on_boot()
 
     def _read(self) -> None:
-        port, heartbeat = self._port, self._heartbeat
+        port = self._port
         assert port is not None
         try:
             while not self._closing.is_set():
@@ -261,7 +261,5 @@ class BoardConnection:
                 received = time.monotonic()
                 for packet in self._decoder.feed(data):
                     self._receiver.take(packet, received)
-                if heartbeat is not None and port.is_writable:
-                    heartbeat.send_if_due()
         except PortGone as error:
             self._vanish(error)

@@ -15,7 +15,7 @@ _NEVER = float("-inf")
 
 
 class Heartbeat:
-    """Sends every 20 ms until a deadline, by a thread of its own and by any other thread that calls `send_if_due`.
+    """A thread that sends every 20 ms until a deadline.
 
     It never extends the deadline itself: if the client dies or hangs, the heartbeat stops and the board opens the
     contactor.
@@ -33,7 +33,6 @@ class Heartbeat:
         self._send = send
         self._changed = threading.Condition()
         self._until = _NEVER
-        self._due = 0.0
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -56,33 +55,19 @@ class Heartbeat:
             PortGone: the port vanished.
         """
         with self._changed:
-            now = time.monotonic()
-            if now >= self._until:
-                self._due = now
+            idle = time.monotonic() >= self._until
             self._until = until
             self._changed.notify_all()
-        self.send_if_due()
+        if idle and time.monotonic() < until:
+            self._send()
 
     def stop(self) -> None:
         """Send no more."""
         with self._changed:
             self._until = _NEVER
 
-    def send_if_due(self) -> None:
-        """Send a heartbeat if one is due. Where other programs delay one thread, another may be in time.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        with self._changed:
-            now = time.monotonic()
-            if not self._due <= now < self._until:
-                return
-            self.lateness.note(now - self._due)
-            self._due = max(self._due + HEARTBEAT_PERIOD, now)
-        self._send()
-
     def _run(self) -> None:
+        due = time.monotonic()
         while True:
             with self._changed:
                 if self._closing:
@@ -90,9 +75,14 @@ class Heartbeat:
                 now = time.monotonic()
                 if now >= self._until:
                     self._changed.wait()
-                elif now < self._due:
-                    self._changed.wait(self._due - now)
+                    due = time.monotonic()
+                    continue
+                if now < due:
+                    self._changed.wait(due - now)
+                    continue
+            self.lateness.note(now - due)
+            due = max(due + HEARTBEAT_PERIOD, now)
             try:
-                self.send_if_due()
+                self._send()
             except PortGone:
                 return

@@ -90,13 +90,6 @@ class BoardPort:
         if not poller.poll(_WRITE_TIMEOUT * 1000.0):
             raise OSError(f"it accepted no bytes for {_WRITE_TIMEOUT} s")
 
-    @property
-    def is_writable(self) -> bool:
-        """Whether `write` would take bytes without waiting."""
-        poller = select.poll()
-        poller.register(self._descriptor, select.POLLOUT)
-        return bool(poller.poll(0))
-
     def wake(self) -> None:
         """End a `read` waiting in another thread."""
         with contextlib.suppress(OSError):

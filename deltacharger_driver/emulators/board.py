@@ -59,7 +59,6 @@ from deltacharger_driver.pseudo_terminal import ByteDevice
 
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz, range of RATE
 _BACKLOG = 16  # samplings kept until the next poll
-_KEPT_WAITING = 0.02  # s without a poll, of which a board of its own needs none
 
 
 class BoardPlant(PadPlant, PowerPlant, Protocol):
@@ -114,7 +113,6 @@ class BoardEmulator:
         self._running_from = math.inf  # end of the boot under way
         self._booted_at = 0.0
         self._next_power = self._next_sample = math.inf
-        self._polled = -math.inf  # s, when last
         self._out: list[bytes] = []
         self._wire = DelayLine()
         self._on_sample = on_sample
@@ -153,18 +151,10 @@ class BoardEmulator:
             self._pads.set_dead(pad, row, column, dead)
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Take bytes from the host at `now` and return what the board sends.
-
-        Heartbeats that waited because this computer kept the emulator waiting count before their limit is judged.
-        """
+        """Take bytes from the host at `now` and return what the board sends."""
         with self._lock:
-            runs = self._boot_wanted is None and self._running_from == math.inf and not self.faults.deaf
-            packets = self._decoder.feed(data) if runs else []
-            late = self._power.closed and now - self._polled > _KEPT_WAITING
-            if late and any(packet.type == PacketType.HEARTBEAT for packet in packets):
-                self._power.heartbeat(now)
             if self._advance(now) and not self.faults.deaf:
-                for packet in packets if runs else self._decoder.feed(data):
+                for packet in self._decoder.feed(data):
                     self._execute(packet, now)
                     self._finish(now)  # an opening ends a probe: answer it before another PROBE replaces it
             return self._flush(now)
@@ -210,7 +200,6 @@ class BoardEmulator:
 
     def _advance(self, now: float) -> bool:
         """Do everything due at `now`, the contactor first; return whether the board is running."""
-        self._polled = now
         if self._boot_wanted is not None:
             self._running_from, self._boot_wanted = now + self._boot_wanted, None
             self._power.reset(now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_driver.board.protocol import BoardFault, PacketType
+from deltacharger_driver.board.protocol import PacketType
 
 from .board_bench import STEP, Bench, tactile
 
@@ -59,14 +59,3 @@ def test_recorders_get_every_sampling_and_every_received_heartbeat() -> None:
     bench.board.faults.deaf = True
     bench.run(0.1)
     assert len(beats) == 50
-
-
-@pytest.mark.parametrize("waited", [0.12, 0.3])
-def test_an_emulator_that_had_to_wait_judges_only_after_the_bytes_that_waited_with_it(waited: float) -> None:
-    bench = Bench().closed()
-    bench.now += waited
-    bench.send(PacketType.HEARTBEAT)
-    assert bench.board.contactor_commanded
-    bench.now += waited
-    bench.take(bench.board.poll(bench.now))
-    assert bench.board.fault == BoardFault.HEARTBEAT_LOST

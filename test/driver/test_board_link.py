@@ -18,9 +18,7 @@ import pytest
 import serial
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board import heartbeat
 from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
-from deltacharger_driver.board.heartbeat import Heartbeat
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import MINOR, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
@@ -252,17 +250,6 @@ def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(r
     rig.board.faults.deaf = True
     with pytest.raises(NoAnswer, match="other packets"):
         rig.link.open()
-
-
-def test_any_thread_sends_a_heartbeat_that_is_due_and_none_after_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent, clock = list[float](), Mock(return_value=1.0)
-    monkeypatch.setattr(heartbeat.time, "monotonic", clock)
-    beats = Heartbeat(lambda: sent.append(clock()), "late for ever")  # not started
-    beats.keep_alive(1.1)
-    for clock.return_value in (1.01, 1.02, 1.03, 1.07, 1.1):
-        beats.send_if_due()
-    assert sent == [1.0, 1.02, 1.07]
-    assert beats.lateness.largest == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize(
