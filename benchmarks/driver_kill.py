@@ -72,7 +72,7 @@ def emulate_bench(folder: Path) -> None:
     board = TimedBoard(BoardEmulator(plant))
 
     def watch(closed: bool) -> dict[str, float]:
-        return {**_until(lambda: plant.read_power()[3] is closed), "heard": board.last}
+        return {**_until(lambda: plant.read_power().closed is closed), "heard": board.last}
 
     with PseudoTerminal(board, folder / "board"):
         orders = {"press": lambda: plant.press(20.0), "closed": lambda: watch(True), "open": lambda: watch(False)}

@@ -23,7 +23,7 @@ def test_a_reboot_first_opens_the_contactor_and_lasts_its_boot_time() -> None:
     bench.board.reboot(0.25)
     assert bench.board.next_event(bench.now) == 0.0
     assert bench.run(STEP) == []
-    assert not bench.plant.read_power()[3]
+    assert not bench.plant.read_power().closed
     assert bench.board.next_event(bench.now) == pytest.approx(0.25)
 
 
