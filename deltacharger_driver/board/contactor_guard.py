@@ -117,12 +117,6 @@ class ContactorGuard:
         if opened:
             self._link.stop_heartbeat()
 
-    @property
-    def was_closed(self) -> bool:
-        """Whether the board's last report shows the contactor closed."""
-        with self._lock:
-            return self._was_closed
-
     def interrupted(self) -> None:
         """Handle a vanished port or a reboot of the board: the contactor opens or is open."""
         with self._lock:

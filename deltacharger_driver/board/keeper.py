@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -20,9 +21,10 @@ _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
 _LONGEST_WAIT = 0.1  # s between checks
 _SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
-FINAL_REPORTS = 0.35
-"""s of power samples after the last opening: clients that are closing wait for its report. On Jazzy, which does not
-tell publishers apart, servo_node believes it only when the last report of a closed contactor is 0.2 s old."""
+FINAL_REPORTS = 0.4
+"""s of power samples after the last report of a closed contactor: clients that are closing, one of which may have
+opened it, wait for an opening's report. On Jazzy, which does not tell publishers apart, servo_node believes it only
+when the last report of a closed contactor is 0.2 s old."""
 
 
 class BoardKeeper:
@@ -66,6 +68,7 @@ class BoardKeeper:
         self._stop = threading.Event()
         self._rebooted = False
         self._last_packet = self._last_frame = 0.0
+        self._last_closed = -math.inf
         self.carries_servos = False
         self.problem = f"{port}: not connected yet"
         self.link = BoardLink(
@@ -133,11 +136,9 @@ class BoardKeeper:
                 self._configure()
 
     def _shut_down(self) -> None:
-        was_closed = self.guard.was_closed
         with contextlib.suppress(DriverError):
             self.guard.shut_down()
-        if was_closed:
-            threading.Event().wait(FINAL_REPORTS)  # the reader continues
+        time.sleep(max(0.0, self._last_closed + FINAL_REPORTS - time.monotonic()))  # the reader continues
         self.servos.wait_until_quiet(_SERVOS_SAFE)
         with contextlib.suppress(DriverError):
             self.link.stop()
@@ -154,6 +155,8 @@ class BoardKeeper:
 
     def _take_power(self, sample: PowerSample) -> None:
         self._last_packet = time.monotonic()
+        if sample.power.contactor_closed:
+            self._last_closed = self._last_packet
         self.guard.observe_power(sample)
         self._on_power(sample)
 

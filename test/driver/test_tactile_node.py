@@ -294,12 +294,20 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
     assert rig.power().fault == BoardFault.HEARTBEAT_LOST
 
 
-def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path, context: Any) -> None:
+@pytest.mark.parametrize("opened_before", [False, True])
+def test_close_opens_the_contactor_reports_it_and_releases_the_port(
+    tmp_path: Path, context: Any, opened_before: bool
+) -> None:
     rig = Rig(tmp_path, context)
     rig.fresh_frame()
     rig.dock()
-    rig.charge(rig.is_closed)
+    rig.charge(lambda: rig.client.powers and rig.client.powers[-1].contactor_closed)
+    if opened_before:
+        rig.client.contactor(False)
+        wait_until(lambda: not rig.client.powers[-1].contactor_closed)
+    rig.client.powers.clear()
     rig.node.close()
+    wait_until(lambda: sum(not each.contactor_closed for each in rig.client.powers) > 3, "reports of the opening")
     assert not rig.is_closed()
     assert rig.board.fault == 0
     assert not [t for t in threading.enumerate() if str(rig.path) in t.name]
