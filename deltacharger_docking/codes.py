@@ -164,7 +164,7 @@ class TargetRolls(Stuck, code=Code.TARGET_ROLLS):
 
 
 class ServoStale(DockingError, code=Code.SERVO_STALE, retriable=True):
-    """servo_state stopped, perhaps only briefly. Example: the computer stalled."""
+    """servo_state stopped, or all servos fell silent, perhaps only briefly. Example: the computer stalled."""
 
 
 class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):

@@ -128,12 +128,11 @@ class Reply:
 class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
-    `servos_mute`: not even one servo answers. `duplicate_sources` names nodes that publish or serve the same input of
-    docking; '' = none. `earlier` holds
-    readings of the servos since the last observation, before this one. `charge_current` and `least_current` (A) are
-    the mean and the least of a period of charger_power; `stage_voltage` NaN = the board sets it. `clock_problem`
-    describes a problem of the clock that ages are measured by; '' = none. `stopped` is why servo_node stopped a
-    joint that strayed. `taxels` is the newest tared frame (2, 10, 10), N.
+    `servos_mute`: no servo answers. `duplicate_sources` names nodes that publish or serve the same input of docking;
+    '' = none. `earlier` holds readings of the servos since the last observation, before this one. `charge_current` and
+    `least_current` (A) are the mean and the least of a period of charger_power; `stage_voltage` NaN = the board sets
+    it. `clock_problem` describes a problem of the clock that ages are measured by; '' = none. `stopped` is why
+    servo_node stopped a joint that strayed. `taxels` is the newest tared frame (2, 10, 10), N.
     """
 
     time: float

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import queue
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -14,8 +12,6 @@ import rclpy.subscription
 from rclpy.parameter import Parameter
 
 from .waiting import DEADLINE
-
-_REQUESTS = 6  # of a call within the deadline
 
 TELLS_PUBLISHERS = hasattr(rclpy.subscription, "MessageInfo")
 """Whether rclpy's message info has the publisher's id, as in Kilted."""
@@ -33,17 +29,8 @@ def options(context: Any, namespace: str = "", **parameters: Any) -> dict[str, A
 
 
 def call(client: Any, request: Any) -> Any:
-    """Call a service and return its answer.
-
-    Fast DDS loses the answer to a client that the server has not yet discovered (ros2/rmw_fastrtps#842), so an
-    unanswered request is repeated.
-    """
-    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    for _ in range(_REQUESTS):
-        client.call_async(request).add_done_callback(answers.put)
-        with contextlib.suppress(queue.Empty):
-            return answers.get(timeout=DEADLINE / _REQUESTS).result()
-    raise AssertionError(f"waited {DEADLINE:g} s for an answer of {client.srv_name}")
+    """Call a service and return its answer."""
+    return answer(client.call_async(request))
 
 
 def answer(future: Any) -> Any:

@@ -37,7 +37,7 @@ from deltacharger_ros.node_support import StartupError
 from ..behind_board import BehindEmulator
 from ..chargers import patience
 from ..emulated_ports import Babbler
-from ..nodes import call, options
+from ..nodes import answer, options
 from ..quick import PATIENT_MARGIN
 from ..waiting import host, wait_until
 
@@ -148,7 +148,9 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
     context: Any, namespace: str, spin: Any, start: Any, servos: ServoBusEmulator, one_cable: str
 ) -> None:
     """tactile_node passes on the last packets of servo_node."""
-    torque = spin(Node("client", **options(context, namespace))).create_client(SetBool, "set_torque")
+    client, states = spin(Node("client", **options(context, namespace))), list[ServoState]()
+    torque = client.create_client(SetBool, "set_torque")
+    client.create_subscription(ServoState, "servo_state", states.append, 10)  # heard after the client is known, too
     nodes = [
         start(
             *(sys.executable, "-m", f"deltacharger_driver.{module}", "--ros-args"),
@@ -159,8 +161,10 @@ def test_both_nodes_stopped_at_once_leave_the_servos_without_torque(
             ("servos.servo_node", "board", "-p", f"reply_margin:={PATIENT_MARGIN}"),
         )
     ]
-    nodes[1].wait_until(torque.service_is_ready, "set_torque")
-    assert call(torque, SetBool.Request(data=True)).success
+    nodes[1].wait_until(lambda: states and torque.service_is_ready(), "set_torque")
+    torque_on = torque.call_async(SetBool.Request(data=True))
+    nodes[1].wait_until(torque_on.done, "an answer of set_torque")
+    assert answer(torque_on).success
     assert torque_registers(servos) == [1, 1, 1]
     for node in nodes:
         node.process.send_signal(signal.SIGTERM)
