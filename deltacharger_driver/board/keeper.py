@@ -21,10 +21,9 @@ _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
 _LONGEST_WAIT = 0.1  # s between checks
 _SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
-FINAL_REPORTS = 0.4
-"""s of power samples after the last report of a closed contactor: clients that are closing, one of which may have
-opened it, wait for an opening's report. On Jazzy, which does not tell publishers apart, servo_node believes it only
-when the last report of a closed contactor is 0.2 s old."""
+FINAL_REPORTS = 0.2
+"""s of power samples after the last report of a closed contactor: four periods, so that every client that is closing,
+one of which may have opened it, sees that it is open and that no current flows."""
 
 
 class BoardKeeper:

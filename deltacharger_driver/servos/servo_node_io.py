@@ -105,26 +105,23 @@ class ContactorClient:
         if not received:
             return
         now, clock = self._clock(), self._node.get_clock()
-        opened = flows = False
+        opened = False
         # The newest of each publisher; all messages if rclpy does not provide the publisher.
         for each in {one.publisher or one.data: one for one in received}.values():
             power = each.read() if len(each.data) <= _LARGEST_POWER else None
             if power is None:
                 continue
             age = stamp_age(clock, power.header.stamp)
-            later = now - age > self._requested_at and age >= -AHEAD
-            opened |= later and not power.contactor_closed
             current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
-            flows |= current
             live = power.contactor_closed or current or power.fault == ChargerPower.FAULT_CONTACTOR_WELDED
+            opened |= not live and now - age > self._requested_at and age >= -AHEAD
             armed = power.probe_age < PROBE_LIFETIME  # whatever it found: limits may allow a close on a dead port
-            publisher = each.publisher or self._nameless(power.contactor_closed)
-            self.guard.observe(publisher, live, armed, age, now)
-        self._open |= opened and not flows and self.guard.state(now, False) is not ContactorState.CLOSED
+            self.guard.observe(each.publisher or self._nameless(live), live, armed, age, now)
+        self._open |= opened and self.guard.state(now, False) is not ContactorState.CLOSED
 
-    def _nameless(self, closed: bool) -> bytes:
-        """Return an id if rclpy provides none: with several publishers, reports of open and closed are kept apart."""
-        return b"closed" if closed and self._node.count_publishers(self._power.name) > 1 else b""
+    def _nameless(self, live: bool) -> bytes:
+        """Return an id if rclpy provides none: with several publishers, reports of open and live are kept apart."""
+        return b"live" if live and self._node.count_publishers(self._power.name) > 1 else b""
 
 
 class StatePublishers:

@@ -282,3 +282,4 @@ def test_the_executable_ends_cleanly_on_a_signal(
     assert client.set_torque(True).success
     assert process.end(signal.SIGINT) == 0
     assert arm.torque_enabled() == [False] * 3
+    wait_until(lambda: list(client.states[-1].torque_enabled) == [False] * 3, "the report of it")

@@ -307,7 +307,7 @@ def test_close_opens_the_contactor_reports_it_and_releases_the_port(
         wait_until(lambda: not rig.client.powers[-1].contactor_closed)
     rig.client.powers.clear()
     rig.node.close()
-    wait_until(lambda: sum(not each.contactor_closed for each in rig.client.powers) > 3, "reports of the opening")
+    wait_until(lambda: sum(not each.contactor_closed for each in rig.client.powers) > 1, "reports of the opening")
     assert not rig.is_closed()
     assert rig.board.fault == 0
     assert not [t for t in threading.enumerate() if str(rig.path) in t.name]

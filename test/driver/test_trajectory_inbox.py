@@ -195,12 +195,15 @@ class Reports:
         self.clock, self.client = clock, ContactorClient(node, clock)
 
     def receive(self, publisher: bytes, closed: bool, sec: int | None = None, **fields: Any) -> ContactorState:
+        self.put(self.message(closed, sec, **fields), publisher)
+        return self.client.state()
+
+    def message(self, closed: bool, sec: int | None = None, **fields: Any) -> bytes:
         power = ChargerPower(contactor_closed=closed, **{"probe_age": math.inf, "probe_resistance": 470.0, **fields})
         self.clock.sleep(0.01)
         power.header.stamp.sec, power.header.stamp.nanosec = int(self.clock()), int(self.clock() % 1 * 1e9)
         power.header.stamp.sec = power.header.stamp.sec if sec is None else sec
-        self.put(serialize_message(power), publisher)
-        return self.client.state()
+        return serialize_message(power)
 
     def put(self, data: bytes, publisher: bytes) -> None:
         topic: Any = self.client._power
@@ -228,16 +231,19 @@ def test_a_report_of_closed_overrides_reports_of_open(reports: Reports, named: b
     assert reports.client.is_open()
 
 
+@pytest.mark.parametrize("board", [b"1", b""], ids=["with its id", "as on Jazzy"])
 def test_the_contactor_is_open_only_once_measured_so_without_current_after_the_request(
-    reports: Reports, node: Any
+    reports: Reports, node: Any, board: bytes
 ) -> None:
-    reports.receive(b"1", closed=False)
+    node.count_publishers = lambda name: 1
+    reports.receive(board, closed=False)
     reports.client.request_open()
     assert [request.close for request in node.requests] == [False]
     assert not reports.client.is_open()
-    reports.receive(b"1", closed=False, charge_current=3.0)
+    reports.receive(board, closed=False, charge_current=3.0)
     assert not reports.client.is_open()
-    reports.receive(b"1", closed=False, charge_current=math.nan)  # not measured: the contactor alone decides
+    reports.put(reports.message(closed=False, charge_current=3.0), board)
+    reports.put(reports.message(closed=False, charge_current=math.nan), board)  # the contactor alone decides
     assert reports.client.is_open()
 
 
