@@ -49,8 +49,7 @@ _OPEN_TIMEOUT = 0.6  # s for the contactor to open when the node closes
 _TORQUE_DELAY = 0.5  # s from opening after a defect to torque off
 _LAST_REQUEST = -1  # number of the final request to switch the torque off
 _SHUTTING_DOWN = "the charger is shutting down"
-_TORQUE_TIMEOUT = 1.0  # s for the torque to go off; servo_node waits 0.5 s before it switches it off
-_SERVOS_GONE = 0.3  # s without servo_state: servo_node has ended, with the torque off
+_TORQUE_TIMEOUT = 1.0  # s for the torque to go off; servo_node takes 0.3 s at most
 
 
 class DockingNode(Node):
@@ -167,10 +166,10 @@ class DockingNode(Node):
         """Switch the torque off and wait until it is, even if an order to switch it on is pending."""
         self._calls.call(Request(_LAST_REQUEST, Service.TORQUE_OFF))
         observation = self._observe()
-        answered, end = False, time.monotonic() + _TORQUE_TIMEOUT
-        while observation.servo_age < _SERVOS_GONE and time.monotonic() < end:
-            if answered and not observation.torque_enabled:
-                break
+        answered, end = observation.servo_age == math.inf, time.monotonic() + _TORQUE_TIMEOUT
+        while (observation.torque_enabled or not answered) and time.monotonic() < end:
+            if not self._calls.is_served(Service.TORQUE_OFF):
+                return  # servo_node has ended, which switches the torque off
             time.sleep(0.02)
             observation = self._observe()
             answered |= any(reply.number == _LAST_REQUEST for reply in observation.replies)

@@ -88,6 +88,10 @@ class Services:
         self._undelivered.append((request, time.monotonic() + patience))
         self._deliver()
 
+    def is_served(self, service: Service) -> bool:
+        """Return whether a node serves it now."""
+        return bool(self._clients[service].service_is_ready())
+
     def forget(self) -> None:
         """Drop unsent requests of a failed goal, except those that make the charger safe."""
         self._undelivered = [each for each in self._undelivered if each[0].service in _SAFE]

@@ -21,9 +21,9 @@ _SILENCE = 1.0  # s without any packet: the cable is broken or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame although other packets arrive: the board did not get START
 _LONGEST_WAIT = 0.1  # s between checks
 _SERVOS_SAFE = 1.0  # s at the end for servo_node to make the servos safe through the board
-FINAL_REPORTS = 0.2
-"""s of power samples after the last report of a closed contactor: four periods, so that every client that is closing,
-one of which may have opened it, sees that it is open and that no current flows."""
+# s of power samples after the last report of a closed contactor: four periods. Clients that are closing, one of which
+# may have opened it, see that it is open and that no current flows.
+_FINAL_REPORTS = 0.2
 
 
 class BoardKeeper:
@@ -137,7 +137,7 @@ class BoardKeeper:
     def _shut_down(self) -> None:
         with contextlib.suppress(DriverError):
             self.guard.shut_down()
-        time.sleep(max(0.0, self._last_closed + FINAL_REPORTS - time.monotonic()))  # the reader continues
+        time.sleep(max(0.0, self._last_closed + _FINAL_REPORTS - time.monotonic()))  # the reader continues
         self.servos.wait_until_quiet(_SERVOS_SAFE)
         with contextlib.suppress(DriverError):
             self.link.stop()

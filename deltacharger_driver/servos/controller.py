@@ -94,7 +94,7 @@ class ServoController:
 
     @property
     def is_releasing(self) -> bool:
-        """Whether torque is about to be switched off, as soon as the contactor is open."""
+        """Whether torque is about to be switched off by request."""
         return self._requests.has_held
 
     def now(self) -> float:
@@ -114,7 +114,7 @@ class ServoController:
     def close(self) -> None:
         """Switch torque off if it is on, and release the port. Never raises; safe to call twice.
 
-        Waits at most `OPENING_TIME` for the contactor. If possible, first call `release` and cycle until torque is off.
+        Waits at most `OPENING_TIME` for the contactor. If possible, first request "torque_off" and cycle until it is.
         """
         if self.bus.is_open and self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
             wait_until_open(self._contactor, OPENING_TIME, self._clock)
@@ -159,18 +159,12 @@ class ServoController:
         """
         return self._requests.put(action, self._clock.now() - age)
 
-    def stop(self, reason: str, severity: str = "error") -> None:
+    def stop(self, reason: str) -> None:
         """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
         if self._phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
             self.unrequested_stop = reason
-            self._notify(severity, f"stopping all servos: {reason}")
-
-    def release(self, reason: str) -> None:
-        """Stop, but switch torque off as soon as the contactor is open; call it from the servos' thread."""
-        self.stop(reason, "info")
-        if self._phase is ServoPhase.STOPPING and not self.is_releasing:
-            self._requests.hold(ServoRequest("torque_off"))
+            self._notify("error", f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
         """Hold the present position, request an open contactor, and switch torque off after `seconds`."""
@@ -242,7 +236,7 @@ class ServoController:
             self.bus.disable_torque()
 
     def _may_switch_off(self) -> bool:
-        """Return whether torque may go off: the stop time is over, or it is releasing and the contactor is open."""
+        """Return whether torque may go off: the stop time has passed, or it was requested and the contactor is open."""
         return self._clock.now() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
 
     def _advance(self) -> None:

@@ -11,10 +11,10 @@ position_d_gain.
 
 Safe at start: torque is off; only set_torque switches it on, holding the present position. A missing servo, a latched
 hardware error or a lost port stops all servos: goal := present position, contactor open, torque off after 0.5 s. On
-request, torque goes off once the contactor is reported open, after 0.3 s at the latest; at the node's end as well,
-after 0.5 s at the latest. A vanished port is reopened and torque stays off. If the port cannot be opened at start, or
-unexpected servos answer, the node ends with an error. With the port `board` the servos are connected to the board with
-the pads: tactile_node passes their bytes through, and servo_node waits for it at start.
+request and at the node's end, torque goes off once the contactor is reported open, after 0.3 s at the latest. A
+vanished port is reopened and torque stays off. If the port cannot be opened at start, or unexpected servos answer, the
+node ends with an error. With the port `board` the servos are connected to the board with the pads: tactile_node passes
+their bytes through, and servo_node waits for it at start.
 
 A trajectory's times count from its stamp (without one, from its arrival), and its last point holds. A line may be sent
 in pieces under one stamp, each replacing the one before.
@@ -111,7 +111,7 @@ class ServoNode(Node):
         self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=SERVICE)
 
     def close(self) -> None:
-        """Goal := present position, torque off after at most 0.5 s, port closed, thread joined. Idempotent."""
+        """Goal := present position, torque off after at most 0.3 s, port closed, thread joined. Idempotent."""
         self._stop.set()
         self._thread.join()
 
@@ -185,9 +185,9 @@ class ServoNode(Node):
         controller = self._controller
         due = diagnosed = time.monotonic()
         while True:
-            if closing := self._stop.is_set():
-                controller.release("the driver is closing")
-            is_last = closing and controller.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED)
+            closing, off = self._stop.is_set(), controller.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED)
+            if closing and not off and not controller.is_releasing:
+                controller.request("torque_off")
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
             if controller.phase is ServoPhase.ON or controller.has_request or self._cycles.total % _LISTEN_EVERY == 0:
@@ -195,7 +195,7 @@ class ServoNode(Node):
             report = controller.cycle()
             if self.context.ok():
                 self._states.publish(report)
-            if is_last:
+            if closing and off:
                 return
             now = time.monotonic()
             refused = self._listening.is_set() and self._inbox.refused > self._refused

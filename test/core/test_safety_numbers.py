@@ -45,7 +45,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.ros.frame_check import FrameCheck
 from deltacharger_driver import orders
-from deltacharger_driver.board import contactor_guard, contactor_lease, keeper, payloads, protocol, samples
+from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.emulators.stage import PowerStage, StageParameters, StageReading
@@ -729,10 +729,6 @@ def blocks(age: float) -> bool:
     guard = motion_guard.MotionGuard()
     guard.observe(b"board", True, False, age, 10.0)
     return guard.state(10.0, True) is motion_guard.ContactorState.CLOSED
-
-
-def test_an_opening_is_reported_to_the_clients_that_close() -> None:
-    assert keeper.FINAL_REPORTS > 3.0 / protocol.POWER_RATE
 
 
 def follows(time: float = 1.0, angle: float = 0.0, torque: float = 1.0, points: int = 1, age: float = 0.0) -> bool:

@@ -228,19 +228,6 @@ def test_torque_off_by_request_cuts_a_stop_short_once_the_contactor_is_open(rig:
     assert rig.cycle().phase is ServoPhase.OFF
 
 
-@pytest.mark.parametrize("opens_after", [0.15, math.inf])
-def test_a_release_holds_until_the_contactor_is_open_or_the_stop_time_is_over(rig: Rig, opens_after: float) -> None:
-    rig.delay = opens_after
-    moving(rig)
-    begin = rig.clock()
-    rig.controller.release("a test")
-    rig.until(lambda report: report.phase is ServoPhase.OFF)
-    assert rig.torque_when_opened == (None if math.isinf(opens_after) else [True] * 3)
-    assert min(opens_after, STOP_TIME) <= rig.clock() - begin <= min(opens_after, STOP_TIME) + 0.1
-    assert rig.arm.torque_enabled() == [False] * 3
-    assert any(severity == "warning" for severity, _ in rig.events) is math.isinf(opens_after)
-
-
 def shifted(by: float) -> tuple[float, ...]:
     return tuple(angle + by for angle in START)
 
