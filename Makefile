@@ -46,10 +46,11 @@ CMAKE_ARGS := --cmake-args -G Ninja -DCMAKE_BUILD_TYPE=Release -DPython3_EXECUTA
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := $(PYTEST) -n 4 --dist loadfile --host-deadlines 3
 
-.PHONY: dock test test-rest test-night mutants check lint types colcon wheel trainers navigation transforms optional pages cross bench clean
+.PHONY: dock lab test test-rest test-night mutants check lint types colcon wheel trainers navigation transforms optional pages cross bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
+	@[ -e $(VENV)/.lab ] || echo 'For campaigns, reports and training: make lab'
 
 # Real-time tests mostly wait, so there are twice as many processes as cores.
 test: $(INSTALLED)  ## what a change needs
@@ -73,7 +74,7 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(INSTALLED)
+types: lab
 	$(BIN)/mypy
 
 # Tests of one folder show that colcon runs them.
@@ -98,8 +99,14 @@ wheel: $(INSTALLED)  ## build a wheel, install it into a bare venv and dock with
 	$(WHEEL)/venv/bin/python -m pip install --quiet $(WHEEL)/*.whl
 	.ci/installed $(WHEEL)/venv
 
+lab: $(VENV)/.lab  ## the laboratory: campaigns, reports, training of the models; without it its tests are left out
+
+$(VENV)/.lab: lab/pyproject.toml $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --no-build-isolation -e lab
+	@touch $@
+
 # The newest tested version of PyTorch; a CPU build is enough.
-trainers: $(INSTALLED)  ## libraries for training the classifiers; without them their tests are skipped
+trainers: lab  ## libraries for training the classifiers; without them their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
 # PyPI has neither Nav2's messages nor tf2, whose core is C++. Nothing is built if a ROS installation has them.
@@ -119,11 +126,11 @@ $(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
 	$(BIN)/python -c 'import importlib, sys; list(map(importlib.import_module, sys.argv[1:]))' $(MODULES)
 	touch $@
 
-optional: trainers navigation transforms  ## every optional library; without one its tests are skipped
+optional: lab trainers navigation transforms  ## every optional library; without one its tests are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro pin
 
 # After a change of nodes, parameters or messages. In CI they must be what is committed.
-pages: $(INSTALLED)  ## write docs/parameters.md, docs/topics.md and the watches in docs/docking.md, check config/security
+pages: lab  ## write docs/parameters.md, docs/topics.md and the watches in docs/docking.md, check config/security
 	$(BIN)/python -m deltacharger_lab.pages.parameters > docs/parameters.md
 	$(BIN)/python -m deltacharger_lab.pages.topics > docs/topics.md
 	$(BIN)/python -m deltacharger_lab.pages.watches docs/docking.md
@@ -138,21 +145,21 @@ cross:  ## apt-get compiler and emulator of the board's processor; without them 
 	  echo 'apt-get cannot install $(CROSS): run as root with access to Debian'"'"'s archive' >&2; exit 1; }
 
 # The last benchmarks fail if a target is missed; this must not hide the other figures.
-bench: $(INSTALLED)  ## limits of charger and driver, about 25 minutes; QUICK=1: 6 minutes
+bench: lab  ## limits of charger and driver, about 25 minutes; QUICK=1: 6 minutes
 	@echo '== the simulated charger in one process: 1 minute'
-	$(BIN)/python benchmarks/charger.py --seconds 10
+	$(BIN)/python lab/benchmarks/charger.py --seconds 10
 	@echo '== CPU of the driver: $(if $(QUICK),1 minute,2 minutes)'
-	$(BIN)/python benchmarks/driver_cost.py --seconds $(if $(QUICK),5,10)
+	$(BIN)/python lab/benchmarks/driver_cost.py --seconds $(if $(QUICK),5,10)
 	@echo '== ports unplugged and plugged in again: $(if $(QUICK),half a minute,2 minutes)'
-	$(BIN)/python benchmarks/driver_reconnect.py --replugs $(if $(QUICK),5,20)
+	$(BIN)/python lab/benchmarks/driver_reconnect.py --replugs $(if $(QUICK),5,20)
 	@echo '== charging beside a busy core: $(if $(QUICK),2 minutes,11 minutes)'
-	$(BIN)/python benchmarks/driver_long.py --seconds $(if $(QUICK),60,600)
+	$(BIN)/python lab/benchmarks/driver_long.py --seconds $(if $(QUICK),60,600)
 	@echo '== nodes killed and stopped: $(if $(QUICK),half a minute,5 minutes)'
-	-$(BIN)/python benchmarks/driver_kill.py --tactile $(if $(QUICK),2 --dockings 0,5 --dockings 1)
+	-$(BIN)/python lab/benchmarks/driver_kill.py --tactile $(if $(QUICK),2 --dockings 0,5 --dockings 1)
 	@echo '== $(if $(QUICK),50 000,a million) damaged packets per codec: $(if $(QUICK),seconds,2 minutes)'
-	-$(BIN)/python benchmarks/driver_fuzz.py --packets $(if $(QUICK),50000,1000000)
+	-$(BIN)/python lab/benchmarks/driver_fuzz.py --packets $(if $(QUICK),50000,1000000)
 	@echo '== changed files of every kind, $(if $(QUICK),1000,5000) each: $(if $(QUICK),half a minute,2 minutes)'
-	-$(BIN)/python benchmarks/files_fuzz.py --files $(if $(QUICK),1000,5000)
+	-$(BIN)/python lab/benchmarks/files_fuzz.py --files $(if $(QUICK),1000,5000)
 
 $(INSTALLED): $(SOURCES)
 	@command -v python3 > /dev/null || { echo 'cannot build: there is no python3: apt install python3-venv python3-dev' >&2; exit 1; }
@@ -160,4 +167,4 @@ $(INSTALLED): $(SOURCES)
 	@touch $@
 
 clean:
-	rm -rf .venv $(addprefix .venv-,$(VERSIONS)) build install log *.egg-info dock.png
+	rm -rf .venv $(addprefix .venv-,$(VERSIONS)) build install log *.egg-info lab/*.egg-info dock.png

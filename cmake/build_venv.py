@@ -15,7 +15,7 @@ import sysconfig
 import time
 
 OLDEST = (3, 10)  # as pyproject.toml
-EXTRAS = "calibrate,campaign,dev,record,report,vision"
+EXTRAS = "calibrate,dev,picture,record,vision"
 MIB_NEEDED = 1500  # of the environment and the build folder
 CAUSES = (
     (r"No space left on device|Disk quota exceeded", f"the disk is full: free about {MIB_NEEDED} MiB"),

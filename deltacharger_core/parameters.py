@@ -19,7 +19,6 @@ from typing import Any, TypeVar
 
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.picklable import Picklable
-from deltacharger_core.renamed import RENAMED
 from deltacharger_core.units import ON_ROBOT, outside
 
 T = TypeVar("T")
@@ -196,9 +195,7 @@ class Bounded:
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """Return "; did you mean '…'?" with the nearest known name, or what replaced `word`; '' if there is neither."""
-    if str(word) in RENAMED:
-        return f"; since version 1.0.0 it is {RENAMED[str(word)]}"
+    """Return "; did you mean '…'?" with the nearest known name; '' if none is near."""
     near = difflib.get_close_matches(str(word), list(known), 1)
     return f"; did you mean '{near[0]}'?" if near else ""
 

@@ -127,7 +127,7 @@ NODES: dict[str, NodeSpec] = {
         stands_in_for="camera_node",
         sees_target=True,
         may_restart=True,
-        needs_when_used=("cv2", "mujoco"),
+        needs_when_used=("cv2",),
     ),
     "electrode_detector_node": NodeSpec(
         "deltacharger_vision.detector.electrode_detector_node.ElectrodeDetectorNode",

@@ -138,41 +138,27 @@ class Scene(SceneContent):
         return {"port": path, **parameters} if path else parameters
 
 
-def packaged_files(kind: str) -> dict[str, Path]:
-    """Return the packaged files below config/ of a kind, "scenes" or "campaigns", by name.
-
-    Folders: the source tree, then each installation; the first one with a name counts.
-    """
-    found: dict[str, Path] = {}
-    for folder in environment.config(kind):
-        for path in sorted(folder.iterdir()):
-            if path.suffix in _SUFFIXES:
-                found.setdefault(path.stem, path)
-    return found
-
-
 def packaged_scenes() -> dict[str, Path]:
-    """Return the file of every packaged scene by name."""
-    return packaged_files("scenes")
+    """Return the file of every packaged scene by name; a file of the source tree takes precedence over an installed."""
+    folders = environment.config("scenes")
+    return {path.stem: path for folder in reversed(folders) for path in sorted(folder.glob("*.yaml"))}
 
 
-def find_file(name_or_file: str | Path, kind: str) -> Path:
-    """Return a file by path, or by the name of a packaged one of a kind as in `packaged_files`.
+def find_file(name_or_file: str | Path, packaged: Mapping[str, Path], kind: str = "scene") -> Path:
+    """Return a file by path, or by the name of a packaged one of this kind.
 
     Raises:
         SceneError: there is no such file.
     """
-    path = Path(name_or_file)
+    path, name = Path(name_or_file), str(name_or_file)
     if path.suffix in _SUFFIXES or len(path.parts) > 1:
         if not path.is_file():
             raise SceneError(str(path), "", "there is no such file")
         return path
-    found, name = packaged_files(kind), str(name_or_file)
-    if name not in found:
-        near, there = did_you_mean(name, found), ", ".join(found) or "none"
-        kind = kind.removesuffix("s")
+    if name not in packaged:
+        near, there = did_you_mean(name, packaged), ", ".join(packaged) or "none"
         raise SceneError(name, "", f"no packaged {kind} has this name{near}: give one of {there}, or a YAML file")
-    return found[name]
+    return packaged[name]
 
 
 def read_file(path: Path, parse: Callable[[Any, str, str], T]) -> T:
@@ -200,7 +186,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
     Raises:
         SceneError: it does not exist, is not YAML, or has an invalid key or value.
     """
-    return read_file(find_file(name_or_file, "scenes"), parse_scene)
+    return read_file(find_file(name_or_file, packaged_scenes()), parse_scene)
 
 
 def parse_scene(content: Any, name: str, file: str = "") -> Scene:

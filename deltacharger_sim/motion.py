@@ -10,9 +10,9 @@ from collections.abc import Callable
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.errors import TargetFixed
+from deltacharger_sim.pads.pad_source import Lean
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.tilt import tilts
-from deltacharger_tactile.pad_source import Lean
 
 _NONE: Vector = (0.0, 0.0, 0.0)
 _UNTOUCHED = Bars.flat(0.0)

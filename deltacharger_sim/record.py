@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_tactile.pad_source import Pose
+from deltacharger_sim.pads.pad_source import Pose
 
 
 @dataclass

@@ -27,8 +27,8 @@ import math
 
 from deltacharger_core.machine import PAD_DISTANCE
 from deltacharger_sim.bars import Bars
+from deltacharger_sim.pads.pad_source import Turn
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_tactile.pad_source import Turn
 
 PAD = PAD_DISTANCE
 _ITERATIONS, _HALVINGS = 40, 8

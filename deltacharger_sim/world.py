@@ -19,10 +19,10 @@ from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.latency import Latency, delays
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
+from deltacharger_sim.pads.pad_source import Lean, Pose
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.proven import UnprovenWarning, doubts
 from deltacharger_sim.record import Record, Snapshot
-from deltacharger_tactile.pad_source import Lean, Pose
 
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
@@ -51,7 +51,7 @@ class World:
         seed: of the current noise.
         geometry: of the delta.
         start: of the platform, m, charger_base.
-        mechanics: model of the arm's motion; `deltacharger_sim.mujoco_world` has another one.
+        mechanics: model of the arm's motion.
 
     Warns:
         UnprovenWarning: the simulation report has not verified the model for this step and these stiffnesses.

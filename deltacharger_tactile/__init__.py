@@ -20,7 +20,7 @@ MODEL_PATH = MODEL_PATHS[THRESHOLD]
 
 
 def default_model(threshold: float = THRESHOLD) -> PoseEstimator:
-    """Load the packaged model for readings of at least `threshold` N, made by `deltacharger_tactile.training`."""
+    """Load the packaged model for readings of at least `threshold` N, made by `deltacharger_lab.training.pose`."""
     return PoseEstimator.load(model_path(threshold))
 
 

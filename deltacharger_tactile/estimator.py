@@ -12,11 +12,8 @@ range. Estimation needs only numpy.
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,100 +24,39 @@ from deltacharger_tactile import features, npz
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
 from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes, shaped
-from deltacharger_tactile.expert import Expert
-from deltacharger_tactile.network import Network
-from deltacharger_tactile.support import Support
+from deltacharger_tactile.networks import Expert, Network, Support
+
+Self = TypeVar("Self", bound="PoseEstimator")
 
 FORMAT = 3
 THRESHOLD = 0.25
 """Lower readings are noise, N: five times the offset that a contact leaves after a tare."""
-NOMINAL = 0.95
-"""Share of errors within `PoseEstimator.interval` standard deviations, on rigs unseen in training."""
-_EXPERTS = ("both", "one")
+EXPERTS = ("both", "one")
+"""Networks by the pads that a contact touches."""
 _FORCES = [features.names().index(f"{side}_force_N") for side in ("left", "right")]
-_FEWEST = 512  # dockings to fit an expert: one batch of the networks
-_FEWEST_HELD_OUT = 50
 _SEAT_LIMIT = np.array([0.035, POSITION_LIMIT, ANGLE_LIMIT])
 """Limits of a seat in range, m, m, rad. Lean and offset together reach 35 mm before a pad is unloaded."""
 
 
 class PoseEstimator:
-    """Estimates (horizontal, vertical, angle) from tared, unthresholded frames.
+    """Estimates (horizontal, vertical, angle) from tared, unthresholded frames; `load` reads a trained one.
 
     Args:
         name: name and version in messages.
         threshold: readings below it count as 0, N.
-        hidden: widths of the hidden layers of each network.
-        members: networks per expert.
-        epochs: passes over the training data.
 
     Attributes:
         limits: when an estimate may be used.
-        interval: (3,) standard deviations of (horizontal, vertical, angle) that contain the nominal share of errors,
-            split-conformal on rigs unseen in training; inf before `fit`.
+        about: origin of the model (parameters' digest, seeds).
     """
 
-    def __init__(
-        self,
-        name: str = "pose",
-        threshold: float = THRESHOLD,
-        hidden: Sequence[int] = (64, 48),
-        members: int = 2,
-        epochs: int = 12,
-    ) -> None:
+    def __init__(self, name: str = "pose", threshold: float = THRESHOLD) -> None:
         self.name = name
         self.threshold = threshold
-        self.hidden = tuple(hidden)
-        self.members = members
-        self.epochs = epochs
         self.limits = Limits()
-        self.interval = np.full(3, math.inf)
+        self.about: dict[str, Any] = {}
         self._experts: dict[str, Expert] = {}
         self._support: Support | None = None
-        self._about: dict[str, Any] = {}
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Origin of the model (parameters' digest, seeds)."""
-        return dict(self._about)
-
-    def fit(
-        self,
-        frames: ArrayLike,
-        pose: ArrayLike,
-        held_out: tuple[ArrayLike, ArrayLike],
-        seed: int = 0,
-        progress: Callable[[float, str], None] = lambda share, text: None,
-    ) -> PoseEstimator:
-        """Learn from dockings, then scale the standard deviations on other rigs.
-
-        Args:
-            frames: (N, 2, 10, 10) N, tared, averaged, not thresholded; NaN where dead.
-            pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact.
-            held_out: frames and poses of other rigs.
-            seed: initial weights.
-            progress: called with the share done and the current step.
-
-        Raises:
-            ModelError: too few different dockings on both pads or on one, in the training or held-out data.
-        """
-        random = np.random.default_rng([0xF17, seed])
-        readings, seats = np.asarray(frames, dtype=float), to_seat(np.asarray(pose, dtype=float))
-        inputs, holds, touched = self._prepare(readings)
-        within, single = holds & _within(seats), touched & ~holds
-        self._require(readings, within, single, _FEWEST, "dockings")
-        for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, single), strict=True)):
-            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings in contact with {name} pad(s)")
-            self._experts[name] = Expert.learn(
-                inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
-            )
-        progress(2.0 / 3.0, f"{self.name}: typical frames")
-        usual = inputs[:, within]
-        seen = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
-        self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), seen, self.epochs, random)
-        self._calibrate(np.asarray(held_out[0], dtype=float), to_seat(np.asarray(held_out[1], dtype=float)))
-        progress(1.0, f"{self.name}: done")
-        return self
 
     def predict(self, left: ArrayLike, right: ArrayLike) -> Estimate:
         """Estimate the pose.
@@ -136,13 +72,13 @@ class PoseEstimator:
         shape = np.asarray(left).shape[:-2]
         inputs, holds, contact, mean, spread = self._estimate(frames)
         limits = self.limits
-        in_range = contact & holds & _within(mean)
+        in_range = contact & holds & within(mean)
         if in_range.any():
             in_range[in_range] = self._learnt.contains(inputs[0, in_range], mean[in_range])
         precise = spread[:, 1:] <= [limits.across_stddev, limits.angle_stddev]
         sure = in_range & precise.all(axis=1)
         force = inputs[0][:, _FORCES]
-        pose, stddev = to_pose(mean), _pose_stddev(mean, spread)
+        pose, stddev = to_pose(mean), pose_stddev(mean, spread)
         columns: list[NDArray[Any]] = [column[:, axis] for axis in (2, 1, 0) for column in (pose, stddev)]
         columns += [in_range, contact, sure]
         columns += [angle_classes(pose[:, 2], stddev[:, 2])]
@@ -167,14 +103,10 @@ class PoseEstimator:
         inputs, holds, touched = self._prepare(frames)
         contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
         mean, spread = np.full((len(frames), 3), np.nan), np.full((len(frames), 3), np.nan)
-        for name, rows in zip(_EXPERTS, (holds & contact, touched & contact & ~holds), strict=True):
+        for name, rows in zip(EXPERTS, (holds & contact, touched & contact & ~holds), strict=True):
             if rows.any():
                 mean[rows], spread[rows] = self._experts[name].predict(inputs[:, rows])
         return inputs, holds, contact, mean, spread
-
-    def distance(self, left: ArrayLike, right: ArrayLike) -> Array:
-        """Mahalanobis distance (N,) of frames from the training data: how far a device has drifted."""
-        return self._learnt.distance(self._prepare(features.stack(left, right))[0][0])
 
     def drifted(self, left: ArrayLike, right: ArrayLike) -> Mask:
         """Return which frames (N,) look unlike training though both pads hold the ridge."""
@@ -205,57 +137,9 @@ class PoseEstimator:
         holding = (force >= self.limits.pad_force) & (active >= self.limits.pad_active) & usable
         return inputs, holding.all(axis=1), force.sum(axis=1) > 0.0
 
-    def _require(self, frames: Array, within: Mask, single: Mask, needed: int, what: str) -> None:
-        for rows, where in ((within, "on both pads, in range"), (single, "on one pad")):
-            found = len(features.distinct(frames[rows], self.threshold))
-            if found < needed:
-                raise ModelError(self.name, f"{found} different {what} {where}, at least {needed} are needed")
-
-    def _calibrate(self, frames: Array, seat: Array) -> None:
-        inputs, holds, touched = self._prepare(frames)
-        within, single = holds & _within(seat), touched & ~holds
-        self._require(frames, within, single, _FEWEST_HELD_OUT, "held-out dockings")
-        for name, rows in zip(_EXPERTS, (holds, single), strict=True):
-            self._experts[name] = self._experts[name].scaled(inputs[:, rows], seat[rows])
-        usual = inputs[:, within]
-        mean, spread = self._experts["both"].predict(usual)
-        self._support = self._learnt.limited(usual[0], mean)
-        error = to_pose(mean) - to_pose(seat[within])
-        ratio = np.sort(np.abs(error) / _pose_stddev(mean, spread), axis=0)
-        self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
-
-    def describe(self, about: dict[str, Any]) -> None:
-        """Set the model's origin, saved with it."""
-        self._about = dict(about)
-
-    def save(self, path: str | Path) -> None:
-        """Write one npz file that loads without pickle."""
-        support = self._learnt
-        arrays: dict[str, Any] = {
-            "support_centre": support.centre,
-            "support_whitening": support.whitening.astype(np.float32),
-            "support_shown_centre": support.shown_centre,
-            "support_shown_spread": support.shown_spread,
-        } | support.picture.arrays("picture")
-        for name, expert in self._experts.items():
-            arrays |= expert.arrays(name)
-        header = {
-            "format": FORMAT,
-            "name": self.name,
-            "threshold": self.threshold,
-            "hidden": self.hidden,
-            "members": self.members,
-            "epochs": self.epochs,
-            "interval": self.interval.tolist(),
-            "support": [support.distance_limit, support.picture_limit],
-            "features": features.names(),
-            "about": self._about,
-        }
-        np.savez_compressed(path, meta=np.array(json.dumps(header, sort_keys=True)), **arrays)
-
-    @staticmethod
-    def load(path: str | Path) -> PoseEstimator:
-        """Read a file written by `save`.
+    @classmethod
+    def load(cls: type[Self], path: str | Path) -> Self:
+        """Read the npz file of a trained model.
 
         Raises:
             FileNotFoundError: no such file.
@@ -271,39 +155,36 @@ class PoseEstimator:
         if not all(np.issubdtype(array.dtype, np.number) and np.all(np.isfinite(array)) for array in arrays.values()):
             raise ModelError(str(path), "an array holds NaN, infinity or no numbers")
         try:
-            model = _restore(header, arrays)
-            _try(model)
+            model = cls(header["name"], header["threshold"])
+            model._restore(header, arrays)
+            model._try()
         except Exception as error:  # arrays of a foreign file may raise anything
             raise ModelError(str(path), "its arrays and description do not fit together") from error
         return model
 
+    def _restore(self, header: dict[str, Any], arrays: dict[str, Any]) -> None:
+        """Take what a file holds."""
+        self.about = dict(header["about"])
+        self._support = Support(
+            arrays["support_centre"],
+            arrays["support_whitening"].astype(float),
+            arrays["support_shown_centre"],
+            arrays["support_shown_spread"],
+            Network.restore("picture", arrays),
+            *header["support"],
+        )
+        for name in EXPERTS:
+            self._experts[name] = Expert.restore(name, arrays, header["members"])
 
-def _restore(header: dict[str, Any], arrays: dict[str, Any]) -> PoseEstimator:
-    model = PoseEstimator(header["name"], header["threshold"], header["hidden"], header["members"], header["epochs"])
-    model.describe(header["about"])
-    model.interval = np.array(header["interval"], dtype=float).reshape(3)
-    model._support = Support(
-        arrays["support_centre"],
-        arrays["support_whitening"].astype(float),
-        arrays["support_shown_centre"],
-        arrays["support_shown_spread"],
-        Network.restore("picture", arrays),
-        *header["support"],
-    )
-    for name in _EXPERTS:
-        model._experts[name] = Expert.restore(name, arrays, model.members)
-    return model
-
-
-def _try(model: PoseEstimator) -> None:
-    """Estimate a contact on both pads and one on a single pad; raises if the arrays do not fit together."""
-    pads = np.ones((2, 2, ROWS, COLUMNS))
-    pads[1, 1] = 0.0
-    model.predict(*pads)
-    model.drifted(*pads)
-    rows, columns = model._learnt.whitening.shape
-    if rows != columns:
-        raise ValueError("whitening")
+    def _try(self) -> None:
+        """Estimate a contact on both pads and one on a single pad; raises if the arrays do not fit together."""
+        pads = np.ones((2, 2, ROWS, COLUMNS))
+        pads[1, 1] = 0.0
+        self.predict(*pads)
+        self.drifted(*pads)
+        rows, columns = self._learnt.whitening.shape
+        if rows != columns:
+            raise ValueError("whitening")
 
 
 def to_seat(pose: Array) -> Array:
@@ -318,13 +199,13 @@ def to_pose(seat: Array) -> Array:
     return np.column_stack([x, (across + x * np.sin(angle)) / np.cos(angle), angle])
 
 
-def _pose_stddev(seat: Array, spread: Array) -> Array:
+def pose_stddev(seat: Array, spread: Array) -> Array:
     """Return standard deviations (N, 3) of poses: with roll, the error along the bars enters the vertical."""
     angle = seat[:, 2]
     vertical = np.hypot(spread[:, 1], spread[:, 0] * np.sin(angle)) / np.cos(angle)
     return np.column_stack([spread[:, 0], vertical, spread[:, 2]])
 
 
-def _within(seat: Array) -> Mask:
-    """Whether seats (N, 3) are within the usable range; False for NaN."""
+def within(seat: Array) -> Mask:
+    """Return whether seats (N, 3) are within the usable range; False for NaN."""
     return np.asarray(np.all(np.abs(seat) <= _SEAT_LIMIT, axis=1))

@@ -62,18 +62,6 @@ def fill_dead(frames: Array) -> Array:
     return filled
 
 
-def distinct(frames: Array, threshold: float) -> NDArray[np.int64]:
-    """Return the rows of frames (N, 2, 10, 10) N that are in contact and repeat no earlier row; NaN is no contact.
-
-    Only these teach something: pads that touch nothing and a board that repeats itself give the same for every pose.
-    """
-    seen = (
-        np.where(frames >= threshold, frames, 0.0).reshape(-1, PADS * ROWS * COLUMNS).astype(np.float32)
-    )  # as data sets store
-    _, first = np.unique(seen, axis=0, return_index=True)
-    return np.sort(first[seen[first].any(axis=1)])
-
-
 @dataclass(frozen=True)
 class PadFeatures:
     """Features of N frame pairs.

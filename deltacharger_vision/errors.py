@@ -69,11 +69,3 @@ class BoardError(_SourcedError):
         source: affected part.
         reason: what is wrong and what to do.
     """
-
-
-class RendererError(VisionError, RuntimeError):
-    """A renderer does not work on this machine. Example: MuJoCo without EGL.
-
-    Args:
-        reason: what is missing and what to install.
-    """

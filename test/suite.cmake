@@ -15,7 +15,7 @@ if(NOT alone)
   string(APPEND selection " -n 2 --dist loadfile")
 endif()
 
-set(tests core kinematics driver tactile vision docking mission sim records scenes lab bringup ros firmware
+set(tests core kinematics driver tactile vision docking mission sim records scenes bringup ros firmware
   test_build_venv.py test_docs.py test_imports.py test_packaging.py)
 foreach(test ${tests})
   string(REGEX REPLACE "^test_|[.]py$" "" name ${test})

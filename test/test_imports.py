@@ -13,17 +13,17 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ALL = (
     *("core", "ros", "kinematics", "driver", "tactile", "vision", "docking", "mission"),
-    *("sim", "records", "scenes", "lab", "bringup"),
+    *("sim", "records", "scenes", "bringup"),
 )
 BELOW = {  # package: the packages that it may import, without the prefix deltacharger_
     "core": (),
     **dict.fromkeys(("ros", "kinematics", "driver", "tactile", "vision"), ("core",)),
     "docking": ("core", "kinematics"),
     "mission": ("core", "kinematics", "docking"),
-    "sim": ("core", "kinematics", "driver", "tactile", "vision"),
-    **{name: ALL[: ALL.index(name)] for name in ("records", "scenes", "lab", "bringup")},
+    "sim": ("core", "kinematics", "driver", "tactile", "vision", "docking"),
+    **{name: ALL[: ALL.index(name)] for name in ("records", "scenes", "bringup")},
 }
-KNOWS_ROS = {"ros", "records", "scenes", "lab", "bringup"}  # the others only in *_node.py, *_node_io.py and ros/
+KNOWS_ROS = {"ros", "records", "scenes", "bringup"}  # the others only in *_node.py, *_node_io.py and ros/
 _ROS = re.compile(r"(rclpy|deltacharger|rcl_interfaces|builtin_interfaces|launch|launch_ros|\w+_msgs|\w+_srvs)(\.|$)")
 _IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|[^\n]+)|import ([\w.]+))", re.MULTILINE)
 
@@ -78,7 +78,7 @@ def test_libraries_do_not_import_ros() -> None:
 
 def test_no_package_below_scenes_imports_the_node_of_another() -> None:
     for module, names in imports().items():
-        if package_of(module) not in ("scenes", "lab", "bringup"):  # which start nodes, or read what they declare
+        if package_of(module) not in ("scenes", "bringup"):  # which start nodes, or read what they declare
             nodes = {name for name in names if name in texts() and name.endswith(("_node", "_node_io"))}
             foreign = {name for name in nodes if package_of(name) != package_of(module)}
             assert not foreign, f"{module}: move the shared part of {sorted(foreign)} to its package's ros/"

@@ -49,7 +49,7 @@ RELEASED = {
     *("nav2_msgs", "robot_state_publisher", "rviz2", "tf2_ros_py", "xacro"),
 }
 VIEW = {"robot_state_publisher", "rviz2", "xacro"}
-REPORT = {"python3-jinja2", "python3-matplotlib", "python3-psutil", "python3-scipy"}
+REPORT = {"python3-matplotlib", "python3-scipy"}
 EXTRAS = {"vision": "python3-opencv", "record": "mcap-ros2-support", "mission": "nav2_msgs"}
 OF_THE_SYSTEM = {
     *REPORT,
@@ -125,14 +125,6 @@ def test_optional_libraries_are_imported_only_when_needed() -> None:
         assert not {name for name in others if not name.startswith("deltacharger")}, path
 
 
-def test_the_wheel_contains_every_template() -> None:
-    data = pyproject()["tool"]["setuptools"]["package-data"]
-    packaged = {path for package, patterns in data.items() for each in patterns for path in (ROOT / package).glob(each)}
-    templates = set(ROOT.glob("deltacharger_*/**/*.j2"))
-    assert templates
-    assert templates <= packaged
-
-
 def test_the_error_names_a_missing_extra(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -144,7 +136,8 @@ def test_the_error_names_a_missing_extra(
     monkeypatch.setattr(cli_calibrate, "kinematics", fit)
     assert cli.main(["calibrate", "kinematics", str(tmp_path / "data.csv")]) == 1
     assert "scipy is not installed; install deltacharger[calibrate], or by rosdep" in capsys.readouterr().err
-    assert set(cli._EXTRA_OF.values()) <= set(project()["optional-dependencies"])
+    extras = {each.removeprefix("deltacharger[") for each in cli._EXTRA_OF.values() if each.startswith("deltacharger[")}
+    assert extras <= {f"{each}]" for each in project()["optional-dependencies"]}
 
 
 def test_the_manifest_states_author_address_and_licence() -> None:

@@ -21,7 +21,6 @@ from deltacharger_docking.observation import DockGoal, ElectrodePose, Observatio
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.inputs import _in_order
 from deltacharger_kinematics.parameters import GeometryParameters
-from deltacharger_lab.campaigns.scene import parse_campaign_scene
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.ros import messages as mission
 from deltacharger_ros.refusals import MessageRefused
@@ -68,7 +67,6 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "its critical angle": ("degrees", lambda: dock(critical_angle=12.0)),
     "a ChargeRobot goal": ("millimetres", lambda: charge(25_000.0)),
     "a scene's goal": ("millimetres", lambda: parse_scene({"goal": {"z": 80.0}}, "x")),
-    "a campaign's target": ("millimetres", lambda: parse_campaign_scene({"target": {"x": 3.0}}, "x")),
     "an estimated angle": ("degrees", lambda: estimate(angle=-3.0)),
     "an estimated offset": ("millimetres", lambda: estimate(vertical=5.0)),
     "a servo's position": (

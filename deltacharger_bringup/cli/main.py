@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import FrameType
 from typing import Any
@@ -33,79 +33,73 @@ from deltacharger_bringup.cli.parser import Parser, Version, add_command
 from deltacharger_core import streams
 from deltacharger_core.environment import UnsupportedRos
 
-GROUPS = {
-    "scene": ("list, check or explain scenes", "Inspect scenes."),
-    "calibrate": (
-        "measure this charger's dimensions, servos, camera and pads",
-        "Measure this charger's dimensions, servos, camera and pads.",
+Command = tuple[str, str]
+"""Its function with the module, relative to this package where it begins with a dot, and what it does."""
+COMMANDS: dict[str, Command] = {
+    "up": (".up.up", "run a charger in this process until it is stopped; prints 'ready' when it accepts goals"),
+    "dock": (".dock.dock", "dock and charge with the running charger; starts one if none runs"),
+    "undock": (".undock.undock", "stop charging, release the target and retract the arm of the running charger"),
+    "scene": ("", "list, check or explain scenes"),
+    "scene list": (".scene.list_scenes", "list the packaged scenes"),
+    "scene check": (".scene.check", "check scenes and report problems; a node checks its parameters when it starts"),
+    "scene explain": (".scene.explain", "show what a scene sets and every key it could set"),
+    "simulate": (
+        ".simulate.simulate",
+        "emulate the servos and the board of a scene on two ports, without ROS; prints their paths and 'ready'",
     ),
-    "report": ("measure a part and write a page", "Measure a part and write a page of the results."),
-    "tactile": (
-        "simulate tactile data, train and evaluate classifiers of misalignment",
-        "Simulate tactile data, train and evaluate classifiers of misalignment.",
+    "fault": (".fault.fault", "inject a fault into the emulated hardware of a running charger"),
+    "doctor": (
+        ".doctor.doctor",
+        "check this computer, its ports and the connected devices; report problems and how to fix them",
     ),
-    "vision": ("find electrodes in images", "Find electrodes in images."),
+    "calibrate": ("", "measure this charger's dimensions, servos, camera and pads"),
+    "calibrate kinematics": (
+        ".calibrate_kinematics.kinematics",
+        "plan and measure poses of the arm, and fit its geometry to them",
+    ),
+    "calibrate servos": (
+        ".calibrate_servos.servos",
+        "measure stiffness, torque constant, friction and play of the running charger's servos",
+    ),
+    "calibrate tactile": (
+        ".calibrate_tactile.tactile",
+        "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
+    ),
+    "calibrate camera": (
+        ".calibrate_camera.camera",
+        "find the pose of the camera from images of a board on the platform",
+    ),
+    "tactile": ("", "record the pads of a charger; the laboratory trains and judges models of them"),
+    "tactile record": (
+        ".tactile_record.record",
+        "dock the running charger at known offsets and record its pads; repeat the command to resume",
+    ),
+    "vision": ("", "find electrodes in images"),
+    "vision detect": (
+        ".vision.detect",
+        "find a terminal's electrodes in one image, in a folder of images or in a recording",
+    ),
+    "replay": (
+        ".replay.replay",
+        "explain why a recorded docking ended as it did, and draw it; or list the records in a folder",
+    ),
+    "view": (
+        ".view.view",
+        "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
+    ),
 }
-"""Group of commands: its line in the list of commands, and its description."""
-
-COMMANDS = {
-    "up": "run a charger in this process until it is stopped; prints 'ready' when its actions are available",
-    "dock": "dock and charge with the running charger; starts one if none runs",
-    "undock": "stop charging, release the target and retract the arm of the running charger",
-    "scene list": "list the packaged scenes",
-    "scene check": "check scenes and report problems; a node checks its parameters when it starts",
-    "scene explain": "show what a scene sets and every key it could set",
-    "simulate": "emulate the servos and the board of a scene on two ports, without ROS; prints their paths and 'ready'",
-    "fault": "inject a fault into the emulated hardware of a running charger",
-    "doctor": "check this computer, its ports and the connected devices; report problems and how to fix them",
-    "calibrate kinematics": "plan and measure poses of the arm, and fit its geometry to them",
-    "calibrate servos": "measure stiffness, torque constant, friction and play of the running charger's servos",
-    "calibrate tactile": "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
-    "calibrate camera": "find the pose of the camera from images of a board on the platform",
-    "report kinematics": (
-        "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace"
-    ),
-    "report tactile": (
-        "compare classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
-    ),
-    "report vision": (
-        "the electrode detector on simulated images: detections, errors, run time, false alarms, both renderers"
-    ),
-    "report simulation": "error against run time, stability, energy and extremes of the simulated charger's mechanics",
-    "report docking": "thousands of simulated dockings: charged, refused, unsafe; repeat the command to resume",
-    "report footprint": (
-        "resources that each scene needs: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
-    ),
-    "tactile generate": "write a simulated data set",
-    "tactile record": "dock the running charger at known offsets and record its pads; repeat the command to resume",
-    "tactile train": "train a classifier",
-    "tactile evaluate": "evaluate a trained classifier",
-    "tactile models": "list the packaged models that misalignment_node serves: accuracy, size and time",
-    "tactile compare": "compare all models on simulated data; same as `report tactile`",
-    "vision detect": "find a terminal's electrodes in one image, in a folder of images or in a recording",
-    "campaign": "simulate many dockings without ROS, faster than real time; repeat the command to resume",
-    "replay": "explain why a recorded docking ended as it did, and draw it; or list the records in a folder",
-    "view": "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
-}
-"""Command: what it does. The function has the command's name; its module has that name or the name of the group."""
-
-_ELSEWHERE = {
-    "scene list": "scene.list_scenes",
-    "calibrate kinematics": "calibrate_kinematics.kinematics",
-    "calibrate servos": "calibrate_servos.servos",
-    "calibrate tactile": "calibrate_tactile.tactile",
-    "calibrate camera": "calibrate_camera.camera",
-    "tactile record": "tactile_record.record",
-    "tactile compare": "report.tactile",
-}
+"""A group of commands has no function."""
+LABORATORY = ("campaign", "report", *(f"tactile {action}" for action in ("generate", "train", "evaluate", "models")))
+"""Commands that a laboratory brings, if it is installed."""
+HOW_TO_GET_IT = "install the laboratory: `make lab` in a clone of deltacharger, or `pip install` its folder lab"
 
 _SOON = 0.01  # s, after which an interruption is repeated
 _LONGEST_WORD = 4096  # characters; also the limit of a path
 
 _EXTRA_OF = {
-    "scipy": "calibrate",
-    **dict.fromkeys(("jinja2", "markdown_it", "matplotlib", "mpmath", "psutil"), "report"),
-    **dict.fromkeys(("sklearn", "torch", "xgboost"), "train"),
+    "scipy": "deltacharger[calibrate]",
+    "matplotlib": "deltacharger[picture]",
+    **dict.fromkeys(("sklearn", "torch", "xgboost"), "deltacharger-lab[train]"),
 }
 
 
@@ -162,7 +156,9 @@ def _run(words: list[str]) -> int:
     options = argparse.Namespace(json=Parser.wants_json)
     try:
         _require_plain(words)
-        parser = build_parser()
+        commands = COMMANDS if COMMANDS.get("".join(words[:1]), ("",))[0] else every_command()
+        _require_laboratory(words, commands)
+        parser = build_parser(commands)
         parser.parse_args(words, options)
         if not hasattr(options, "run"):
             parser.print_help(sys.stderr)
@@ -200,6 +196,13 @@ def _require_plain(words: list[str]) -> None:
             raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)
 
 
+def _require_laboratory(words: list[str], commands: Mapping[str, Command]) -> None:
+    """Refuse a command of the laboratory where that is not installed, and say how to get it."""
+    for name in LABORATORY:
+        if name not in commands and name.split() == words[: len(name.split())]:
+            raise CommandError(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}", WRONG_INPUT)
+
+
 def _known(error: Exception) -> CommandError | None:
     """Return an error that names the missing library or what ROS refuses; None for a defect."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
@@ -207,7 +210,7 @@ def _known(error: Exception) -> CommandError | None:
         return CommandError(str(error), WRONG_INPUT)
     if name in _EXTRA_OF:
         others = ", or by rosdep with DELTACHARGER_EXTRAS=all" if name == "scipy" else ""  # what a robot needs
-        return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]{others}", FAILED)
+        return CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}", FAILED)
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
         from deltacharger_ros.client import ClientError
         from deltacharger_ros.node_support import ros_problem
@@ -219,8 +222,18 @@ def _known(error: Exception) -> CommandError | None:
     return None
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command with all subcommands."""
+def every_command() -> dict[str, Command]:
+    """Return the commands of this package, and those of the laboratory if it is installed."""
+    from importlib.metadata import entry_points  # here, because it takes 30 ms
+
+    found = dict(COMMANDS)
+    for each in entry_points(group="deltacharger.commands"):
+        found |= each.load()
+    return found
+
+
+def build_parser(known: Mapping[str, Command]) -> argparse.ArgumentParser:
+    """Return the parser of `deltacharger` with these commands."""
     parser: argparse.ArgumentParser = Parser(
         prog="deltacharger",
         description="Run, try and inspect DeltaCharger, a robot arm that docks to other robots and charges them.",
@@ -231,21 +244,20 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     groups: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {"": commands}
-    for name, text in COMMANDS.items():
+    for name, (where, text) in known.items():
         group, _, action = name.rpartition(" ")
-        if group not in groups:
-            about, description = GROUPS[group]
-            own = commands.add_parser(group, help=about, description=description)
-            groups[group] = own.add_subparsers(title="actions", metavar="ACTION", required=True)
-        where = _ELSEWHERE.get(name, f"{group or action}.{action}")
-        add_command(groups[group], action, text, partial(_fill, where))
+        if where:
+            add_command(groups[group], action, text, partial(_fill, where))
+        elif name not in groups:
+            own = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+            groups[name] = own.add_subparsers(title="actions", metavar="ACTION", required=True)
     return parser
 
 
 def _fill(where: str, parser: argparse.ArgumentParser) -> None:
     """Import a command's module only when it is used, and add the options by its `add_…` function."""
-    name, _, function = where.partition(".")
-    module = importlib.import_module(f"deltacharger_bringup.cli.{name}")
+    name, _, function = where.rpartition(".")
+    module = importlib.import_module(name, __package__)
     add = getattr(module, f"add_{function}", None)  # a command may have no options
     if add is not None:
         add(parser)

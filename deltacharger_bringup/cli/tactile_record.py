@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile record`: the paper's data sets from a running charger, or simulated in virtual time."""
+"""`deltacharger tactile record`: the paper's data sets from a running charger."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.tactile_protocol import DEFAULT_PLACE, record_protocol
 from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, integer
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Rejected, Unreachable
@@ -47,8 +46,6 @@ _FRAME = 1.0 / 120.0  # s
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
     parser.add_argument("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
-    text = "both sets of the paper, from a simulated charger in virtual time, without ROS"
-    parser.add_argument("--protocol", choices=("paper",), help=text)
     parser.add_argument("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
     parser.add_argument(
         "--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)"
@@ -61,8 +58,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compose", action="store_true", help="only write F.npz from the recorded dockings")
     namespace_option(parser)
     target = parser.add_argument_group("position of the target's electrodes in charger_base")
-    for name, default in DEFAULT_PLACE.items():
-        flag = f"--{name.replace('_', '-')}"
+    for flag, default in (("--x-mm", 0.0), ("--y-mm", 0.0), ("--z-mm", 80.0)):
         target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     shared = parser.add_argument_group("for the complete data set")
     shared.add_argument("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
@@ -79,9 +75,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
 
 
 def record(options: argparse.Namespace) -> int:
-    """Record the missing dockings of a set, compose the data set, or run the protocol in virtual time."""
-    if options.protocol is not None:
-        return record_protocol(options)
+    """Record the missing dockings of a set, or compose the data set."""
     out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
     environment.prepare()
     with _refusing():

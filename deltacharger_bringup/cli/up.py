@@ -141,12 +141,6 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
 
 
 def _interfaces(composition: Composition) -> str:
-    """Return a line with the topics and services of a scene that cannot dock."""
-    from deltacharger_lab.pages.topics import endpoints
-
-    found = [each for running in composition.nodes for each in endpoints(running.node) if "/_" not in each.name]
-    has = []
-    for verb in ("publishes", "serves"):
-        names = {each.name.lstrip("/") for each in found if each.verb == verb} - {"diagnostics"}
-        has += [f"{verb} {', '.join(sorted(names))}"] if names else []
-    return f"no docking_node, so no goals are accepted; this scene {' and '.join(has) or 'publishes nothing'}"
+    """Return a line with the nodes of a scene that cannot dock."""
+    names = ", ".join(running.node.get_name() for running in composition.nodes)
+    return f"no docking_node, so no goals are accepted; this scene starts {names} (docs/topics.md)"

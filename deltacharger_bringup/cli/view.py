@@ -186,7 +186,7 @@ def _draw(animation: Animation, path: Path) -> None:
     try:
         animation.save(path, progress)
     except ImportError as error:
-        raise CommandError(f"{error.name} is not installed; install deltacharger[report]", WRONG_INPUT) from error
+        raise CommandError(f"{error.name} is not installed; install deltacharger[picture]", WRONG_INPUT) from error
     except (OSError, ValueError) as error:
         raise CommandError(f"cannot draw {path}: {error}", FAILED) from error
 

@@ -67,7 +67,7 @@ def save(path: Path, height: float, title_size: float, compose: Callable[[Figure
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise PictureError("matplotlib is not installed: install deltacharger[report]") from error
+        raise PictureError("matplotlib is not installed: install deltacharger[picture]") from error
     with rc_context(STYLE | {"axes.titlesize": title_size}):
         figure = Figure(figsize=(13.0, height), dpi=120, facecolor="white")
         compose(figure)

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Limb
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Limb, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.mujoco_model import rod_angles
 
 ROD_SPACING = 0.040
 """Distance of a limb's two rods, m (assumed; kinematics does not use it)."""
@@ -69,6 +68,18 @@ def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[fl
             aside = _around(geometry.limb(index), 0.0, share * ROD_SPACING, 0.0)
             found.append((begin[index] + aside, end[index] + aside))
     return np.array(found)
+
+
+def rod_angles(geometry: DeltaGeometry, index: int, position: Vector, angle: float) -> tuple[float, float]:
+    """Return the two angles (rad) of a limb's universal joint for a platform position (m) and arm angle (rad)."""
+    limb = geometry.limb(index)
+    x, y, z = position
+    u = x * limb.cosine + y * limb.sine - limb.difference
+    v = y * limb.cosine - x * limb.sine - limb.tangential_offset
+    w = z + limb.motor_height
+    true = angle + limb.angle_offset
+    pitch = math.atan2(w - limb.arm * math.sin(true), u - limb.arm * math.cos(true))
+    return pitch - true, math.asin(max(-1.0, min(1.0, v / limb.rod)))
 
 
 def passive_joints(delta: ScalarDelta, angles: Sequence[float]) -> dict[str, float]:

@@ -53,9 +53,9 @@ from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
-from deltacharger_tactile.generator import contact_force
+from deltacharger_sim.pads.generator import contact_force
+from deltacharger_sim.pads.source import ContactSource
 from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.source import ContactSource
 
 _TARE_FRAMES = 20
 _POWER_RATE = 20.0  # Hz

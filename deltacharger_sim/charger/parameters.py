@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, choice, flag, like, number, pose, words
+from deltacharger_core.parameters import Bounded, flag, like, number, pose, words
 from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST
 from deltacharger_vision.mount import Mount, pose_numbers
 from deltacharger_vision.rendering.board_drawing import bracket
@@ -48,11 +48,6 @@ class SimulatedCameraNodeParameters(Bounded):
     glare: float = number(-1.0, -1.0, 20.0, "", "highlight on the metal, 1 = full scale; negative = drawn by seed")
     width: int = number(OAK_D.width, 64, 4096, "px", "of the image")
     height: int = number(OAK_D.height, 40, 4096, "px", "of the image")
-    renderer: str = choice(
-        "numpy",
-        ("numpy", "mujoco"),
-        "numpy: a ray-caster without other libraries; mujoco: OpenGL with shadows, deltacharger[sim]",
-    )
     board: str = words(
         "", "calibration board on the platform, such as apriltag:36h11:0 or charuco:4x4_50:5x4; empty = none"
     )

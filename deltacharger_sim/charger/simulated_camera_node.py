@@ -9,12 +9,11 @@ It commands nothing. Without a target, the picture has neither plate nor electro
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.board_drawing import with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
@@ -44,7 +42,6 @@ from deltacharger_vision.ros.publishers import CameraPublishers
 
 _PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
-Camera = SimulatedCamera | MujocoCamera
 
 
 def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Array:
@@ -74,22 +71,6 @@ def _scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) ->
     if given.glare < 0.0:
         return drawn
     return dataclasses.replace(drawn, parameters=dataclasses.replace(drawn.parameters, highlight=given.glare))
-
-
-def _camera_maker(given: SimulatedCameraNodeParameters, defects: ImageParameters) -> Callable[[], Camera]:
-    """Return a factory of the camera, to be called in the rendering thread."""
-    kind = MujocoCamera if given.renderer == "mujoco" else SimulatedCamera
-    return lambda: kind(OAK_D.scaled(given.width, given.height), CameraParameters(**dataclasses.asdict(defects)))
-
-
-def _try_out(node: Node, make: Callable[[], Camera]) -> None:
-    """Make the camera once, so that errors stop the node at its start."""
-    try:
-        camera = make()
-    except VisionError as error:
-        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
-    if isinstance(camera, MujocoCamera):
-        camera.close()
 
 
 def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
@@ -124,11 +105,12 @@ class SimulatedCameraNode(Node):
             self._mount = _mounted(given, self._random)
             self._target = _target_pose(given)
             self._scene = _scene(given, self._random)
-            self._make_camera = _camera_maker(given, defects)
+            self._camera = SimulatedCamera(
+                OAK_D.scaled(given.width, given.height), CameraParameters(**dataclasses.asdict(defects))
+            )
             self._board = _board(given)
         except VisionError as error:
             raise node_support.StartupError(f"simulated_camera_node: {error}") from error
-        _try_out(self, self._make_camera)
         self._kinematics = ScalarDelta(DeltaGeometry())
         self._angles: tuple[float, float, float] | None = None
         self._images = CameraPublishers(self, frames.named(CAMERA))
@@ -143,13 +125,6 @@ class SimulatedCameraNode(Node):
         self._thread.join(5.0)
 
     def _run(self) -> None:
-        with contextlib.ExitStack() as stack:  # OpenGL belongs to one thread
-            camera = self._make_camera()
-            if isinstance(camera, MujocoCamera):
-                stack.enter_context(camera)
-            self._serve(camera)
-
-    def _serve(self, camera: Camera) -> None:
         while not self._stopping.wait(_PAUSE):
             self.looks += 1
             if not self._images.wanted():
@@ -159,7 +134,7 @@ class SimulatedCameraNode(Node):
             due = time.monotonic()
             while self._images.wanted() and not self._stopping.wait(max(0.0, due - time.monotonic())):
                 due = max(due + self._period, time.monotonic())
-                self._publish(camera)
+                self._publish()
             self.destroy_subscription(arm)
             self._angles = None
 
@@ -169,15 +144,15 @@ class SimulatedCameraNode(Node):
         while self._angles is None and self.count_publishers("servo_state") and time.monotonic() < end:
             self._stopping.wait(0.005)
 
-    def _publish(self, camera: Camera) -> None:
+    def _publish(self) -> None:
         """Publish the requested topics; renders depth only if it is requested."""
         deep = self._images.wanted(DEPTH)
         if not deep and not self._images.wanted(COLOR):
-            self._images.info(camera.intrinsics)
+            self._images.info(self._camera.intrinsics)
             return
         taken = time.monotonic()
         pose = np.linalg.inv(self._mount) @ self._target
-        image = camera.render(self._with_charger(), pose, self._random, color_only=not deep)
+        image = self._camera.render(self._with_charger(), pose, self._random, color_only=not deep)
         self.rendered += 1
         self._images.image(image, taken, deep)
 

@@ -10,9 +10,9 @@ from deltacharger_core.parameters import Bounded, choice, entries, number, words
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_sim.charger.faults import Fault
+from deltacharger_sim.pads.source import ContactSource
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
-from deltacharger_tactile.source import ContactSource
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,33 +16,8 @@ from deltacharger_tactile.errors import ModelError
 FORMAT = 1
 
 
-def write(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    """Write arrays and a description (`kind`, `name`, `target`, …) as npz."""
-    every: dict[str, Any] = {"about": np.array(json.dumps({"format": FORMAT, **about}, sort_keys=True)), **arrays}
-    np.savez_compressed(path, **every)
-
-
-def shrunk(arrays: dict[str, NDArray[Any]], half: bool) -> dict[str, NDArray[Any]]:
-    """Return arrays in the smallest integer types, and in float32 or rounded to `half`.
-
-    Thresholds of trees are rounded down, so that every float32 reading stays on its side of "at most".
-    """
-    return {name: _shrunk(name, array, half) for name, array in arrays.items()}
-
-
-def _shrunk(name: str, array: NDArray[Any], half: bool) -> NDArray[Any]:
-    if array.dtype == bool:
-        return array
-    if np.issubdtype(array.dtype, np.integer):
-        return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
-    small = array.astype(np.float32)
-    if name == "threshold":
-        return np.where(small > array, np.nextafter(small, np.float32(-np.inf)), small)
-    return array.astype(np.float16) if half else small
-
-
 def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a file written by `write`.
+    """Return the description (`kind`, `name`, `target`, …) and the arrays of a file.
 
     Raises:
         FileNotFoundError: no such file.

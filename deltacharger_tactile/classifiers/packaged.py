@@ -14,11 +14,11 @@ from deltacharger_tactile.classifiers.labels import TARGETS
 from deltacharger_tactile.errors import ModelError, UnknownModelError
 from deltacharger_tactile.parameters import TactileParameters
 
-MODELS = tuple(name for name, (_, sees) in NAMES.items() if sees == "taxels")
+MODELS = tuple(name for name, sees in NAMES.items() if sees == "taxels")
 """Their names, in the paper's order."""
 FOLDER = deltacharger_tactile.MODELS
-GENERATOR, ACCURACY, FIT_TIME = "generator", "accuracy", "fit_s"
-"""Metadata of each file: digest of the generator's parameters; accuracy on rigs that it was not trained on; s."""
+GENERATOR, ACCURACY = "generator", "accuracy"
+"""Metadata of each file: digest of the generator's parameters; accuracy on rigs that it was not trained on."""
 
 
 def path(name: str, target: str, folder: Path | None = None) -> Path:

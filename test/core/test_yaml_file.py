@@ -12,7 +12,6 @@ import pytest
 
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_kinematics.geometry_file import load_geometry
-from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_scenes.scene import load_scene
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -22,7 +21,6 @@ from deltacharger_vision.terminal import Terminal
 READERS: dict[str, Callable[[Path], Any]] = {
     "geometry": load_geometry,
     "scene": load_scene,
-    "campaign": lambda path: load_campaign_scene(str(path)),
     "pads": TactileCalibration.load,
     "camera": load_camera_info,
     "mount": Mount.load,

@@ -13,10 +13,10 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.quick_charger import QuickCharger
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.pads.source import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
-from deltacharger_tactile.source import ContactSource
+from deltacharger_sim.virtual.quick_charger import QuickCharger
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .. import quick
 

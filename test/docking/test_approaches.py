@@ -12,8 +12,8 @@ import pytest
 
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, PortParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import (
     ends,

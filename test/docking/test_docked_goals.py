@@ -17,8 +17,8 @@ import pytest
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters, PortParameters, TargetParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
 from .dockings import (

@@ -10,8 +10,8 @@ import pytest
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose
-from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, VirtualCharger
 
 from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, spoil

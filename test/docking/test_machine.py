@@ -12,8 +12,8 @@ import pytest
 from deltacharger_core.machine import BATTERY_MAX
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, PlatformParameters, ServoParameters, TargetParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, feel, quick_charger, reach, spoil

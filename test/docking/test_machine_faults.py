@@ -28,9 +28,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_lab.campaigns.servo_load import Effort
-from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, Effort, VirtualCharger
 
 from .. import quick
 from ..marks import rest

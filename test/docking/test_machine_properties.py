@@ -20,7 +20,7 @@ from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.virtual_charger import GOAL
+from deltacharger_sim.virtual.virtual_charger import GOAL
 
 from .. import quick
 from .dockings import quick_charger

@@ -23,8 +23,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos import trajectory as driver
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
-from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
+from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from .dockings import commands
 

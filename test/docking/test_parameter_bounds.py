@@ -14,7 +14,7 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import assert_safe_at_home, charger
 

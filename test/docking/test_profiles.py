@@ -15,7 +15,7 @@ from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import assert_safe_at_home, commands, decisions, docked, ends, quick_charger, reach, spoil
 

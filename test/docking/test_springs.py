@@ -19,8 +19,8 @@ from deltacharger_docking.springs import Springs
 from deltacharger_driver.servos.thermal import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, decisions, reach, spoil

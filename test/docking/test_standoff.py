@@ -22,8 +22,8 @@ from deltacharger_docking.observation import NAN3, DockGoal
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import assert_safe_at_home, charger, commands, decisions, docked, reach
 

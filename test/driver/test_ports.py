@@ -40,7 +40,7 @@ from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import SPEEDS
 from deltacharger_driver.servos.packets import status
 from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_tactile.source import ContactSource
+from deltacharger_sim.pads.source import ContactSource
 
 from ..emulated_ports import Babbler, written
 from ..marks import rest

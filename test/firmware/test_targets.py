@@ -21,11 +21,11 @@ from deltacharger_driver.board.payloads import (
 )
 from deltacharger_driver.board.protocol import AckError, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.emulators.stage import Outputs, StageParameters
-from deltacharger_lab.campaigns.targets import LIMIT, TargetCase
-from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.target_rows import ROWS
+from deltacharger_sim.virtual.targets import LIMIT, TargetCase
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .board_host import BoardHost
 from .build import host_programs

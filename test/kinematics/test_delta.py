@@ -20,10 +20,14 @@ from deltacharger_kinematics import (
 )
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.status import NO_ANSWER
-from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
 
 DELTA = Delta()
 SCALAR = ScalarDelta()
+ADJUSTED = (
+    LimbAdjustment(0.0010, 0.0020, 0.0030, 0.1010, 0.1810, 0.010),
+    LimbAdjustment(-0.0010, 0.0010, -0.0030, 0.0990, 0.1790, -0.020),
+    LimbAdjustment(0.0020, -0.0020, 0.0010, 0.1005, None, 0.005),
+)
 CALIBRATED = DeltaGeometry(limbs=ADJUSTED)
 DOCK = (0.0, 0.0, 0.080)
 MILLIMETRE = 1e-3

@@ -6,9 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -224,24 +222,6 @@ def test_a_bad_arm_is_doubted_or_ends_it(made: Callable[[], VirtualArm], gravity
     except ServoTrouble as trouble:
         found = str(trouble)
     assert re.search(problem, found)
-
-
-@pytest.mark.night
-@pytest.mark.timeout(900)  # a second of computing for each arm, many beside a busy processor
-def test_fifty_arms_are_measured_with_the_documented_accuracy() -> None:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    import servos as benchmark
-
-    found = [benchmark.measured(each) for each in benchmark.drawn(benchmark.SEED, 50)]
-    errors, own = np.array([each.errors for each in found]), np.array([each.own for each in found])
-    stated = np.array([each.own_estimated for each in found])
-    for part, target in enumerate(benchmark.TARGETS):
-        assert np.percentile(np.abs(errors[:, part]), 95) <= 1.1 * target, benchmark.NAMES[part]  # weight included
-        # What a gear takes of the torque is told apart from what it takes without load only roughly.
-        assert np.percentile(np.abs(own[:, part]), 95) <= (0.02, 0.02, 0.15)[part], benchmark.NAMES[part]
-        within = np.mean(np.abs(own[:, part]) <= stated[:, part])
-        assert (0.55, 0.55, 0.35)[part] < within < 0.85, benchmark.NAMES[part]
-    assert max(each.seconds for each in found) < 180.0
 
 
 def test_gravity_and_angles_are_as_assumed() -> None:

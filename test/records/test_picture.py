@@ -40,7 +40,7 @@ def full_run() -> Run:
 @pytest.mark.rest
 @pytest.mark.parametrize("kind", ["full", "refused at once"])
 def test_it_is_drawn_from_any_data(kind: str, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need deltacharger[report]")
+    pytest.importorskip("matplotlib", reason="pictures need deltacharger[picture]")
     run = full_run() if kind == "full" else Run()
     if kind == "full":
         run.seen = np.zeros((40, 64, 3), dtype=np.uint8)
@@ -64,7 +64,7 @@ def test_only_a_measured_charge_is_in_the_title(energy: float, title: str) -> No
 
 def test_without_matplotlib_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PictureError, match=r"deltacharger\[report\]"):
+    with pytest.raises(PictureError, match=r"deltacharger\[picture\]"):
         draw(Run(), tmp_path / "dock.png")
 
 

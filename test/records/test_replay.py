@@ -222,7 +222,7 @@ def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: 
 
 @pytest.mark.rest
 def test_it_is_drawn(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need deltacharger[report]")
+    pytest.importorskip("matplotlib", reason="pictures need deltacharger[picture]")
     refuses(capsys, f"replay {tapes}/tilted.mcap --picture {tmp_path}/no/run.png", "--picture")
     picture = tmp_path / "run.png"
     assert run(capsys, "replay", tapes / "tilted.mcap", "--picture", picture)[0] == 0

@@ -44,7 +44,7 @@ class Reader(Protocol):
 
 class MuJoCo(Reader):
     def __init__(self, path: Path) -> None:
-        self.mujoco: Any = pytest.importorskip("mujoco", reason="the extra deltacharger[sim]")
+        self.mujoco: Any = pytest.importorskip("mujoco", reason="`pip install mujoco`")
         self.model: Any = self.mujoco.MjModel.from_xml_path(str(path))
         self.data: Any = self.mujoco.MjData(self.model)
 
@@ -69,7 +69,7 @@ class MuJoCo(Reader):
 
 class Pinocchio(Reader):
     def __init__(self, path: Path) -> None:
-        self.pin: Any = pytest.importorskip("pinocchio", reason="`pip install pin`, the extra deltacharger[peers]")
+        self.pin: Any = pytest.importorskip("pinocchio", reason="`pip install pin`")
         self.model: Any = self.pin.buildModelFromUrdf(str(path))
         self.bodies: Any = self.pin.buildGeomFromUrdf(self.model, str(path), self.pin.GeometryType.COLLISION)
         self.bodies.addAllCollisionPairs()  # of links that joints move

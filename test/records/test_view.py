@@ -187,7 +187,7 @@ def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkey
 
 @pytest.mark.rest
 def test_a_docking_is_drawn_as_an_animated_picture(docking: Path, tmp_path: Path, capsys: Capture) -> None:
-    image = pytest.importorskip("PIL.Image", reason="comes with matplotlib, deltacharger[report]")
+    image = pytest.importorskip("PIL.Image", reason="comes with matplotlib, deltacharger[picture]")
     path = tmp_path / "docking.gif"
     assert run(capsys, "view", "--recording", docking, "--save", path)[0] == 0
     assert path.stat().st_size <= 1_000_000

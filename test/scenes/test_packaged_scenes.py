@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.cli.main import build_parser, main
+from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
 from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
@@ -106,7 +106,7 @@ def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:
     assert scene.simulation is not None
     assert scene.goal is not None
     target = scene.simulation.world.target
-    options = build_parser().parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
+    options = build_parser(COMMANDS).parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
     assert (1e3 * target.x, 1e3 * target.y, 1e3 * target.z) == (options.x_mm, options.y_mm, options.z_mm)
     assert target.roll == 0.0
     assert all(getattr(scene.goal, axis) == getattr(target, axis) for axis in ("x", "y", "z", "roll"))

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from deltacharger_scenes.scene import Simulation
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_sim.pads.source import ContactSource
 from deltacharger_sim.world import World
-from deltacharger_tactile.source import ContactSource
 
 CONTACTOR = 0
 

@@ -19,7 +19,6 @@ from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
     PlatformParameters,
-    ServoParameters,
     TargetParameters,
     WorldParameters,
 )
@@ -252,25 +251,6 @@ class TestEnergy:
 
 
 class TestServo:
-    @pytest.mark.parametrize(("step", "most"), [(0.01, 2e-4), (0.002, 5e-5)])
-    def test_a_jump_in_free_air_follows_the_converged_one(self, step: float, most: float) -> None:
-        pytest.importorskip("scipy")
-        from deltacharger_lab.reports.simulation.reference import angle, on_axis
-
-        servo = ServoParameters(damping=0.25, viscosity=0.02, friction=0.1, friction_share=0.2)
-        free = WorldParameters(servo=servo, magnets=NO_MAGNETS, gravity_y=0.0, target=TargetParameters(z=0.5))
-        goal = angle(0.075)[0]
-        exact = on_axis(free, 0.06, [(0.0, goal, 4.1)], 0.5, 0.01).trace
-        world = World(free, start=(0.0, 0.0, 0.06))
-        for index in range(3):
-            world.command(index, True, goal, 4.1)
-        squares = []
-        for place in exact:
-            for _ in range(round(0.01 / step)):
-                world.step(step)
-            squares.append((world.mechanics.position[2] - place) ** 2)
-        assert math.sqrt(sum(squares) / len(squares)) < most
-
     def test_without_a_d_gain_only_viscosity_brakes_a_swing(self) -> None:
         swings = []
         for servo, braking in ((plain_servo(friction=0.0, viscosity=0.02), 0.0), (SWINGING, 1.0)):

@@ -99,7 +99,6 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     [
         ({"board": "apriltag:36h11:9999"}, "36h11"),
         ({"board": "chess"}, "board"),
-        ({"renderer": "blender"}, "one of numpy, mujoco"),
         ({"mount": [0.0] * 7}, "length"),
         ({"width": 8}, "width"),
         ({"target_zz": 1.0}, "did you mean"),

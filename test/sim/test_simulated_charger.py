@@ -128,7 +128,6 @@ def test_as_a_process_it_prints_ready_and_ends_cleanly(
 
 
 @pytest.mark.rest
-def test_it_needs_neither_ros_nor_mujoco() -> None:
-    modules = "deltacharger_bringup.cli.simulate, deltacharger_sim.world, deltacharger_sim.mujoco_world"
-    program = f"import sys; import {modules}; sys.exit(bool({{'rclpy', 'mujoco'}} & set(sys.modules)))"
+def test_it_needs_no_ros() -> None:
+    program = "import sys; import deltacharger_bringup.cli.simulate; sys.exit('rclpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

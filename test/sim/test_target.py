@@ -9,50 +9,12 @@ from typing import Any
 
 import pytest
 
-from deltacharger_sim.errors import TargetFixed
-from deltacharger_sim.mujoco_world import mujoco_world, pull, side_pull
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, WorldParameters
-from deltacharger_sim.touch import TargetTouch
 from test.plain import plain_servo
 
 MAGNETS = MagnetParameters()
 FAR = (0.004, -0.003)
 ArmFactory = Callable[..., Any]
-
-
-@pytest.mark.parametrize(
-    ("gap", "offset", "force"),
-    [
-        (0.0, 0.0, 60.0),
-        (0.002, 0.0, 15.0),
-        (0.006, 0.0, 3.75),
-        (0.0, 0.008, 30.0),
-        (0.0, 0.1, 12.0),
-        (-0.001, 0.0, 60.0),
-    ],
-)
-def test_the_pull_follows_its_law(gap: float, offset: float, force: float) -> None:
-    assert pull(MAGNETS, gap, offset) == pytest.approx(force)
-
-
-@pytest.mark.parametrize("offset", [0.002, 0.006, 0.03])
-@pytest.mark.parametrize("gap", [0.0005, 0.004])
-def test_both_models_pull_sideways_by_the_energy_of_the_pull(gap: float, offset: float) -> None:
-    touch, tiny = TargetTouch(WorldParameters()), 1e-7
-
-    def pulls(gap: float, offset: float) -> tuple[float, float]:
-        """Toward the target and toward its centre, N."""
-        touch.lie(0.6 * offset, -0.8 * offset)
-        ahead, *_, aligning = touch.forces(gap, 0.0, 0.0, (0.0, 0.0), 0.0)
-        assert ahead == pytest.approx(pull(MAGNETS, gap, offset))
-        assert aligning == pytest.approx(side_pull(MAGNETS, gap, offset))
-        return ahead, aligning * offset
-
-    # Both are derivatives of one energy, by the gap and by the offset, so their cross derivatives are equal.
-    ahead = (pulls(gap, offset + tiny)[0] - pulls(gap, offset - tiny)[0]) / (2.0 * tiny)
-    aside = (pulls(gap + tiny, offset)[1] - pulls(gap - tiny, offset)[1]) / (2.0 * tiny)
-    assert aside == pytest.approx(ahead, rel=1e-5, abs=1e-3)
-    assert (pulls(gap, offset)[1] > 0.0) == (offset < 0.016)  # beyond, the share is at its floor
 
 
 def approach(arm: Any) -> tuple[float, float, float]:
@@ -180,9 +142,3 @@ def test_without_contact_nothing_is_dragged(arm: ArmFactory) -> None:
     away.run(0.5)
     assert away.world.mechanics.position == pytest.approx(before, abs=1e-6)
     assert away.world.parameters.target.x == pytest.approx(0.004)
-
-
-def test_a_model_with_a_fixed_target_refuses_moves() -> None:
-    pytest.importorskip("mujoco", reason="mujoco is not installed (extra sim)")
-    with pytest.raises(TargetFixed, match="light model"):
-        mujoco_world(WorldParameters(servo=plain_servo())).move_target(0.001, 0.0, 0.0, 0.2)

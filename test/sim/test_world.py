@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -332,15 +331,6 @@ class TestGains:
         resting = arm(WorldParameters(servo=QUIET, target=ALONE))
         assert settled(resting, 1.0, 1.0, 1.0) == pytest.approx([15.0] * 3, rel=1e-4)
         assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-4)
-
-    @pytest.mark.rest
-    def test_mujoco_has_the_same_gains(self, arm: ArmFactory) -> None:
-        pytest.importorskip("mujoco")
-        from deltacharger_sim.mujoco_world import mujoco_world
-
-        resting = arm()
-        resting.world = mujoco_world(WorldParameters(servo=replace(QUIET, friction=0.001), target=ALONE))
-        assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-3)
 
     def test_the_registers_reach_the_world(self) -> None:
         world = World(WorldParameters(servo=QUIET, target=ALONE))

@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deltacharger_tactile import Estimate, PoseEstimator, default_model
+from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_tactile import Estimate, default_model
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.errors import ModelError
 from deltacharger_tactile.features import fill_dead
-from deltacharger_tactile.generator import generate_continuous
-from deltacharger_tactile.training import train
 
 from ..marks import rest
 
@@ -143,29 +140,3 @@ def test_a_dead_taxel_is_filled_from_its_row() -> None:
     assert filled[0, 0, 4, 5] == pytest.approx(1.5)
     assert np.isfinite(filled).all()
     assert np.array_equal(filled[0, 1], frames[0, 1])
-
-
-@pytest.mark.rest
-def test_training_needs_different_dockings_in_range_on_both_pads_and_on_one() -> None:
-    random = np.random.default_rng(0)
-    frames = 3.0 + random.random((1200, 2, 10, 10))
-    poses = random.uniform(-0.01, 0.01, (1200, 3))
-    for useless, pose, found in (
-        (0.0 * frames, poses, "0 different dockings on both pads"),
-        (np.repeat(frames[:1], 1200, axis=0), poses, "1 different dockings on both pads"),
-        (frames, poses + 0.03, "0 different dockings on both pads, in range"),
-        (frames, poses, "0 different dockings on one pad"),
-    ):
-        with pytest.raises(ModelError, match=f"{found}.* at least 512"):
-            PoseEstimator().fit(useless, pose, (useless, pose))
-
-
-def test_training_saving_and_loading(tmp_path: Path) -> None:
-    model = train(range(600, 606), range(610, 613), 200, 5, 2)
-    model.save(tmp_path / "model.npz")
-    loaded = PoseEstimator.load(tmp_path / "model.npz")
-    left, right, _ = dockings(50, 0.004, 8.0, range(360, 361), 2)
-    before, after = model.predict(left, right), loaded.predict(left, right)
-    for name, value in vars(before).items():
-        assert np.allclose(value, getattr(after, name), equal_nan=True), name
-    assert loaded.about == model.about

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from array import array
@@ -19,7 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 
 from deltacharger_ros.node_support import StartupError
-from deltacharger_tactile import default_model
+from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.misalignment_node import MisalignmentNode, to_frame
@@ -120,9 +121,10 @@ def test_refusals_are_unknown_and_list_no_frames(pads: Pads) -> None:
 def test_parameters_change_while_the_node_runs_all_or_none(pads: Pads, tmp_path: Path) -> None:
     calibration, other, cut = (str(tmp_path / name) for name in ("pads.yaml", "other.npz", "cut.npz"))
     TactileCalibration(rig=8).save(Path(calibration))
-    model = default_model()
-    model.name = "pose-other"
-    model.save(Path(other))
+    with np.load(MODEL_PATH) as file:
+        arrays = dict(file)
+    meta = json.loads(str(arrays["meta"])) | {"name": "pose-other"}
+    np.savez(other, **arrays | {"meta": np.array(json.dumps(meta))})
     Path(cut).write_bytes(Path(other).read_bytes()[:5000])
     pads.streaming = True
     wait_until(lambda: pads.received, "an estimate at the initial rate")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,21 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_sim.pads.generator import generate_continuous, generate_paper
 from deltacharger_tactile import MODEL_PATH, PoseEstimator
-from deltacharger_tactile.classifiers import labels, packaged
+from deltacharger_tactile.classifiers import labels, packaged, pretrained
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import ModelError, UnknownModelError
-from deltacharger_tactile.generator import generate_paper
 
 from ..marks import rest
-from .small_paper import small_paper
 
 
 @pytest.fixture(scope="module")
 def data() -> Dataset:
-    return small_paper((331, 332), 6, positions=4, angles=20)
+    return generate_paper(rigs=(331, 332), seed=6)
 
 
 @pytest.mark.parametrize("name", [rest("knn") if name == "knn" else name for name in packaged.MODELS])
@@ -38,11 +36,26 @@ def test_each_reaches_its_stated_accuracy_without_a_trainer(
         monkeypatch.setitem(sys.modules, library, None)
     for target, model in packaged.load(name).items():
         rows = examples(data, target)
+        rows = rows.part(np.arange(0, len(rows), 3))
         shares = model.predict_proba(rows.frames)
         assert shares.shape == (len(rows), labels.classes(target))
         np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
         right = float(np.mean(shares.argmax(axis=1) == rows.labels))
         assert right > model.about[packaged.ACCURACY] - 0.08, "two other rigs than in its test"
+
+
+def test_a_dead_taxel_counts_as_zero(data: Dataset) -> None:
+    frames = examples(data, "angle").frames[:20]
+    dead, nothing = frames.copy(), frames.copy()
+    dead[:, 0, 4, 4], nothing[:, 0, 4, 4] = np.nan, 0.0
+    model = packaged.load("logistic")["angle"]
+    np.testing.assert_array_equal(model.predict_proba(dead), model.predict_proba(nothing))
+
+
+def test_unknown_kinds_and_targets_are_refused() -> None:
+    for name, target in (("cnn2", "angle"), ("cnn", "pose")):
+        with pytest.raises(ModelError, match="known"):
+            Classifier(name, target)
 
 
 def test_all_nine_are_small() -> None:
@@ -74,35 +87,22 @@ def test_an_unusable_file_is_named(harm: str, tmp_path: Path, monkeypatch: pytes
     assert harm != "generator" or "0123456789abcdef" in str(found.value)
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("name", ["logistic", "knn", "forest"])
-def test_a_shrunk_model_predicts_the_same_from_a_smaller_file(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
-    rows = examples(generate_paper(rigs=(331, 332), seed=6), "vertical")
-    model = Classifier(name, "vertical").fit(rows.frames[::2], rows.labels[::2])
-    known = model.predict(rows.frames)
-    model.save(tmp_path / "whole.npz")
-    model.shrink(rows.frames).save(tmp_path / "small.npz")
-    np.testing.assert_array_equal(Classifier.load(tmp_path / "small.npz").predict(rows.frames), known)
-    np.testing.assert_array_equal(model.predict(rows.frames), known)
-    assert (tmp_path / "small.npz").stat().st_size < 0.7 * (tmp_path / "whole.npz").stat().st_size
-
-
 Arrays = dict[str, Any]
 
 
 @cache
 def saved(name: str) -> Arrays:
-    """Return the arrays of a classifier's file, a packaged one if there is one."""
+    """Return the arrays of a classifier's file: a packaged one, or one that gives all classes the same probability."""
     path = packaged.path(name, "vertical")
-    if not path.exists():
-        pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
-        rows, path = examples(small_paper(), "vertical"), Path(tempfile.mkdtemp()) / "good.npz"
-        model = Classifier(name, "vertical").fit(rows.frames, rows.labels)
-        model.calibrate(rows.frames, rows.labels)
-        model.save(path)
-    with np.load(path) as file:
-        return dict(file)
+    if path.exists():
+        with np.load(path) as file:
+            return dict(file)
+    about = {"format": 1, "name": name, "target": "vertical", "threshold": 1.0, "kind": "linear"}
+    if name == "pose":
+        about["pretrained"] = pretrained.digest("vertical", 1.0)
+    width = Classifier(name, "vertical")._inputs(np.ones((1, 2, 10, 10))).shape[1]
+    arrays = {"weights": np.zeros((width, 5)), "bias": np.zeros(5), "usual": np.zeros(width)}
+    return {"about": np.array(json.dumps(about)), **arrays}
 
 
 def refuses(load: Any, path: Path, arrays: Arrays, noun: str = "") -> None:
@@ -112,7 +112,7 @@ def refuses(load: Any, path: Path, arrays: Arrays, noun: str = "") -> None:
 
 
 def test_both_loaders_refuse_files_of_another_kind(tmp_path: Path) -> None:
-    small_paper(angles=1, positions=1).save(tmp_path / "data.npz")
+    generate_continuous(rigs=(1,), count=2).save(tmp_path / "data.npz")
     np.savez(tmp_path / "class.npz", **saved("logistic"))
     for load, other in ((Classifier.load, MODEL_PATH), (PoseEstimator.load, tmp_path / "class.npz")):
         for path in (other, tmp_path / "data.npz", tmp_path):
@@ -120,10 +120,12 @@ def test_both_loaders_refuse_files_of_another_kind(tmp_path: Path) -> None:
                 load(path)
 
 
-@pytest.mark.parametrize("name", ["logistic", "nn", "tree", rest("lda"), rest("pose")])
+@pytest.mark.parametrize("name", ["logistic", "nn", "tree", "lda", "pose"])
 def test_mismatched_arrays_are_refused(name: str, tmp_path: Path) -> None:
     good, path = saved(name), tmp_path / "bad.npz"
-    for key in [key for key in good if key not in ("about", "means", "usual")]:
+    np.savez(path, **good)
+    assert Classifier.load(path).name == name
+    for key in [key for key in good if key not in ("about", "usual")]:
         refuses(Classifier.load, path, {other: value for other, value in good.items() if other != key})
         refuses(Classifier.load, path, good | {key: np.array(["a"])})
         if good[key].ndim:
@@ -138,16 +140,13 @@ def test_an_endless_tree_is_refused(tmp_path: Path) -> None:
         refuses(Classifier.load, tmp_path / "bad.npz", good | {key: np.full(good[key].shape, value)}, "trees")
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"format": 99}, {"target": ""}, {"name": ""}, {"kind": ""}, {"threshold": "a"}, {"reliability": {"a": 1}}]
-)
+@pytest.mark.parametrize("wrong", [{"format": 99}, {"target": ""}, {"name": ""}, {"kind": ""}, {"threshold": "a"}])
 def test_a_wrong_description_is_refused(tmp_path: Path, wrong: Any) -> None:
     good = saved("logistic")
     about = json.loads(str(good["about"])) | wrong
     refuses(Classifier.load, tmp_path / "bad.npz", good | {"about": np.array(json.dumps(about))})
 
 
-@pytest.mark.rest
 def test_a_classifier_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
     good = saved("pose")
     about = json.loads(str(good["about"]))
@@ -165,5 +164,5 @@ def test_a_damaged_pose_model_is_refused(tmp_path: Path) -> None:
             refuses(PoseEstimator.load, path, good | {key: wrong})
     meta = json.loads(str(good["meta"]))
     # A model of format 2 was made before leans were learnt: its seats mean something else.
-    for change in ({"format": 2}, {"members": "two"}, {"interval": [1]}, {"support": None}):
+    for change in ({"format": 2}, {"members": "two"}, {"support": None}):
         refuses(PoseEstimator.load, path, good | {"meta": np.array(json.dumps(meta | change))})

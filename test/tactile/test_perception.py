@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import threading
 from functools import cache
@@ -14,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_sim.pads.source import ContactSource
 from deltacharger_tactile import MODEL_PATH, default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_tactile.classifiers import files, packaged
+from deltacharger_tactile.classifiers import packaged
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
-from deltacharger_tactile.generator import generate_continuous
 from deltacharger_tactile.perception import Perception, PerceptionError
-from deltacharger_tactile.source import ContactSource
 
 TRUTH = (0.001, 0.003, 0.08)
 
@@ -90,8 +91,8 @@ def always(path: Path, target: str, favoured: int, count: int) -> str:
     """Write a classifier with a constant answer."""
     bias = np.zeros(count)
     bias[favoured] = 9.0
-    about = {"name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
-    files.write(path, about, {"weights": np.zeros((200, count)), "bias": bias})
+    about = {"format": 1, "name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
+    np.savez(path, about=np.array(json.dumps(about)), weights=np.zeros((200, count)), bias=bias)
     return str(path)
 
 

@@ -13,15 +13,15 @@ import pytest
 import yaml
 
 from deltacharger_core.yaml_file import write_yaml
+from deltacharger_sim.pads.generator import generate_continuous, measure
+from deltacharger_sim.pads.sensor import Rig
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares, find, select
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, TactileCalibration
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
 from deltacharger_tactile.estimate import Limits
-from deltacharger_tactile.generator import generate_continuous, measure
 from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.sensor import Rig
 
 RIG = 655
 REACH = np.array([0.010, 0.010, math.radians(12.0)])

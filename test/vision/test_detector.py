@@ -15,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 
 from deltacharger_core.parameters import ParameterError
-from deltacharger_lab.reports.vision.obstructions import KINDS, draw_obstruction
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
@@ -25,6 +24,7 @@ from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal

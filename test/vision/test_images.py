@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import CameraInfoError, ImageError, RendererError
+from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.image_files import images_in, read_color, read_depth, read_rgbd, write_picture
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.projection import distort, undistort
-from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 
 from .views import DISTORTIONS
 
@@ -251,9 +250,6 @@ def test_folders_without_images_or_with_one_twice_are_refused(tmp_path: Path, na
 
 
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for library in ("cv2", "mujoco"):
-        monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(ModuleNotFoundError, match=r"\[vision\]"):
         read_color(stored(tmp_path / "a.png", COLOR))
-    with pytest.raises(RendererError, match=r"\[sim\]"):
-        MujocoCamera()

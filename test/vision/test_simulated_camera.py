@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_lab.reports.vision.obstructions import KINDS, draw_obstruction, hidden_share
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.projection import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction, hidden_share
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_decoy, draw_scene

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A charger in virtual time that computes only values that are read.
+
+Six of its dockings take the time of one of `VirtualCharger`, its base class.
+
+Differences from `VirtualCharger`, which follows the nodes at their rates:
+- The world takes steps of 10 ms instead of 5, twice that while the arm settles, and again while the electrodes rest on
+  the target. A standing world takes one step between two steps of the machine.
+- The machine is stepped every 10 ms only if its script acts on every observation. Otherwise steps are up to 80 ms
+  apart, and 130 ms while the arm stands still.
+- Lines are sent in one piece. Tactile frames are made when they are read.
+
+Every servo reading that a decision depends on is made and fed to the machine, as in the real charger. docs/campaigns.md
+has the measured differences.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_core.arrays import Array
+from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import Reply, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_sim.pads.pad_source import PadSource
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.virtual.quick_motion import OnePieceFeed, QuickPlanner
+from deltacharger_sim.virtual.virtual_charger import PROFILE, TICK, Pending, VirtualCharger
+from deltacharger_sim.world import World
+
+MOVING, CHARGING, STANDING = 8, 5, 13  # ticks that one step of the machine may last; each POWER is seen
+SETTLING = 2  # ticks that one step of the world may last while the platform only follows its goal
+_MORE = 0.005  # s before the machine's contact window at which servo readings begin: half a tick
+_NEAR = 0.005  # m of gap, below which the magnets may snap before the machine is stepped again
+_STILL = 1e-4  # m/s; a motion at this speed changes the contact current by less than its noise
+_SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads read the same, except for the force
+_SAME_FORCE = 0.2  # relative
+_SAME_LEAN = 2e-4  # rad of remaining yaw; moves 1.5 N from one pad to the other
+_SURELY = 0.4  # N; farther from the threshold, noise cannot decide: four standard deviations
+
+
+class _Unclocked(SharedWorld):
+    """A plant that advances only when its owner steps the world."""
+
+    def _advance(self) -> World:
+        return self.world
+
+
+class QuickCharger(VirtualCharger):
+    """One docking of a campaign; equal seeds give the same docking to the last bit.
+
+    Args:
+        world: the simulated world; its `step` is not used.
+        parameters: of docking.
+        pads: of `rig_seed` and `seed`.
+        seed: of noise and jitter.
+        rig_seed: seed of the device with the pads.
+        geometry: the arm's dimensions that docking assumes; None = the true ones.
+        proportional: whether the readings of pads on level faces grow with the force alone, so that an earlier
+            reading predicts one under a little more force.
+        profile: of the target.
+    """
+
+    def __init__(
+        self,
+        world: WorldParameters,
+        parameters: DockingParameters,
+        pads: PadSource[Any],
+        seed: int,
+        rig_seed: int,
+        geometry: DeltaGeometry | None = None,
+        proportional: bool = True,
+        profile: TargetProfile = PROFILE,
+    ) -> None:
+        self._pads = pads
+        self._proportional = proportional
+        super().__init__(world, parameters, seed, rig_seed, pads, geometry, profile)
+        self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
+        self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
+        self._segment = 0
+        self._current = math.nan  # A, into the target at the last observation
+        self._felt: Array | None = None  # N, the last tared frame made in contact
+        self._largest = 0.0  # N on the taxel with the largest reading
+        self._read_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
+
+    def _make_plant(self) -> SharedWorld:
+        return _Unclocked(self.world, clock=lambda: 0.0)
+
+    def _make_machine(self) -> DockingMachine:
+        parameters, geometry = self.parameters, self.geometry
+        feed = OnePieceFeed(parameters.servo_damping / parameters.servo_stiffness)
+        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed, self.profiles)
+
+    def tick(self) -> None:
+        """Advance until the next decision: 10 to 130 ms."""
+        standing = self._stands()
+        most = STANDING if standing else CHARGING if self._is_live else MOVING
+        self._pass(self._stride(most), standing)
+        if not self._is_live:
+            self._watch_power()
+        self._serve()
+        self._step()
+
+    def _stride(self, most: int) -> int:
+        """Return how many ticks may pass until the machine or a service must act."""
+        until = self._quiet_until()
+        for pending in self._pending:
+            until = min(until, pending.due)
+        left = (until - self.now) / TICK
+        return 1 if left <= 1.0 else math.ceil(min(left, most) - 1e-6)
+
+    def _quiet_until(self) -> float:
+        """Return the time (s) until which the script only waits: in free air, before anything can be touched."""
+        waits = self._waits
+        if not waits.nearing:
+            return waits.until
+        mechanics = self.world.mechanics
+        return min(waits.until, self.now + (mechanics.gap - mechanics.onset - _NEAR) / waits.nearing)
+
+    @property
+    def _is_live(self) -> bool:
+        return self._energised or self.world.circuit.closed
+
+    def _stands(self) -> bool:
+        """Return whether goal, platform, contactor and charge current are steady."""
+        if self._is_live:
+            return self._charges_on()
+        if self._trajectory and self.now - self._started < self._trajectory[-1].time + TICK:
+            return False
+        return self._speed() < _STILL
+
+    def _charges_on(self) -> bool:
+        """Return whether the platform stands still and the current has not changed since the last call."""
+        world = self.world
+        before, self._current = self._current, world.circuit.current
+        steady = world.circuit.port.steady and self._current == before and self._current > 0.0
+        return steady and world.mechanics.still and not world.target_moves
+
+    def _world_ticks(self) -> int:
+        """Return how many ticks one step of the world may last."""
+        if self._is_live:
+            return 1
+        settles = bool(self._trajectory) and self._arrived is self._trajectory
+        # On the target the magnets hold the platform sideways; before, its final position depends on the step.
+        held = 2 if self.world.mechanics.contact_force > 0.0 else 1
+        return held * (SETTLING if settles else 1)
+
+    def _speed(self) -> float:
+        """Return the platform's speed along its fastest axis (m/s)."""
+        x, y, z = self.world.mechanics.velocity
+        speed: float = max(abs(x), abs(y), abs(z))
+        return speed
+
+    def _servos(self) -> None:
+        line, elapsed = self._trajectory, self.now - self._started
+        if line and self._arrived is line:
+            return
+        if line:
+            self._segment = 0 if self._followed is not line else self._segment
+            self._followed = line
+            self._bound, self._goal = self._along(line, elapsed)
+        for index in range(3):
+            self.world.command(index, self._torque, self._goal[index], self._bound[index])
+        if line and self._torque and elapsed >= line[-1].time:
+            self._arrived = line
+
+    def _along(self, line: tuple[Waypoint, ...], elapsed: float) -> tuple[list[float], list[float]]:
+        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was sent; calls are in time order."""
+        last = len(line) - 1
+        while self._segment < last and elapsed >= line[self._segment].time:
+            self._segment += 1
+        point = line[self._segment]
+        a, b, c = point.torque_bound
+        constant = self.parameters.torque_constant
+        bound = [a / constant, b / constant, c / constant]
+        if elapsed >= point.time:
+            return bound, list(point.angles)
+        before, since = (
+            (line[self._segment - 1].angles, line[self._segment - 1].time) if self._segment else (self._from, 0.0)
+        )
+        share = (elapsed - since) / (point.time - since)
+        (a, b, c), (d, e, f) = before, point.angles
+        return bound, [a + share * (d - a), b + share * (e - b), c + share * (f - c)]
+
+    def _pass(self, ticks: int, standing: bool) -> None:
+        """Let `ticks` of 10 ms pass, feeding the machine the readings that its next decision needs."""
+        world, start, waits = self.world, self.now, self._waits
+        # While live, the contact current is checked after each of these steps.
+        decides = start + ticks * TICK if self._energised else self._quiet_until() if waits.reads else math.inf
+        from_then_on = decides - (self.parameters.contact_window + _MORE)
+        if standing:
+            world.step(ticks * TICK)
+            self.now = start + ticks * TICK
+            self._watch_power()
+        most = self._world_ticks()
+        stepped = 0
+        for index in range(1, ticks + 1):
+            self.now = start + index * TICK
+            if not standing and (index - stepped == most or index == ticks):
+                world.step((index - stepped) * TICK)
+                self._servos()
+                self._watch_joints()
+                stepped = index
+                if self._is_live:
+                    self._watch_power()
+            if index < ticks and self.now >= from_then_on:
+                self._earlier.append((self.now, *self._reading()))
+
+    def _reading(self) -> tuple[Vector, Vector]:
+        servo = self.world.servo
+        (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = servo(0), servo(1), servo(2)
+        return (a, b, c), (i, j, k)
+
+    def _feels(self) -> bool:
+        """Return whether some taxel reads 1 N; a hardly changed contact is not computed again."""
+        pose, force = self.world.misalignment, self.world.mechanics.contact_force
+        if (self.excess is None and pose is None) or not self._tared:
+            self._read_at = self._felt = None
+            return False
+        if self.excess is not None or not self._proportional:
+            self._felt = self.feel(1, 0.0)[0] - self.baseline
+            return float(np.nanmax(self._felt)) >= CONTACT_FORCE
+        assert pose is not None
+        known = self._read_at
+        if known is None or not self._is_known(known, pose, force):
+            self._felt = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.lean)[0]
+            self._felt -= self.baseline
+            self._largest = float(np.nanmax(self._felt))
+            self._read_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
+        return self._largest * force >= CONTACT_FORCE * known[3]
+
+    def _taxels(self) -> Array | None:
+        """Return the last frame made in contact, at the present force."""
+        if self._felt is None or self._read_at is None or not self._read_at[3] > 0.0:
+            return self._felt
+        return (self._felt * (self.world.mechanics.contact_force / self._read_at[3])).clip(min=0.0)
+
+    def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
+        """Return whether the last reading still holds: same contact and place, same force or far from threshold.
+
+        On leaning faces the distance to the threshold does not count: the pads share a larger force differently.
+        """
+        x, y, angle, pressed, contact, yaw = known
+        if contact != self.world.record.contacts or abs(pose[2] - angle) > _SAME_TURN:
+            return False
+        if abs(self._yaw() - yaw) > _SAME_LEAN:
+            return False
+        if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
+            return False
+        far = self.world.mechanics.lean is None and abs(self._largest * force / pressed - CONTACT_FORCE) > _SURELY
+        return far or abs(force - pressed) < _SAME_FORCE * pressed
+
+    def _yaw(self) -> float:
+        """Return the remaining yaw between platform and target, rad."""
+        lean = self.world.mechanics.lean
+        return 0.0 if lean is None else lean.residual[1]
+
+    def feel(self, count: int, period: float) -> NDArray[Any]:
+        """Return `count` frames (count, 2, 10, 10) N, a `period` (s) apart, that end now; not tared, NaN where dead."""
+        world = self.world
+        pressed, lean = world.mechanics.contact_force, world.mechanics.lean
+        return self._pads.frames(world.time, world.misalignment, pressed, count, period, lean)
+
+    def _reply(self, pending: Pending) -> Reply:
+        if pending.request.service in (Service.TARE, Service.ESTIMATE):
+            raw = self.feel(max(1, round((pending.due - pending.asked) / TICK)), TICK)
+            untared = pending.request.service is Service.TARE
+            pending.frames = list(raw if untared else (raw - self.baseline).clip(min=0.0))
+        return super()._reply(pending)

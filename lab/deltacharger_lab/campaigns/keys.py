@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every key of a campaign's scene: its own, and all of world, pads and docking."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field
+
+from deltacharger_core.parameters import Declaration, choice, declared, flag, like, number
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.profile import TargetProfile
+from deltacharger_lab.campaigns.assumed import Assumed
+from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
+from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
+from deltacharger_lab.second.parameters import SecondParameters
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Pose of the target when the camera looks."""
+
+    x: float = number(
+        0.0, -0.06, 0.06, "m", "place of the target when the camera looks, along x from (0, 0, 80 mm) of charger_base"
+    )
+    y: float = number(0.0, -0.06, 0.06, "m", "place of the target along y; +y is up")
+    z: float = number(0.0, -0.04, 0.03, "m", "place of the target along z, away from the robot")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "turn of the target about z, from +x to +y")
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """Movement of the target between camera and contact."""
+
+    x: float = number(0.0, -0.03, 0.03, "m", "movement of the target between camera and contact, along x")
+    y: float = number(0.0, -0.03, 0.03, "m", "movement along y")
+    z: float = number(0.0, -0.03, 0.03, "m", "movement along z")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "turn of the target between camera and contact, about z")
+    limit: float | None = number(
+        None,
+        0.001,
+        0.06,
+        "m",
+        "largest offset from goal to target along x and along y; larger errors of vision are drawn again",
+    )
+    beyond_zero: float | None = number(
+        None,
+        -0.2,
+        0.2,
+        "rad",
+        "roll beyond the one without clearance at the vertical offset, either sign; replaces shift.roll",
+    )
+
+
+@dataclass(frozen=True)
+class _Electrode:
+    """Properties of the target's electrodes in contact with the pads."""
+
+    hole: float = like(PadContactParameters, "hole")
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """Errors of the camera, drawn for each docking."""
+
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of a detection, per axis")
+    roll_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of the detected roll")
+    lean_stddev: float = number(
+        0.0,
+        0.0,
+        0.2,
+        "rad",
+        "error of the detected yaw and pitch, to which the mount's is added; 0 = neither is reported",
+    )
+
+
+@dataclass(frozen=True)
+class _HandEye:
+    """Errors of the camera's assumed pose."""
+
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of the camera's assumed place, per axis")
+    rotation_stddev: float = number(
+        0.0, 0.0, 0.1, "rad", "error of its assumed orientation, per axis; moves the target about the usual mount"
+    )
+
+
+@dataclass(frozen=True)
+class _Gravity:
+    """Orientation of the robot."""
+
+    tilt: float = number(0.0, 0.0, math.pi, "rad", "tilt of the robot: angle between gravity and −y of charger_base")
+    azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that tilt about −y; 0 = toward +z")
+    anywhere: bool = flag(False, "true = gravity in any direction, all equally likely; replaces tilt and azimuth")
+    known: bool = flag(False, "true = docking knows the tilt")
+
+
+@dataclass(frozen=True)
+class EstimatorErrors:
+    """Errors added to every estimate of the misalignment."""
+
+    position_stddev: float = number(
+        0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y, unknown to its standard deviations"
+    )
+    angle_stddev: float = number(0.0, 0.0, 0.2, "rad", "noise added to each estimate's angle")
+    bias_horizontal: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along x")
+    bias_vertical: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along y")
+    bias_angle: float = number(0.0, -0.2, 0.2, "rad", "added to each estimate's angle")
+    stddev_scale: float = number(1.0, 0.1, 10.0, "", "factor on each estimate's standard deviations")
+    tail: float | None = number(
+        None,
+        2.1,
+        1e6,
+        "",
+        "degrees of freedom of Student's t with the estimate's variance, in place of the pads' errors; 1e6 = normal",
+    )
+    paper: bool = flag(
+        False, "true = estimates are classes of the paper's CNN (0–5°, steps of 5 mm) with standard deviations of 0"
+    )
+    model: str = choice(PACKAGED, POSE_MODELS, "pose model; 1N = for sensors that read nothing below 1 N")
+
+
+@dataclass(frozen=True)
+class _Campaign:
+    """A campaign's own keys."""
+
+    target: _Target = field(default_factory=_Target)
+    shift: _Shift = field(default_factory=_Shift)
+    electrode: _Electrode = field(default_factory=_Electrode)
+    camera: _Camera = field(default_factory=_Camera)
+    hand_eye: _HandEye = field(default_factory=_HandEye)
+    gravity: _Gravity = field(default_factory=_Gravity)
+    estimator: EstimatorErrors = field(default_factory=EstimatorErrors)
+    assumed: Assumed = field(default_factory=Assumed)
+    taxels: Taxels = field(default_factory=Taxels)
+    parked: Parked = field(default_factory=Parked)
+    nudge: Nudge = field(default_factory=Nudge)
+    published: bool = flag(False, "true = dock by the paper's algorithm as printed; give estimator.paper too")
+    hostile: bool = flag(False, "true = one or two drawn faults act on each docking, which the world judges")
+    targets: str = choice(
+        "",
+        ("", "kinds", "pairs", "gaps"),
+        "charge targets to their end: kinds of ports in turn, packs with any profile, gaps in the current",
+    )
+    pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
+
+
+TAKEN = {
+    **{
+        f"world.target.{axis}": f"give target.{axis} (where the camera sees it) and shift.{axis} (its move after that)"
+        for axis in (*"xyz", "roll")
+    },
+    **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
+    "tactile.contact.hole": "give electrode.hole",
+    "world.step": "a campaign steps the world itself",
+    "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
+    "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
+    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or assumed.gravity_tilt" for axis in "xyz"},
+}
+"""Keys of world and docking that a campaign sets itself, with the keys to give instead."""
+DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
+"""Keys that draw others, which must not be given then."""
+FACTS = ("second.dimensions.", "second.docking.")
+"""Prefixes of keys that are fixed properties of the product, equal in both physics."""
+PARTS = {
+    "": _Campaign,
+    "world": WorldParameters,
+    "tactile": TactileParameters,
+    "second": SecondParameters,
+    "docking": DockingParameters,
+    "profile": TargetProfile,
+}
+"""Parameter classes by the section of a campaign's scene; '' = the campaign's own keys."""
+_WORDS = ("pads", "targets", "estimator.model")  # keys with text values
+
+
+@functools.cache
+def known_keys() -> dict[str, Declaration]:
+    """Return every key by its dotted name."""
+    keys = {key.name: key for section, part in PARTS.items() for key in declared(part, section)}
+    numbers = {name for name, key in keys.items() if key.kind in (bool, int, float)}
+    settable = numbers.union(_WORDS).difference(TAKEN)
+    return {name: key for name, key in keys.items() if name in settable and not name.startswith(FACTS)}

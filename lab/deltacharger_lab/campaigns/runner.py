@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the missing dockings of a campaign: in this process, in local ones, or on the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, begin_worker, hand_out, run_batch
+from deltacharger_lab.campaigns.settings import CampaignError
+from deltacharger_lab.campaigns.store import Store
+
+_TRIES = 3  # restarts with the remaining dockings after worker processes died
+_CONNECT = 15.0  # s
+_LOST = 5  # workers that a batch may lose before it fails
+
+Report = Callable[[Sequence[Row]], None]
+
+
+def run_missing(
+    store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, log: Callable[[str], None]
+) -> None:
+    """Run and write the dockings that the store lacks, until all are there or `stop` returns true.
+
+    Args:
+        store: open.
+        workers: local processes; 1 = this process.
+        scheduler: address of a Dask scheduler; empty = none.
+        batch: dockings per write, 0 = automatic.
+        report: called with the rows of every written batch.
+        stop: whether to end.
+        log: called with messages about workers.
+
+    Raises:
+        CampaignError: workers died repeatedly, there is none, or they have other versions.
+    """
+
+    def record(rows: list[Row]) -> None:
+        if rows:
+            store.add(rows)
+            report(rows)
+
+    if scheduler:
+        _run_on_dask(store, scheduler, batch, record, stop)
+        return
+    if workers == 1:
+        _run_here(store, batch, record, stop)
+    else:
+        _run_with_restarts(store, workers, batch, record, stop, log)
+
+
+def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
+    text = store.settings.to_json()
+    for numbers in batches(store.missing(), batch, 1):
+        record(run_batch(text, numbers, stop))
+        if stop():
+            return
+
+
+def _run_with_restarts(
+    store: Store, workers: int, batch: int, record: Record, stop: Stop, log: Callable[[str], None]
+) -> None:
+    """Run in local processes; if one dies, all restart with the dockings that are not written."""
+    for _ in range(_TRIES):
+        try:
+            _run_local(store, workers, batch, record, stop)
+            return
+        except BrokenProcessPool:
+            if stop():
+                return
+            log("a worker process died; its unwritten dockings start again")
+    raise CampaignError(f"worker processes died {_TRIES} times; check the free memory. The same command continues")
+
+
+def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:
+    text = store.settings.to_json()
+    left = batches(store.missing(), batch, workers)
+    context = multiprocessing.get_context("spawn")
+    halt = context.Event()
+    with _one_thread_each(), ProcessPoolExecutor(workers, context, begin_worker, (halt,)) as pool:
+
+        def submit(numbers: list[int]) -> Future[list[Row]]:
+            with _without_ctrl_c():
+                return pool.submit(run_batch, text, numbers)
+
+        try:
+            hand_out(submit, left, workers, record, stop, halt.set)
+        except BaseException:
+            halt.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: Stop) -> None:
+    """Run the dockings that the store lacks on the workers of a scheduler.
+
+    Another worker runs the batch of one that dies; its rows arrive once, unchanged.
+
+    Args:
+        store: open.
+        address: of the scheduler, e.g. tcp://host:8786.
+        batch: dockings per write, 0 = automatic.
+        record: called with the rows of each batch.
+        stop: whether to end.
+
+    Raises:
+        CampaignError: Dask is missing, no scheduler answers, it has no worker, or one has other versions.
+    """
+    try:
+        import distributed
+    except ModuleNotFoundError as error:
+        raise CampaignError("Dask is not installed; install deltacharger-lab[dask]") from error
+    try:
+        client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+    except (OSError, ValueError, distributed.TimeoutError) as error:
+        raise CampaignError(f"no Dask scheduler answers at {address}: {error}") from error
+    with client, client.as_current():
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise CampaignError(f"the scheduler at {address} has no workers; start `dask worker {address}`")
+        executor = client.get_executor(pure=False, retries=_LOST)
+        text, left = store.settings.to_json(), batches(store.missing(), batch, threads)
+        try:
+            hand_out(lambda numbers: executor.submit(run_batch, text, numbers), left, threads, record, stop)
+        except distributed.KilledWorker as error:
+            raise CampaignError(f"workers died repeatedly: {error}; the same command continues") from error
+        except ModuleNotFoundError as error:
+            raise CampaignError(
+                f"a worker lacks {error.name}; install the same version of deltacharger there"
+            ) from error
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Make processes started in this context ignore Ctrl-C, which a terminal sends to all; this one gets it later."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Make processes that start in this context use one thread for linear algebra, unless the user chose otherwise."""
+    names: list[str] = [name for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name not in os.environ]
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name in names:
+            os.environ.pop(name, None)

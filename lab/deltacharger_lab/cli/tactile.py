@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger tactile`: data sets, training and evaluation of the classifiers."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltacharger_bringup.cli.files import file_to_read, file_to_write
+from deltacharger_bringup.cli.output import (
+    DONE,
+    WRONG_INPUT,
+    CommandError,
+    log_line,
+    print_result,
+    print_text,
+    write_json,
+    wrong_input,
+)
+from deltacharger_bringup.cli.types import SEED, between, integer
+from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_docking.codes import DockingError
+from deltacharger_lab.campaigns.recording import Protocol, record_paper
+from deltacharger_lab.training.classifier import TrainableClassifier
+from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_lab.training.judgement import AXES, evaluate_classifier, evaluate_pose
+from deltacharger_lab.training.pose import fit_dataset
+from deltacharger_lab.training.splits import by_docking
+from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_tactile import npz
+from deltacharger_tactile.classifiers import labels, packaged
+from deltacharger_tactile.classifiers.classifier import NAMES
+from deltacharger_tactile.classifiers.labels import examples
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import TactileError
+from deltacharger_tactile.estimator import THRESHOLD
+
+_TRAINING_SHARE = 0.8  # share of the dockings for training; the rest calibrates when a prediction may be acted on
+_TIMED = 30  # predictions; their median time is printed
+
+TARGETS = ("angle", "vertical", "horizontal", "pose")
+
+
+def add_generate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile generate`."""
+    text = "the paper's two sets, the same by docking's own movements in virtual time on one rig, or signed poses"
+    parser.add_argument("--protocol", choices=("paper", "docked", "continuous"), default="paper", help=text)
+    parser.add_argument("--rigs", type=integer(1, 1000), metavar="N", help="simulated rigs (5; docked 1)")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the dockings (0)")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--first-rig", type=integer(0, 10**9), default=0, metavar="N", help="seed of the first rig (0)")
+    parser.add_argument(
+        "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
+    )
+    parser.add_argument("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    parser.add_argument(
+        "--threshold", type=between(0.0, 9.0), metavar="N", help="smaller forces count as 0 (1; continuous 0.25)"
+    )
+    parser.add_argument(
+        "--dockings", type=integer(1, 100_000), metavar="N", help="dockings per rig in the continuous protocol (400)"
+    )
+
+
+def add_train(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile train`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="data set of `generate`")
+    parser.add_argument("--model", required=True, choices=NAMES, help="what to train")
+    parser.add_argument("--target", required=True, choices=TARGETS, help="what it predicts")
+    parser.add_argument("--out", required=True, metavar="M.npz", help="file to write")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
+    parser.add_argument(
+        "--reference", metavar="R.npz", help="dockings with the constant errors of one device (lda, pose)"
+    )
+
+
+def add_evaluate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile evaluate`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="data set that was not used for training")
+    parser.add_argument("--model", required=True, metavar="M.npz", help="model of `train`")
+
+
+def generate(options: argparse.Namespace) -> int:
+    """Write a simulated data set."""
+    out = file_to_write("--out", options.out, ".npz")
+    count = options.rigs or (1 if options.protocol == "docked" else 5)
+    rigs = range(options.first_rig, options.first_rig + count)
+    usual = THRESHOLD if options.protocol == "continuous" else CONTACT_FORCE
+    threshold = usual if options.threshold is None else options.threshold
+    common = {"seed": options.seed, "frames": options.frames, "rows": options.rows, "threshold": threshold}
+    if options.protocol != "continuous" and options.dockings is not None:
+        raise CommandError("--dockings is for --protocol continuous; the paper's numbers are fixed", WRONG_INPUT)
+    if options.protocol == "paper":
+        data = generate_paper(**common, rigs=rigs)
+    elif options.protocol == "docked":
+        data = _docked(options, Protocol(**common, rig=options.first_rig))
+    else:
+        data = generate_continuous(**common, rigs=rigs, count=options.dockings or 400)
+    data.save(out)
+    summary = {"out": str(out), "n": len(data), "protocol": options.protocol, "digest": data.meta["digest"]}
+    text = f"{out}: {len(data)} rows on {count} simulated rigs, parameters {data.meta['digest']}"
+    print_result(options, text, {"success": True, **summary})
+    return DONE
+
+
+def _docked(options: argparse.Namespace, protocol: Protocol) -> Dataset:
+    if options.rigs not in (None, 1):
+        raise CommandError("--rigs: --protocol docked records one rig; give another --first-rig instead", WRONG_INPUT)
+    try:
+        return record_paper(protocol, log_line)
+    except DockingError as error:
+        raise CommandError(str(error), code=int(error.code)) from error
+
+
+def train(options: argparse.Namespace) -> int:
+    """Train a classifier, or the pose estimator, on a data set."""
+    if options.target == "pose" and options.model != "pose":
+        raise CommandError(f"--model {options.model} predicts classes; give --model pose", WRONG_INPUT)
+    out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
+    with wrong_input(TactileError):
+        result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
+    summary = {"out": str(out), "model": options.model, "target": options.target, **result}
+    text = f"{out}: {options.model} for {options.target}, trained on {result['n']} rows in {result['fit_time']:.2f} s"
+    print_result(options, text, {"success": True, **summary})
+    return DONE
+
+
+def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
+    rows = examples(data, options.target)
+    learns, checks = by_docking(rows, options.seed, _TRAINING_SHARE)
+    cut = data.threshold
+    model = TrainableClassifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_FORCE)
+    model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
+    model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
+    model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
+    if options.reference is not None:
+        known = examples(_load(options.reference, "--reference"), options.target)
+        model.refer(known.frames, known.labels)
+    model.save(out)
+    return {"n": len(learns), "fit_time": model.fit_time}
+
+
+def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
+    if options.reference is not None:
+        raise CommandError("--reference is for classes; for the pose use `deltacharger calibrate tactile`", WRONG_INPUT)
+    started = time.perf_counter()
+    fit_dataset(data, options.seed, _Progress()).save(out)
+    return {"n": len(data), "fit_time": time.perf_counter() - started}
+
+
+def evaluate(options: argparse.Namespace) -> int:
+    """Evaluate a trained classifier or pose estimator on a data set."""
+    data = _load(options.data)
+    file_to_read("--model", options.model)
+    with wrong_input(TactileError):
+        if npz.holds(options.model, "meta"):
+            estimator = TrainablePoseEstimator.load(options.model)
+            name, trained_on = estimator.name, estimator.about.get("data")
+            found = evaluate_pose(estimator, data)
+        else:
+            model = TrainableClassifier.load(options.model)
+            name, trained_on = model.name, model.about.get("data")
+            found = evaluate_classifier(model, examples(data, model.target))
+    if "protocol" in data.meta and trained_on == data.meta:  # files of other programs do not record their origin
+        log_line(
+            f"warning: {options.model} was trained on {options.data}: the figures are too optimistic; evaluate it on "
+            "other data"
+        )
+    if options.json:
+        write_json(found)
+        return DONE
+    what = "simulated" if data.simulated else "recorded"
+    print_text(f"{name} on {found['n']} {what} rows")
+    for part in [found[axis] for axis in AXES] if found["target"] == "pose" else [found]:
+        _print_result(part)
+    return DONE
+
+
+def _print_result(found: dict[str, Any]) -> None:
+    unit, scale = ("°", 57.29577951308232) if found["target"] == "angle" else ("mm", 1e3)
+    print_text(f"{found['target']}")
+    print_text(f"  accuracy                {100 * found['accuracy']:.1f} %")
+    print_text(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
+    print_text(f"  sets with true class    {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
+    print_text(f"  sure enough to act on   {100 * found['act_rate']:.1f} %")
+    print_text(f"  unlike training data    {100 * found['drift_rate']:.1f} %")
+    if found.get("drifted_together", 0.0) > 0.0:
+        print_text("  taken together, the rows are unlike the training data: calibrate or train again")
+
+
+def models(options: argparse.Namespace) -> int:
+    """List the packaged models: target, accuracy, size and time of one prediction on this computer."""
+    with wrong_input(TactileError):
+        rows = [_model_row(name, target) for name in packaged.MODELS for target in labels.TARGETS]
+    if options.json:
+        write_json({"success": True, "models": rows})
+        return DONE
+    print_text(
+        f"{'model':<10}{'target':<12}{'accuracy, %':>12}{'kB':>7}{'ms':>8}   on simulated rigs not used for training"
+    )
+    for row in rows:
+        percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
+        print_text(f"{row['name']:<10}{row['target']:<12}{percent:>12.1f}{size:>7.0f}{time_ms:>8.3f}")
+    return DONE
+
+
+def _model_row(name: str, target: str) -> dict[str, Any]:
+    model, frame = packaged.load(name)[target], np.ones((1, 2, 10, 10))
+    times = []
+    for _ in range(_TIMED):
+        began = time.perf_counter()
+        model.predict_proba(frame)
+        times.append(time.perf_counter() - began)
+    return {
+        "name": name,
+        "target": target,
+        "accuracy": model.about[packaged.ACCURACY],
+        "size_bytes": packaged.path(name, target).stat().st_size,
+        "time_s": float(np.median(times)),
+    }
+
+
+def _load(name: str, flag: str = "--data") -> Dataset:
+    with wrong_input(TactileError):
+        return Dataset.load(file_to_read(flag, name))
+
+
+class _Progress:
+    """Print the progress of training, at most at every tenth."""
+
+    def __init__(self) -> None:
+        self._tenth = -1
+
+    def __call__(self, share: float, text: str) -> None:
+        """Print the progress if another tenth is done."""
+        tenth = int(10 * share)
+        if tenth != self._tenth:
+            self._tenth = tenth
+            log_line(f"{100 * share:3.0f} %  {text}")

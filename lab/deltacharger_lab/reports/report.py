@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Common parts of reports: machine and date, pictures, targets and files."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from deltacharger_lab.reports.page import render, write_html
+from deltacharger_ros.outcomes import json_ready
+
+Progress = Callable[[str], None]
+"""Called with the next step."""
+Picture = Callable[[dict[str, Any], Path], None]
+"""Draws results into a file."""
+
+
+class Report:
+    """A report in progress: put measurements and targets into `results`; then `draw` and `write`.
+
+    Args:
+        subject: name of the report, its template and its files SUBJECT.json and SUBJECT.md.
+        command: that writes it.
+        libraries: whose versions the page lists.
+        html: whether to write the page as one HTML file, too.
+        measures_with: libraries that the measurement needs.
+
+    Raises:
+        ModuleNotFoundError: a needed library is missing; raised before anything takes time.
+    """
+
+    def __init__(
+        self,
+        subject: str,
+        command: str,
+        libraries: Iterable[str],
+        html: bool = False,
+        measures_with: Iterable[str] = (),
+    ) -> None:
+        for needed in ("jinja2", *(["markdown_it"] if html else []), *measures_with):
+            importlib.import_module(needed)
+        self._subject, self._html = subject, html
+        self._started = time.monotonic()
+        self.results: dict[str, Any] = {
+            "machine": machine(libraries),
+            "command": command,
+            "date": datetime.date.today().isoformat(),
+            "absent": {},
+        }
+
+    def draw(
+        self, pictures: Mapping[str, Picture], directory: Path, missing: Mapping[str, str] | None = None, **more: Any
+    ) -> None:
+        """Write all possible pictures; record missing ones with the reason, and the elapsed time.
+
+        Args:
+            pictures: by file name.
+            directory: of the report.
+            missing: pictures that cannot be drawn, with the reason.
+            more: further data for pictures, which no file keeps.
+        """
+        reasons = dict(missing or {})
+        for name, draw in pictures.items():
+            if name not in reasons:
+                draw({**self.results, **more}, directory / name)
+        self.results["pictures"] = [name for name in pictures if name not in reasons]
+        self.results["missing_pictures"] = reasons
+        self.results["elapsed_s"] = time.monotonic() - self._started
+
+    def write(self, directory: Path, indent: int | None = 1, **more: Any) -> dict[str, Any]:
+        """Write figures (NaN and infinity as null), the page rendered from them, and HTML; return the figures.
+
+        Args:
+            directory: of the report.
+            indent: of the JSON; None = all in one line.
+            more: further names for the template.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        figures, path = json_ready(self.results), directory / f"{self._subject}.json"
+        path.write_text(json.dumps(figures, indent=indent, ensure_ascii=False) + "\n", "utf-8")
+        path.with_suffix(".md").write_text(render(self._subject, figures, **more), "utf-8")
+        if self._html:
+            write_html(path.with_suffix(".md"), path.with_suffix(".html"))
+        return self.results
+
+
+def machine(libraries: Iterable[str]) -> dict[str, Any]:
+    """Return processor, cores, load, system, Python and the versions of installed libraries."""
+    versions = {}
+    for name in libraries:
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    lines: list[str] = []
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return {
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "processor": next(names, platform.processor() or platform.machine()),
+        "load": os.getloadavg()[0],
+        "versions": versions,
+    }
+
+
+def at_most(name: str, value: float | None, limit: float, unit: str, wanted: str = "") -> dict[str, Any]:
+    """Return a target that a figure must not exceed; `wanted` replaces the text "≤ limit"."""
+    return _target(name, wanted or f"≤ {limit:g}", value, unit, -math.inf, limit)
+
+
+def at_least(name: str, value: float | None, limit: float, unit: str, wanted: str = "") -> dict[str, Any]:
+    """Return a target that a figure must reach; `wanted` replaces the text "≥ limit"."""
+    return _target(name, wanted or f"≥ {limit:g}", value, unit, limit, math.inf)
+
+
+def none(name: str, count: float | None, unit: str) -> dict[str, Any]:
+    """Return a target of no events."""
+    return at_most(name, count, 0.0, unit, "= 0")
+
+
+def _target(name: str, wanted: str, value: float | None, unit: str, low: float, high: float) -> dict[str, Any]:
+    measured = math.nan if value is None else float(value)
+    met = low <= measured <= high or math.isclose(measured, low) or math.isclose(measured, high)  # apart from rounding
+    return {
+        "name": name,
+        "wanted": wanted,
+        "measured": measured,
+        "unit": unit,
+        "met": None if math.isnan(measured) else met,
+    }

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Common parts of the simulation report: the models, an arm commanded by platform positions, and a docking."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import math
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.reports.simulation.usual import as_users_set_it, was_reset
+from deltacharger_sim.pads.pad_source import approach
+from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
+from deltacharger_sim.world import World
+from deltacharger_tactile.contact import ContactModel
+
+DELTA = ScalarDelta()
+LIGHT = "light"
+EXTRAPOLATED = "light, extrapolated"
+TICK = 0.1  # s between commands of the docking; every step of the report divides it
+SAMPLE = 0.01  # s between compared positions, if the step allows
+TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
+COMPARED = ServoParameters(friction_share=0.0)  # MuJoCo has no friction by load
+_FAR = 0.3  # m from the origin that no arm reaches
+PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
+
+
+def model_world(name: str, parameters: WorldParameters, step: float) -> World:
+    """Return a world of the light model, of its competitor, or of MuJoCo with an integrator and steps of `step` s."""
+    if name == LIGHT:
+        return World(parameters)
+    if name == EXTRAPOLATED:
+        from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
+
+        return World(parameters, mechanics=ExtrapolatedMechanics)
+    from deltacharger_lab.mujoco.world import mujoco_world
+
+    # The report measures where it diverges.
+    logging.getLogger("deltacharger_lab.mujoco.world").setLevel(logging.ERROR)
+    found = mujoco_world(parameters, step=step, integrator=name.split()[-1])
+    return as_users_set_it(found) if "usual" in name else found
+
+
+class Arm:
+    """A world whose servos are commanded by platform positions, with a lead for the arm's weight."""
+
+    def __init__(self, world: World, step: float) -> None:
+        self.world = world
+        self.step = step
+        self.trace: list[Vector] = []
+        self.used = 0.0
+        values = world.parameters
+        self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
+
+    def aim(self, point: Vector, bound: float = STALL_CURRENT, lead: bool = True) -> None:
+        """Command all servos toward `point` (m, charger_base) with at most `bound` A each."""
+        held = DELTA.holding_torque(*point, self.gravity) if lead else (0.0, 0.0, 0.0)
+        stiffness = self.world.parameters.servo.stiffness
+        goals = (angle + torque / stiffness for angle, torque in zip(DELTA.inverse(*point), held, strict=True))
+        self.turn(goals, bound)
+
+    def turn(self, goals: Iterable[float], bound: float = STALL_CURRENT) -> None:
+        """Command the servos to angles (rad) with at most `bound` A each."""
+        for index, goal in enumerate(goals):
+            self.world.command(index, True, goal, bound)
+
+    def release(self) -> None:
+        """Take all torque off."""
+        for index in range(3):
+            self.world.command(index, False, 0.0, 0.0)
+
+    def run(self, seconds: float, sample: float = math.inf) -> None:
+        """Advance, keep the position every `sample` s, and add the processor time to `used` (s)."""
+        every = max(1, round(sample / self.step)) if sample < math.inf else 0
+        started = time.process_time()
+        for index in range(1, max(1, round(seconds / self.step)) + 1):
+            self.world.step(self.step)
+            if every and index % every == 0:
+                self.trace.append(self.world.mechanics.position)
+        self.used += time.process_time() - started
+
+    def go(self, point: Vector, seconds: float = 1.0, bound: float = STALL_CURRENT, lead: bool = True) -> None:
+        """Aim and wait."""
+        self.aim(point, bound, lead)
+        self.run(seconds)
+
+    @property
+    def speed(self) -> float:
+        """The fastest of the platform's velocities along the axes, m/s."""
+        return max(map(abs, self.world.mechanics.velocity))
+
+    def is_bounded(self) -> bool:
+        """Return whether every number is finite and the platform within reach of any arm."""
+        mechanics = self.world.mechanics
+        numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
+        return all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < _FAR
+
+    def contact_current(self) -> float:
+        """Per-servo current that pushes along +z (A), as docking computes it but without noise."""
+        position = self.world.mechanics.position
+        if math.isnan(position[0]):
+            return math.nan
+        held = DELTA.holding_torque(*position, self.gravity)
+        push = [torque - hold for torque, hold in zip(self.world.mechanics.torques, held, strict=True)]
+        force = DELTA.force(*position, (push[0], push[1], push[2]))[2]
+        return force * sum(DELTA.jacobian(*position)[6:]) / (3.0 * TORQUE_CONSTANT)
+
+
+def commanded(tick: int) -> float:
+    """Return the z (m) that a tick of the docking commands."""
+    return TRAVEL + (PUSH - TRAVEL) * min((tick + 1) / 8.0, 1.0)
+
+
+def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, Any]:
+    """Approach, snap, push and hold: positions every SAMPLE, settled force and current, and run time.
+
+    Returns:
+        trace (list of m), force (N), peak (N), current (A), tilt (rad about x and y), share (of the left pad), speed
+        (final, m/s; NaN if MuJoCo was reset), and the speed of one core relative to real time in
+        motion (`moving`) and in total (`all`).
+    """
+    arm = Arm(model_world(model, parameters, step), step)
+    arm.go((0.0, 0.0, TRAVEL), 1.0)
+    arm.used = 0.0
+    for tick in range(PATH_TICKS):
+        arm.aim((0.0, 0.0, commanded(tick)))
+        arm.run(TICK, max(SAMPLE, step))
+    trace, moved = arm.trace, arm.used
+    hold = HOLD * max(1.0, SERVO_STIFFNESS / parameters.servo.stiffness)
+    arm.run(hold)
+    mechanics = arm.world.mechanics
+    return {
+        "trace": trace,
+        "force": mechanics.contact_force,
+        "peak": arm.world.record.peak_force,
+        "current": arm.contact_current(),
+        "tilt": mechanics.tilt,
+        "share": left_share(arm.world),
+        "speed": math.nan if was_reset(arm.world) else arm.speed,
+        "moving": PATH_TICKS * TICK / max(moved, 1e-6),
+        "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),
+    }
+
+
+def left_share(world: World) -> float:
+    """Return the share of the force on the left pad, 0 to 1, by the contact model of straight ridges; NaN if apart."""
+    mechanics, pose = world.mechanics, world.misalignment
+    if pose is None or not all(map(math.isfinite, pose)):
+        return math.nan
+    tilt = (0.0, 0.0) if mechanics.lean is None else approach(mechanics.lean.residual)
+    left, right = _contact_model().solve(pose, mechanics.contact_force, tilt).taxels[0].sum(axis=(1, 2))
+    return float(left / (left + right))
+
+
+@functools.cache
+def _contact_model() -> ContactModel:
+    return ContactModel()
+
+
+def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
+    """Return the rms distance (m) of positions from those of a finer or equal sampling of the same time."""
+    every = len(exact) // len(trace)
+    squares = [math.dist(place, exact[(index + 1) * every - 1]) ** 2 for index, place in enumerate(trace)]
+    return math.sqrt(sum(squares) / len(squares))
+
+
+def world(
+    stiffness: float = 1e5, servo: float = SERVO_STIFFNESS, friction: float | None = None, **changes: Any
+) -> WorldParameters:
+    """Return parameters of a contact and servo stiffness; `friction` of the gears (N·m), None = default."""
+    gears = replace(COMPARED, stiffness=servo, friction=COMPARED.friction if friction is None else friction)
+    return WorldParameters(servo=gears, contact=ContactParameters(stiffness=stiffness), **changes)
+
+
+def settled_exactly(parameters: WorldParameters, command: float) -> float:
+    """Return the contact force (N) at rest on the axis, weightless, by bisection of springs and magnets.
+
+    It uses no integrator; `command` is the commanded z (m), at which the target is touched.
+    """
+    goal, wall = DELTA.inverse(0.0, 0.0, command)[0], parameters.target.z
+    low, high = wall, wall + 0.025
+    for _ in range(200):
+        z = 0.5 * (low + high)
+        lever = sum(DELTA.jacobian(0.0, 0.0, z)[6:]) / 3.0
+        pushed = parameters.servo.stiffness * (goal - DELTA.inverse(0.0, 0.0, z)[0]) / lever + parameters.magnets.force
+        low, high = (z, high) if pushed > electrode_force(parameters.contact, z - wall) else (low, z)
+    return electrode_force(parameters.contact, 0.5 * (low + high) - wall)
+
+
+def electrode_force(contact: ContactParameters, depth: float) -> float:
+    """Return the force (N) of both electrodes at a compression (m)."""
+    return 2.0 * contact.stiffness * depth + contact.hard_stop_stiffness * max(depth - contact.hard_stop, 0.0)

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The platform at rest against the target: approach and two tilts from the balance of force and both moments.
+
+Unknowns: z, α (about x: +y comes closer), β (about y: +x comes closer) and the deflection w of both pads' lower
+layers. A point at (x, y) comes closer by h = z + α y + β x − gap. The energy is convex: skin (at h − w), lower layer,
+bars and platform, minus the work of the force at its line of action. Newton steps in z, α, β with damped steps of w
+find its minimum; a step that raises the energy is halved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_lab.second.bars import SpringBars
+from deltacharger_lab.second.foundation import BEYOND, PadFoundation, Ridges
+from deltacharger_lab.second.parameters import SecondParameters
+
+_CHUNK = 48
+_ITERATIONS = 300
+_BALANCED, _SETTLED = 1e-8, 1e-4  # of the force; of the largest pressure
+_LEVER = 0.05  # m, to compare moments with forces
+_FARTHEST = np.array([1e-3, 0.02, 0.02])  # m and rad, largest step
+_SQUARE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # index of the monomials in the second moments of (1, y, x)
+_SHARE = 0.5  # of a load's deflection that a step predicts under the load itself: 1 suits smooth loads, 0 rough ones
+_SOFT = 1.0  # N/m, keeps the step of a platform in free air finite
+
+
+@dataclass(frozen=True)
+class RestingContact:
+    """N contacts at rest.
+
+    Attributes:
+        taxels: (N, 2, 10, 10) N on each taxel; pad 0 is left (+x), row 0 at +y, column 0 at +x.
+        bars: (N, 2) N on the upper and the lower bar; the force is the sum of bars and taxels.
+        state: (N, 3) m, rad, rad: approach and tilts about x and y; NaN without contact.
+        moments: (N, 2) N·m about x and y of the forces on pads and bars.
+    """
+
+    taxels: Array
+    bars: Array
+    state: Array
+    moments: Array
+
+
+class _Trial(NamedTuple):
+    """Energy (N,), its gradient (N, 3) and curvature (N, 3, 3) by z, α, β; pressure, its slope (N, K), bars' force."""
+
+    energy: Array
+    gradient: Array
+    curvature: Array
+    pressure: Array
+    slope: Array
+    bars: Array
+
+
+class Equilibrium:
+    """Platform, pads and bars for a family of rigs; immutable."""
+
+    def __init__(self, parameters: SecondParameters | None = None) -> None:
+        self.parameters = parameters or SecondParameters()
+        self._pads = PadFoundation(self.parameters.dimensions, self.parameters.foundation)
+        self._bars = SpringBars(self.parameters.bars)
+
+    def solve(
+        self,
+        pose: ArrayLike,
+        force: ArrayLike,
+        line: ArrayLike = (0.0, 0.0),
+        lean: ArrayLike = (0.0, 0.0),
+        ridges: Ridges | None = None,
+    ) -> RestingContact:
+        """Press the target against platforms.
+
+        Args:
+            pose: (N, 3) or (3,) m, m, rad: pose of the target in end_effector.
+            force: (N,) or scalar N; no contact if it is not positive.
+            line: (N, 2) or (2,) m, point of action of the force: x, y.
+            lean: (N, 2) or (2,) rad, tilt (about x, about y) of the platform against the target without moment.
+            ridges: of the target; None = straight.
+        """
+        poses = np.atleast_2d(np.asarray(pose, dtype=float))
+        count = len(poses)
+        forces = np.broadcast_to(np.asarray(force, dtype=float), (count,))
+        lines = np.broadcast_to(np.asarray(line, dtype=float), (count, 2))
+        leans = np.broadcast_to(np.asarray(lean, dtype=float), (count, 2))
+        rest = RestingContact(
+            np.zeros((count, PADS, ROWS, COLUMNS)),
+            np.zeros((count, 2)),
+            np.full((count, 3), np.nan),
+            np.zeros((count, 2)),
+        )
+        chosen = np.flatnonzero(forces > 0.0)
+        for start in range(0, len(chosen), _CHUNK):
+            rows = chosen[start : start + _CHUNK]
+            work = _Work(
+                self.parameters, self._pads, self._bars, poses[rows], forces[rows], lines[rows], leans[rows],
+                ridges or Ridges.straight(),
+            )  # fmt: skip
+            if work.touching.any():
+                work.settle(rest, rows)
+        return rest
+
+
+class _Work:
+    """One chunk of contacts being solved."""
+
+    def __init__(
+        self, parameters: SecondParameters, pads: PadFoundation, bars: SpringBars,
+        pose: Array, force: Array, line: Array, lean: Array, ridges: Ridges,
+    ) -> None:  # fmt: skip
+        self._pads, self._bars = pads, bars
+        self._hold = 1.0 / parameters.platform.compliance
+        self._lean, self._overlap = lean, bars.overlap(pose)
+        gap = pads.gap(pose, ridges)
+        self._index, self._gap = _standing(gap)
+        self._at, self._bars_at = _monomials(pads.y[self._index], pads.x[self._index]), _monomials(bars.y, bars.x)
+        self._at *= pads.area
+        highest = np.where(self._overlap.any(axis=1), parameters.bars.proud, -BEYOND)
+        self._highest = np.maximum(highest, -self._gap.min(axis=1))
+        self.touching: Mask = self._highest > -0.5 * BEYOND
+        self._force = np.where(self.touching, force, 0.0)
+        self._work = self._force[:, None] * np.column_stack([np.ones(len(pose)), line[:, 1], line[:, 0]])
+        self._points = gap.shape[1]
+        self._flat = self._index + self._points * np.arange(len(pose))[:, None]
+        self._stiff = np.diag([_SOFT, self._hold, self._hold])
+
+    def settle(self, rest: RestingContact, rows: NDArray[np.int64]) -> None:
+        """Solve every contact and write the result into `rest` at `rows`."""
+        state = np.column_stack([2e-4 - self._highest, self._lean])
+        load, sunk = np.zeros(self._gap.shape), np.zeros(self._gap.shape)  # on the lower layer, Pa; its deflection, m
+        done = ~self.touching
+        lowest = np.full(len(state), np.inf)
+        at, change, share = (state, load, sunk), (state, load, sunk), np.ones(len(state))
+        for _ in range(_ITERATIONS):
+            trial = self._try(state, load, sunk)
+            done = done | self._is_settled(trial, load)
+            if done.all():
+                break
+            climbed = ~done & (trial.energy > lowest + 1e-13 * self._force)
+            good = ~done & ~climbed
+            share = np.where(climbed, 0.5 * share, 1.0)
+            if good.any():
+                lowest = np.where(good, trial.energy, lowest)
+                here, step = (state, load, sunk), self._step(trial, load)
+                at = _chosen(good, here, at)
+                change = _chosen(good, step, change)
+            moving = np.where(done, 0.0, share)[:, None]
+            fresh = tuple(old + moving * new for old, new in zip(at, change, strict=True))
+            state, load, sunk = _chosen(~done, fresh, (state, load, sunk))
+        self._write(rest, rows, state, trial)
+
+    def _try(self, state: Array, load: Array, sunk: Array) -> _Trial:
+        height = _dot(self._at[:, :, :3], state) / self._pads.area
+        pressure, slope, energy = self._pads.press(height - self._gap - sunk)
+        force, rate, stored = self._bars.press(state @ self._bars_at[:, :3].T)
+        over = self._overlap
+        force, rate = over * force, over * rate
+        turn = state[:, 1:] - self._lean
+        total = self._pads.area * (energy + 0.5 * load * sunk).sum(axis=1) + (over * stored).sum(axis=1)
+        total += 0.5 * self._hold * (turn * turn).sum(axis=1) - (self._work * state).sum(axis=1)
+        gradient = _sums(pressure, self._at[:, :, :3]) + force @ self._bars_at[:, :3] - self._work
+        gradient[:, 1:] += self._hold * turn
+        curvature = (_sums(slope, self._at) + rate @ self._bars_at)[:, _SQUARE].reshape(-1, 3, 3)
+        curvature += self._stiff
+        return _Trial(total, gradient, curvature, pressure, slope, force)
+
+    def _is_settled(self, trial: _Trial, load: Array) -> Mask:
+        off = np.abs(trial.gradient) / [1.0, _LEVER, _LEVER]
+        apart = np.abs(trial.pressure - load).max(axis=1)
+        still = apart <= _SETTLED * trial.pressure.max(axis=1)
+        return np.asarray((off.max(axis=1) <= _BALANCED * self._force) & still)
+
+    def _step(self, trial: _Trial, load: Array) -> tuple[Array, Array, Array]:
+        """Return steps of state, load and deflection; the Newton step of the state anticipates the other two."""
+        more = (trial.pressure - load) / (1.0 + _SHARE * trial.slope / self._pads.base)
+        deeper = self._pads.deflect(self._grid(more)).ravel()[self._flat]
+        wanted = _sums(trial.slope * deeper, self._at[:, :, :3]) - trial.gradient
+        move = np.asarray(np.linalg.solve(trial.curvature, wanted[:, :, None])[:, :, 0], dtype=np.float64)
+        move /= np.maximum(np.abs(move) / _FARTHEST, 1.0).max(axis=1, keepdims=True)
+        return move, more, deeper
+
+    def _grid(self, values: Array) -> Array:
+        grid = np.zeros((len(values), self._points))
+        grid.ravel()[self._flat] = values
+        return grid
+
+    def _write(self, rest: RestingContact, rows: NDArray[np.int64], state: Array, trial: _Trial) -> None:
+        pressure, force = trial.pressure * self.touching[:, None], trial.bars * self.touching[:, None]
+        rest.taxels[rows] = self._pads.taxels(self._grid(pressure))
+        rest.bars[rows] = force.reshape(len(rows), 2, -1).sum(axis=2)
+        rest.state[rows] = np.where(self.touching[:, None], state, np.nan)
+        pressed = _sums(pressure, self._at[:, :, :3]) + force @ self._bars_at[:, :3]
+        rest.moments[rows] = pressed[:, 1:]
+
+
+def _standing(gap: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return (N, K) indices of the points under ridges, padded with others, and their gaps."""
+    on = gap < 0.5 * BEYOND
+    most = max(int(on.sum(axis=1).max()), 1)
+    index = np.argsort(~on, axis=1, kind="stable")[:, :most]
+    return index, np.take_along_axis(gap, index, axis=1)
+
+
+def _chosen(rows: Mask, fresh: tuple[Array, ...], old: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    if rows.all():
+        return fresh  # type: ignore[return-value]
+    a, b, c = (np.where(rows[:, None], new, before) for new, before in zip(fresh, old, strict=True))
+    return a, b, c
+
+
+def _monomials(y: Array, x: Array) -> Array:
+    """Return (…, 6): 1, y, x, y², y x, x²."""
+    return np.stack([np.ones(y.shape), y, x, y * y, y * x, x * x], axis=-1)
+
+
+def _sums(values: Array, weights: Array) -> Array:
+    """Return (N, M) sums of values (N, K) with weights (N, K, M)."""
+    return np.asarray((values[:, None] @ weights)[:, 0])
+
+
+def _dot(weights: Array, values: Array) -> Array:
+    """Return (N, K) sums of values (N, M) with weights (N, K, M)."""
+    return np.asarray((weights @ values[:, :, None])[:, :, 0])

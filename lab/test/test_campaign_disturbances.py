@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbances of a docking: wrong assumptions about arm and gravity, high taxels, faces askew, nudges, other pads."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_core.machine import GRAVITY_STRENGTH, TORQUE_CONSTANT
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_lab.campaigns import docking
+from deltacharger_lab.campaigns.assumed import assumed_geometry
+from deltacharger_lab.campaigns.disturbances import LASTS, high_row, watched_after
+from deltacharger_lab.campaigns.docking import columns, dock_once, make_charger
+from deltacharger_lab.campaigns.draw import Drawn, draw
+from deltacharger_lab.campaigns.parts import build_parts
+from deltacharger_lab.campaigns.scene import load_campaign_scene
+from deltacharger_lab.second.parameters import SecondParameters
+from deltacharger_sim.pads.source import ContactSource
+from deltacharger_tactile import MODEL_PATHS
+from test.marks import rest
+
+from .campaigns import QUICK, comparable, scene
+
+exactly_too = pytest.mark.parametrize("exact", [False, rest(True)])
+
+
+def drawn(**more: Any) -> Drawn:
+    """Return the first docking of the quick scene with more keys."""
+    return draw(scene({**QUICK, **more}), 3, 0)
+
+
+def docked(exact: bool = False, number: int = 0, **more: Any) -> dict[str, Any]:
+    """Return a row of the quick scene with more keys."""
+    row = dock_once(scene({**QUICK, **more}), 3, number, exact)
+    assert row["error"] == ""
+    return row
+
+
+def test_assumed_stiffness_and_torque_constant_do_not_change_the_true_ones() -> None:
+    world, _, used = build_parts({"world.servo.stiffness": 5.0, "assumed.servo_stiffness": 2.5})
+    assert (world.servo.stiffness, used.servo_stiffness) == (5.0, 12.5)
+    world, _, used = build_parts({"world.servo.torque_constant": 1.2})
+    assert (world.servo.torque_constant, used.torque_constant) == (1.2, 1.2)
+    world, _, used = build_parts({"assumed.torque_constant": 0.8})
+    assert (world.servo.torque_constant, used.torque_constant) == (TORQUE_CONSTANT, 0.8 * TORQUE_CONSTANT)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_servos_current_bound_follows_from_the_assumed_constant(exact: bool) -> None:
+    charger = make_charger(drawn(assumed={"torque_constant": 0.8}), exact)
+    charger._trajectory = (Waypoint(1.0, (0.0, 0.0, 0.0), (0.3, 0.6, 0.9)),)
+    charger._servos()
+    assert charger._bound == pytest.approx([torque / (0.8 * TORQUE_CONSTANT) for torque in (0.3, 0.6, 0.9)])
+
+
+@pytest.mark.parametrize("true", [(0.0, 0.0), (0.3, 1.0), (math.pi, 0.0), (2.0, -2.0)])
+def test_assumed_gravity_differs_by_the_given_angle(true: tuple[float, float]) -> None:
+    stands = {"gravity.tilt": true[0], "gravity.azimuth": true[1]}
+    found = []
+    for tilt, azimuth in ((0.0, 0.0), (0.2, 0.0), (0.2, 0.5 * math.pi)):
+        told = {"assumed.gravity_tilt": tilt, "assumed.gravity_azimuth": azimuth}
+        world, _, used = build_parts({**stands, **told})
+        found.append(np.array(used.gravity) / GRAVITY_STRENGTH)
+    down = np.array((world.gravity_x, world.gravity_y, world.gravity_z)) / GRAVITY_STRENGTH
+    assert found[0] == pytest.approx(down)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(1.0)
+    assert found @ down == pytest.approx([1.0, math.cos(0.2), math.cos(0.2)])
+    assert found[1] @ found[2] == pytest.approx(math.cos(0.2) ** 2)
+    assert any(true) or found[2][0] == pytest.approx(math.sin(0.2))
+
+
+def test_assumed_geometry_is_the_true_one_plus_error() -> None:
+    assert assumed_geometry({"target.x": 0.01}) is assumed_geometry({"assumed.geometry.arm": 0.0}) is None
+    errors = {"arm": 0.001, "limb_1.arm": 0.0005, "limb_2.angle_offset": 0.01}
+    found, true = assumed_geometry({f"assumed.geometry.{name}": each for name, each in errors.items()}), DeltaGeometry()
+    assert found is not None
+    assert [found.limb(index).arm - true.arm for index in range(2)] == pytest.approx([0.001, 0.0015])
+    assert found.limbs[2] == LimbAdjustment(angle_offset=0.01)
+    assert found.limb(0).rod == found.limb(1).rod == true.rod
+
+
+@exactly_too
+def test_docking_moves_by_the_assumed_geometry_in_the_true_world(exact: bool) -> None:
+    one = drawn(assumed={"geometry": {"limb_0": {"angle_offset": 0.01}}})
+    charger = make_charger(one, exact)
+    assert charger.world.geometry == DeltaGeometry()
+    charger.dock(limit=120.0)
+    mechanics, believed = charger.world.mechanics, charger.machine._context.position
+    wrong, right = (each.forward(*mechanics.angles) for each in (ScalarDelta(one.geometry), ScalarDelta()))
+    assert believed == pytest.approx(wrong, abs=1e-4)
+    assert math.dist(believed, mechanics.position) == pytest.approx(math.dist(wrong, right), abs=1e-4)
+    assert math.dist(believed, mechanics.position) > 0.0003
+
+
+def test_pairs_stay_pairs_and_true_assumptions_change_no_row() -> None:
+    for number in range(4):
+        one, two = (draw(load_campaign_scene(name), 7, number) for name in ("default", "assumed_geometry"))
+        assert (one.world, one.goal, one.docking, one.seed) == (two.world, two.goal, two.docking, two.seed)
+        assert one.geometry is None is not two.geometry
+    true = {"servo_stiffness": 1.0, "torque_constant": 1.0, "geometry": {"arm": 0.0, "limb_1": {"rod": 0.0}}}
+    plain, told = docked(), docked(assumed=true)
+    assert comparable([{name: told[name] for name in plain}]) == comparable([plain])
+
+
+def test_a_high_row_is_ten_taxels_of_one_pad_drawn_per_docking() -> None:
+    assert np.count_nonzero(high_row(1.5, 4)) == 10
+    assert np.count_nonzero(high_row(1.5, 4).any(axis=2)) == 1
+    assert len({tuple(np.argwhere(high_row(1.0, seed))[0][:2]) for seed in range(400)}) == 20
+    np.testing.assert_array_equal(high_row(1.5, 4), 1.5 * high_row(1.0, 4))
+
+
+@exactly_too
+def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
+    baselines, feels = [], []
+    for taxels in ({"high_row": 1.5}, {}):
+        one = drawn(taxels=taxels)
+        charger = make_charger(one, exact)
+        charger.begin(docking.DockGoal(one.goal))
+        assert not charger.observe().tactile_contact
+        charger.until(lambda charger=charger: charger._tared, 30.0)
+        charger.run(0.05)
+        baselines.append(charger.baseline)
+        feels.append(charger.observe().tactile_contact)
+    assert feels == [True, False]
+    alive = np.isfinite(baselines[1])
+    np.testing.assert_allclose((baselines[1] - baselines[0])[alive], high_row(1.5, one.seed)[alive], atol=1e-9)
+
+
+def test_a_heading_turns_the_faces_back() -> None:
+    world, _, _ = build_parts({"parked.heading": 0.03, "world.target.tilt_y": 0.01})
+    assert world.target.tilt_y == pytest.approx(-0.02)
+    askew = docked(parked={"heading": 0.02})
+    turned = docked(world={**QUICK["world"], "target": {"tilt_y": -0.02}})
+    for row in askew, turned:
+        row["parked.heading"] = row["world.target.tilt_y"] = 0.0
+    assert comparable([askew]) == comparable([turned])
+
+
+def test_docking_knows_that_there_are_no_magnets_but_not_how_strong_others_are() -> None:
+    for force, assumed in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
+        assert build_parts({"world.magnets.force": force})[2].magnet_force == assumed
+    assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0})[2].magnet_force == 40.0
+
+
+def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[str, Any]:
+    """Return the row of a docking with a nudged target."""
+    world = {**QUICK["world"], "contact": {"friction": friction}}
+    return docked(exact, target={}, camera={}, world=world, nudge=nudge)
+
+
+@exactly_too
+def test_turning_a_charging_target_ends_charging(exact: bool) -> None:
+    row = nudged(exact, 0.3, roll=0.18, after=1.5)  # 0.19 shorts one that lies askew
+    assert (row["charged"], row["ended"], row["shorts"]) == (True, "NO_CONTACT", 0)
+    assert row["nudge_opened"] < LASTS
+    assert row["energised"] == pytest.approx(1.5 + row["nudge_opened"], abs=0.1)
+
+
+def test_the_nudge_occurs_once_at_its_time() -> None:
+    one = drawn(nudge={"x": 0.002, "after": 1.0})
+    charger = make_charger(one, False)
+    nudging = docking.Nudging(one.nudge, charger.world)
+    charger.begin(docking.DockGoal(one.goal))
+    places = [(0.0, charger.world.parameters.target.x)]
+    while charger.now < 30.0:
+        charger.tick()
+        nudging.look()
+        places.append((charger.world.record.energised, charger.world.parameters.target.x))
+    moves = [live for (live, before), (_, x) in pairwise(places) if x != before]
+    assert moves[0] == pytest.approx(1.0, abs=0.14)
+    assert moves[-1] <= moves[0] + LASTS + 0.2
+    assert places[-1][1] == pytest.approx(places[0][1] + 0.002)
+    assert math.isnan(nudging.opened)
+
+
+def test_charging_continues_after_a_nudge_with_clearance() -> None:
+    row = nudged(x=0.001, after=1.5)
+    assert (row["ended"], math.isnan(row["nudge_opened"])) == ("", True)
+    assert row["energised"] > 1.5 + watched_after(DockingParameters())
+
+
+def test_before_the_nudge_the_docking_is_unchanged_and_one_before_the_outcome_belongs_to_it() -> None:
+    plain, row = docked(), docked(nudge={"y": 0.002, "roll": 0.02})
+    for name in ("seed", "goal_x", "place_y", "time", "final_vertical", "estimated_angle", "moves", "last_clearance"):
+        assert row[name] == plain[name], name
+    row = nudged(friction=0.02, y=0.012, roll=0.15, after=0.3)
+    assert (row["charged"], row["shorts"]) == (False, 1)
+    assert 0.0 < row["nudge_opened"] < 1.0
+
+
+@pytest.mark.rest
+def test_second_pads_are_made_by_name_and_pairs_stay_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    def make(kind: str, tactile: Any, _: Any, *seeds: int) -> ContactSource:
+        made.append(kind)
+        return ContactSource(tactile, *seeds)
+
+    monkeypatch.setattr(docking, "make_pads", make)
+    chosen = {"pads": {"choose": ["first", "second"]}}
+    rows = [docked(number == 0, number, **chosen) for number in range(6)]
+    assert [row["pads"] for row in rows] == made
+    assert set(made) == {"first", "second"}
+    assert columns(scene({**QUICK, **chosen}))["pads"][0] is str
+    plain = [docked(number == 0, number) for number in range(6)]
+    first = [number for number, kind in enumerate(made[:6]) if kind == "first"]
+    same = [{name: rows[number][name] for name in plain[0]} for number in first]
+    assert comparable(same) == comparable([plain[number] for number in first])
+    for name in ("seed", "rig_seed", "goal_x", "place_roll", "world.servo.stiffness"):
+        assert [row[name] for row in rows] == [row[name] for row in plain]
+
+
+def test_the_pose_model_is_the_named_one() -> None:
+    for name, threshold in zip(("packaged", "1N"), MODEL_PATHS, strict=True):
+        one = drawn(estimator={"model": name})
+        charger = make_charger(one, False)
+        docking.EstimateLog(charger, one.estimator, one.seed)
+        assert charger.model.threshold == threshold
+
+
+@pytest.mark.parametrize("dead_band", [False, True])
+def test_pads_with_a_dead_band_are_read_again(dead_band: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame of the first touch does not predict later ones if readings are not proportional to the force."""
+
+    class Banded(ContactSource):
+        def frames(self, *given: Any) -> Any:
+            raw = super().frames(*given)
+            return np.where(raw < 1.5, np.fmin(raw, 0.1), raw) if dead_band else raw
+
+    monkeypatch.setattr(docking, "make_pads", lambda _, tactile, __, *seeds: Banded(tactile, *seeds))
+    one = drawn(pads="second")
+    charger = make_charger(one, False)
+    charger.begin(docking.DockGoal(one.goal))
+    found = []
+    while charger.outcome is None and len(found) < 400:
+        charger.tick()
+        if charger._tared and charger.world.misalignment is not None:
+            seen = charger.observe().tactile_contact
+            most = float(np.nanmax(charger.feel(1, 0.0)[0] - charger.baseline))
+            if abs(most - 1.0) > 0.4:
+                found.append((seen, most >= 1.0))
+    assert len(found) > 20
+    assert all(seen is felt_now for seen, felt_now in found)
+
+
+USUAL = SecondParameters().platform.compliance
+
+
+@pytest.mark.parametrize(
+    ("world", "own", "expected"),
+    [
+        (None, None, USUAL),
+        (0.0, None, USUAL),
+        (0.03, None, 0.03),
+        (0.03, 0.01, 0.01),
+        (None, 0.01, 0.01),
+        (1e-6, None, 1e-4),  # the stiffest that the family has
+    ],
+)
+def test_the_second_family_yields_as_the_worlds_platform_unless_it_has_its_own(
+    world: float | None, own: float | None, expected: float
+) -> None:
+    content: dict[str, Any] = {} if world is None else {"world": {"platform": {"compliance": world}}}
+    content |= {} if own is None else {"second": {"platform": {"compliance": own}}}
+    assert (drawn(pads="second", **content).second or SecondParameters()).platform.compliance == expected

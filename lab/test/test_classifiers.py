@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's classifiers: training, files, combined and reference dockings, and frames unlike training."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import deltacharger_tactile
+from deltacharger_lab.reports.tactile.fusion import groups, together
+from deltacharger_lab.reports.tactile.splits import by_frame, leave_one_out
+from deltacharger_lab.training import familiarity, reliability, splits
+from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier
+from deltacharger_lab.training.familiarity import WINDOW, Familiarity
+from deltacharger_lab.training.judgement import evaluate_classifier
+from deltacharger_lab.training.reliability import Reliability
+from deltacharger_sim.pads.generator import generate_continuous, generate_paper, measure
+from deltacharger_sim.pads.sensor import Rig
+from deltacharger_tactile.classifiers import labels, packaged
+from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
+from deltacharger_tactile.classifiers.labels import Examples, examples
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import DatasetError, ModelError
+from deltacharger_tactile.parameters import TactileParameters
+from test.marks import night, rest
+
+from .small_paper import small_paper
+
+Frames = NDArray[np.float64]
+NEEDS = {"gbdt": "sklearn", "xgboost": "xgboost", "nn": "torch", "cnn": "torch"}
+SIMPLE, RIG, THRESHOLD = "lda", 311, 0.25
+TREE = TrainableClassifier.load(packaged.path("tree", "angle"))
+
+
+def marked(name: str) -> Any:
+    slow = {"nn": night, "cnn": night, "gbdt": rest, "logistic": rest}
+    return slow[name](name) if name in slow else name
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return small_paper()
+
+
+@pytest.fixture(scope="module")
+def angle(data: Dataset) -> Examples:
+    return examples(data, "angle")
+
+
+def trained(name: str, rows: Examples, target: str = "angle") -> tuple[TrainableClassifier, Examples]:
+    pytest.importorskip(NEEDS.get(name, "sklearn"), reason="trains with deltacharger-lab[train]")
+    learns, judges = splits.by_docking(rows, seed=1)
+    model = TrainableClassifier(name, target).fit(rows.frames[learns], rows.labels[learns], seed=1)
+    return model, rows.part(judges)
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in NAMES])
+def test_numpy_matches_the_trainer_its_file_and_the_same_seed(name: str, angle: Examples, tmp_path: Path) -> None:
+    model, rows = trained(name, angle)
+    found = model.predict_proba(rows.frames)
+    np.testing.assert_allclose(found, model.trainer_proba(rows.frames), atol=1e-6)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-9)
+    assert np.mean(found.argmax(axis=1) == rows.labels) > (0.35 if name == "svm" else 0.5)  # few examples
+    model.save(tmp_path / "model.npz")
+    again = Classifier.load(tmp_path / "model.npz")
+    np.testing.assert_allclose(again.predict_proba(rows.frames), found, atol=1e-12)
+    assert (again.name, again.target) == (name, "angle")
+    if name in ("forest", "cnn"):  # draw while they learn
+        np.testing.assert_allclose(trained(name, angle)[0].predict_proba(rows.frames), found, atol=1e-5)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("name", ["logistic", "knn", "forest"])
+def test_a_shrunk_model_predicts_the_same_from_a_smaller_file(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
+    rows = examples(generate_paper(rigs=(331, 332), seed=6), "vertical")
+    model = TrainableClassifier(name, "vertical").fit(rows.frames[::2], rows.labels[::2])
+    known = model.predict(rows.frames)
+    model.save(tmp_path / "whole.npz")
+    model.shrink(rows.frames).save(tmp_path / "small.npz")
+    np.testing.assert_array_equal(Classifier.load(tmp_path / "small.npz").predict(rows.frames), known)
+    np.testing.assert_array_equal(model.predict(rows.frames), known)
+    assert (tmp_path / "small.npz").stat().st_size < 0.7 * (tmp_path / "whole.npz").stat().st_size
+
+
+@pytest.mark.night
+@pytest.mark.timeout(600)
+def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
+    pytest.importorskip("torch", reason="trains with deltacharger-lab[train]")
+    frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
+    sets = [generate_paper(rigs=(rig,), seed=4) for rig in (341, 342, 343)]
+    for case, accuracy in frozen["simulated_accuracy_percent"].items():
+        name, target = case.split()
+        right = []
+        for data in sets:
+            rows = examples(data, target)
+            learns, judges = splits.by_docking(rows, seed=1)
+            model = TrainableClassifier(name, target).fit(rows.frames[learns], rows.labels[learns])
+            right.append(np.mean(model.predict(rows.frames[judges]) == rows.labels[judges]))
+        # 4 allows for chance with three rigs and 500 dockings.
+        assert abs(100.0 * np.mean(right) - accuracy["paper"]) < 1.5 + 4.0, case
+
+
+def test_frames_unlike_training_are_detected_after_calibration(angle: Examples) -> None:
+    model, rows = trained(SIMPLE, angle)
+    before = evaluate_classifier(model, rows)
+    assert np.isnan([before["coverage"], before["act_rate"], before["drift_rate"]]).all()
+    with pytest.raises(ModelError, match="too few"):
+        model.calibrate(rows.frames[:5], rows.labels[:5])
+    model.calibrate(rows.frames, rows.labels)
+    assert model.reliability is not None
+    after = evaluate_classifier(model, rows)
+    assert after["drift_rate"] < 0.05
+    assert after["coverage"] >= reliability.NOMINAL
+    for strange in (0.5 * rows.frames, 2.0 * rows.frames, np.zeros_like(rows.frames)):
+        assert model.reliability.familiar.strange(strange, model.threshold).mean() > 0.9
+
+
+def test_what_calibration_learnt_is_in_the_file_and_robots_read_it_without(angle: Examples, tmp_path: Path) -> None:
+    model, path = TrainableClassifier.load(packaged.path("tree", "angle")), tmp_path / "model.npz"
+    model.calibrate(angle.frames, angle.labels).save(path)
+    again, robot = TrainableClassifier.load(path), Classifier.load(path)
+    assert model.reliability is not None
+    assert again.reliability is not None
+    assert again.reliability.to_dict() == model.reliability.to_dict()
+    assert again.about == TREE.about
+    for each in (again, robot):
+        np.testing.assert_array_equal(each.predict_proba(angle.frames), model.predict_proba(angle.frames))
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays["about"])) | {"reliability": {"a": 1}}
+    np.savez(path, **arrays | {"about": np.array(json.dumps(about))})
+    with pytest.raises(ModelError, match=path.name):
+        TrainableClassifier.load(path)
+
+
+def test_classes_match_the_paper() -> None:
+    degrees = np.radians([0.0, 0.49, 0.51, 4.6, 5.5, 5.6])
+    assert labels.label(degrees, "angle").tolist() == [0, 0, 1, 5, 5, -1]
+    assert labels.label(np.array([-0.010, -0.0124, 0.0024, 0.0026, 0.0126]), "horizontal").tolist() == [0, 0, 2, 3, -1]
+
+
+def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:
+    for target, counts in (("angle", [40] * 6), ("vertical", [40] * 5), ("horizontal", [40] * 5)):
+        assert np.bincount(examples(data, target).labels).tolist() == counts
+    continuous = generate_continuous(rigs=(3,), count=50, seed=1)
+    assert (examples(continuous, "angle").values <= np.radians(5.5)).all()
+
+
+def test_a_split_never_separates_a_docking_and_leaves_each_rig_out_once(angle: Examples) -> None:
+    double = Examples(*(np.repeat(getattr(angle, name), 2, axis=0) for name in Examples.__dataclass_fields__))
+    learns, judges = splits.by_docking(double, seed=3)
+    assert not set(double.groups[learns]) & set(double.groups[judges])
+    assert len(learns) + len(judges) == len(double)
+    judged = [set(double.groups[rows]) for _, rows in splits.thirds(double, seed=3)]
+    assert set.union(*judged) == set(double.groups)
+    assert sum(map(len, judged)) == len(angle)
+    mixed, others = by_frame(double, 3, 0.67)
+    assert set(double.groups[mixed]) & set(double.groups[others])
+    rigs = examples(small_paper((1, 2), angles=1, positions=1), "vertical")
+    parts = leave_one_out(rigs, "rigs")
+    assert [set(rigs.rigs[judges]) for _, judges in parts] == [{1}, {2}]
+    with pytest.raises(DatasetError, match="only one"):
+        leave_one_out(rigs.part(rigs.rigs == 1), "rigs")
+
+
+def test_other_classes_and_references_to_a_tree_are_refused(angle: Examples) -> None:
+    with pytest.raises(ModelError, match="classes 0 to 4"):
+        TrainableClassifier(SIMPLE, "vertical").fit(angle.frames, angle.labels)
+    with pytest.raises(ModelError, match="train lda or pose"):
+        TREE.refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
+
+
+USELESS = {
+    "no contact": lambda rows: 0.0 * rows.frames,
+    "dead": lambda rows: np.full_like(rows.frames, np.nan),
+    "one frame": lambda rows: np.repeat(rows.frames[:1], len(rows), axis=0),
+    "one frame of each class": lambda rows: rows.frames[np.unique(rows.labels, return_index=True)[1][rows.labels]],
+    "rounding": lambda rows: 3.0 + np.random.default_rng(0).uniform(0.0, 1e-9, rows.frames.shape),
+}
+
+
+@pytest.mark.parametrize("frames", USELESS.values(), ids=USELESS)
+def test_frames_that_teach_nothing_are_refused_with_what_to_do(frames: Any, angle: Examples) -> None:
+    useless = frames(angle)
+    with pytest.raises(DatasetError, match=r"class \d .* [01] different frames in contact.* record more"):
+        TrainableClassifier(SIMPLE, "angle").fit(useless, angle.labels)
+    with pytest.raises(ModelError, match=r"[016] different frames in contact"):
+        TREE.calibrate(useless, angle.labels)
+
+
+@pytest.mark.parametrize("rows", [slice(0), slice(2), [0] * 40, slice(4 * 6)], ids=["none", "two", "one class", "few"])
+def test_each_class_needs_five_frames(rows: Any, angle: Examples) -> None:
+    some = angle.part(np.argsort(angle.labels, kind="stable").reshape(6, 40).T.ravel()[rows])
+    with pytest.raises(DatasetError, match=r"class \d .* [0-4] different frames in contact, at least 5"):
+        TrainableClassifier(SIMPLE, "angle").fit(some.frames, some.labels)
+
+
+def test_copies_and_frames_without_contact_change_nothing(angle: Examples) -> None:
+    usual = familiarity.learn(np.nan_to_num(angle.frames), THRESHOLD)
+    more = np.concatenate([angle.frames, angle.frames[:50], 0.0 * angle.frames[:50]])
+    assert familiarity.learn(np.nan_to_num(more), THRESHOLD).to_dict() == usual.to_dict()
+
+
+def test_probabilities_of_independent_dockings_multiply() -> None:
+    one = np.array([[0.6, 0.3, 0.1]])
+    np.testing.assert_allclose(together([one]), one)
+    np.testing.assert_allclose(together([one, one]), one**2 / np.sum(one**2))
+    even = np.full((1, 3), 1.0 / 3.0)
+    np.testing.assert_allclose(together([one, even]), one)
+    # An outlier rules out no class.
+    strange, usual = np.array([[0.0, 1.0]]), np.array([[0.999, 0.001]])
+    assert together([strange, usual, usual, usual]).argmax() == 0
+
+
+@pytest.mark.rest
+def test_three_dockings_are_more_accurate_than_one() -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
+    rows = examples(generate_paper(rigs=(310, 311), seed=5, threshold=THRESHOLD), "horizontal")
+    learns, judges = splits.by_docking(rows, seed=1)
+    model = TrainableClassifier("lda", "horizontal", THRESHOLD).fit(rows.frames[learns], rows.labels[learns])
+    test = rows.part(judges)
+    shares = model.predict_proba(test.frames)
+    three = groups(test, 3, seed=0)
+    assert len(np.unique(three)) == three.size
+    for column in (test.values, test.rigs, test.labels):
+        assert (column[three] == column[three[0]]).all()
+    alone = np.mean(shares.argmax(axis=1) == test.labels)
+    joined = np.mean(together(shares[three]).argmax(axis=1) == test.labels[three[0]])
+    assert joined > alone
+    assert joined >= 0.99
+    with pytest.raises(DatasetError, match="1000 times"):
+        groups(test, 1000, seed=0)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("name", ["lda", DEFAULT])
+def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
+    rows = examples(generate_paper(rigs=(312,), seed=5, threshold=THRESHOLD), "horizontal")
+    model = TrainableClassifier(name, "horizontal", THRESHOLD).fit(rows.frames, rows.labels)
+    rig = Rig.draw(TactileParameters(), 312)
+    tilted = dataclasses.replace(rig, tilt=rig.tilt + np.radians([0.0, 0.06]))
+
+    def dockings(device: Rig, places: np.ndarray, seed: int) -> np.ndarray:
+        pose = np.column_stack([places, np.zeros((len(places), 2))])
+        readings = measure(TactileParameters(), device, pose, np.random.default_rng(seed), 1, THRESHOLD)
+        frames = np.stack([readings["left"], readings["right"]], axis=1)
+        frames[readings["dead"]] = np.nan
+        return frames
+
+    def accuracy(frames: np.ndarray) -> float:
+        return float(np.mean(model.predict(frames) == wanted))
+
+    wanted = np.repeat(np.arange(5), 60)
+    new, usual = (dockings(device, 0.005 * wanted - 0.010, 3) for device in (tilted, rig))
+    before, as_trained = accuracy(new), accuracy(usual)
+    ten = np.full(10, 2)
+    for useless in (new[:1], np.repeat(new[:1], 10, axis=0), 0.0 * new):
+        with pytest.raises(ModelError, match=r"[01] different reference dockings are too few"):
+            model.refer(useless, wanted[: len(useless)])
+    model.refer(dockings(rig, np.zeros(10), 4), ten)
+    assert accuracy(usual) > as_trained - 0.04, "little loss without a change"
+    model.refer(dockings(tilted, np.zeros(10), 5), ten)
+    assert accuracy(new) > before + 0.1
+
+
+def docked(target: str, seed: int, parameters: TactileParameters | None = None, rig: int = RIG) -> Frames:
+    data = small_paper((rig,), seed, 0.0, parameters, angles=60, positions=12)
+    return np.nan_to_num(examples(data, target).frames)
+
+
+Known = tuple[Familiarity, Frames]
+
+
+@pytest.fixture(scope="module", params=["angle", rest("horizontal")])
+def known(request: pytest.FixtureRequest) -> Known:
+    """What was learnt from a rig, and frames of other dockings of the same rig."""
+    learnt, other = (docked(request.param, seed) for seed in (1, 2))
+    return familiarity.learn(learnt, THRESHOLD), other
+
+
+def fired(known: Familiarity, frames: Frames, size: int = WINDOW) -> float:
+    random = np.random.default_rng(0)
+    windows = [frames[random.choice(len(frames), size, replace=False)] for _ in range(20)]
+    return float(np.mean([known.strange_together(window, THRESHOLD) for window in windows]))
+
+
+def test_other_dockings_of_the_same_rig_are_familiar(known: Known) -> None:
+    learnt, frames = known
+    assert learnt.strange(frames, THRESHOLD).mean() <= 0.01
+    assert fired(learnt, frames) <= 0.05
+    window = frames[::7][:WINDOW].copy()
+    window[0] = 0.0
+    assert not learnt.strange_together(window, THRESHOLD), "one strange docking does not decide"
+
+
+@pytest.mark.parametrize("change", ["weaker", "another rig"])
+def test_a_slow_change_shows_in_a_window_though_not_in_a_frame(known: Known, change: str) -> None:
+    learnt, usual = known
+    target, family = "angle" if len(usual) == 360 else "horizontal", TactileParameters()
+    force = {name: 0.8 * getattr(family.docking, name) for name in ("magnet_force", "push_per_ampere")}
+    weaker = dataclasses.replace(family, docking=dataclasses.replace(family.docking, **force))
+    frames = docked(target, 2, weaker) if change == "weaker" else docked(target, 2, rig=RIG + 1)
+    assert learnt.strange(frames, THRESHOLD).mean() < 0.5
+    assert fired(learnt, frames) > 0.9
+
+
+def test_gross_changes_show_in_each_frame_and_lost_rows_in_a_window(known: Known) -> None:
+    learnt, frames = known
+    for strange in (0.4 * frames, 2.5 * frames, np.zeros_like(frames)):
+        assert learnt.strange(strange, THRESHOLD).mean() > 0.9
+    lost = frames.copy()
+    lost[:, 0, 4:6] = 0.0
+    assert fired(learnt, lost, 2 * WINDOW) > 0.5
+
+
+def test_saving_and_loading_preserve_the_statistics(known: Known) -> None:
+    learnt, frames = known
+    again = Reliability.from_dict(json.loads(json.dumps(Reliability(0.3, learnt).to_dict())))
+    for one, two in zip(*(each.distances(frames, THRESHOLD) for each in (learnt, again.familiar)), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-3)
+    assert again.quantile == 0.3
+    with pytest.raises(ModelError, match=f"at least {WINDOW}"):
+        again.drifted_together(frames[: WINDOW - 1], THRESHOLD)
+
+
+def test_sets_of_held_out_frames_reach_nominal_coverage(known: Known) -> None:
+    random = np.random.default_rng(5)
+    frames, other = known[1][:200], known[1][200:]
+    odds = random.gumbel(size=(200, 6))
+    labels = np.argmax(odds + random.gumbel(size=(200, 6)), axis=1)
+    shares = np.exp(odds) / np.exp(odds).sum(axis=1, keepdims=True)
+    learnt = reliability.learn(shares, labels, frames, THRESHOLD)
+    covered = learnt.sets(shares)[np.arange(200), labels].mean()
+    assert reliability.NOMINAL <= covered <= reliability.NOMINAL + 0.015
+    familiar = reliability.learn(shares, labels, frames, THRESHOLD, familiar=other)
+    assert familiar.quantile == learnt.quantile
+    assert not np.array_equal(familiar.familiar.weights, learnt.familiar.weights)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Precision relative to 60-digit arithmetic, and reachability."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, Status
+from deltacharger_kinematics.exact.precise import exact_discriminant
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.reports.kinematics import sets
+from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
+from deltacharger_lab.reports.kinematics.reference import ExactDelta
+from test.marks import night
+
+NOMINAL, CALIBRATED = DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)
+GEOMETRIES = {
+    "nominal": NOMINAL,
+    "calibrated": CALIBRATED,
+    "arm longer than rod": DeltaGeometry(arm=0.2, rod=0.1, z_offset=0.0),
+    "arm as long as rod": DeltaGeometry(arm=0.15, rod=0.15),
+    "wide base": DeltaGeometry(base_radius=0.2, platform_radius=0.03),
+    "platform wider than base": DeltaGeometry(base_radius=0.03, platform_radius=0.06),
+}
+INTERIOR, EDGE = 8e-16, 4e-16  # rad
+
+
+def box_points(geometry: DeltaGeometry, count: int) -> np.ndarray:
+    return np.random.default_rng(7).uniform(geometry.workspace_min, geometry.workspace_max, (count, 3))
+
+
+def worst_error(given: np.ndarray, points: np.ndarray, exact: ExactDelta) -> float:
+    """Return the largest error (rad) of `given` angles (n, 3); infinite if reachability is wrong."""
+    true = exact.inverse(points).angles
+    right = np.array_equal(np.isnan(given), np.isnan(true.high))
+    return float(np.nanmax(np.abs((given - true.high) - true.low))) if right else np.inf
+
+
+def solved(delta: Delta, points: np.ndarray) -> list[np.ndarray]:
+    """Return the angles in a batch and point by point."""
+    return [delta.inverse(points).angles, np.array([delta.inverse(point).angles for point in points])]
+
+
+every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
+
+
+@pytest.mark.parametrize("count", [60, night(800)])
+def test_the_workspace_is_solved_to_the_last_digits(count: int) -> None:
+    points, exact = box_points(NOMINAL, count), ExactDelta()
+    assert max(worst_error(angles, points, exact) for angles in solved(Delta(), points)) <= INTERIOR
+
+
+@every_geometry
+@pytest.mark.parametrize("count", [60, night(300)])
+def test_precise_is_correct_to_the_last_digit_everywhere(geometry: DeltaGeometry, count: int) -> None:
+    reach = geometry.arm + geometry.rod
+    points = np.random.default_rng(3).uniform(-reach, reach, (count, 3))
+    assert worst_error(Delta(geometry).inverse(points, precise=True).angles, points, ExactDelta(geometry)) <= EDGE
+
+
+@every_geometry
+@pytest.mark.parametrize("count", [12, night(360)])
+def test_points_inside_the_edge_are_solved_to_the_last_digit_and_none_outside(
+    geometry: DeltaGeometry, count: int
+) -> None:
+    """From 1e-17 m, far less than a unit in the last place."""
+    random, delta, exact = np.random.default_rng(11), Delta(geometry), ExactDelta(geometry)
+    inside, outside = sets.boundary(exact, random, count), sets.outside(exact, random, count, -17.0, -3.0).points
+    assert len(inside.points) == len(outside) == count
+    batch, alone = (worst_error(angles, inside.points, exact) for angles in solved(delta, inside.points))
+    assert batch <= EDGE
+    assert alone <= np.spacing(2.0)  # a folded limb's angle is above 2 rad
+    near = np.asarray(delta.inverse(inside.points).status)[np.asarray(inside.edge) < 1e-6 * geometry.arm]
+    assert len(near)
+    assert ((near & Status.NEAR_TYPE_1) != 0).all()
+    assert ((near & (Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2)) != 0).all()
+    assert max(worst_error(angles, outside, exact) for angles in solved(delta, outside)) <= INTERIOR
+    assert np.isnan(delta.inverse(outside).angles).any(axis=1).all()
+    assert all(np.isnan(ScalarDelta(geometry).inverse(*point)).all() for point in outside.tolist())
+
+
+@pytest.mark.parametrize("mode", WORKING_MODES)
+def test_every_working_mode_is_a_separate_solution(mode: tuple[int, int, int]) -> None:
+    points = box_points(CALIBRATED, 10)
+    for angles in solved(Delta(CALIBRATED, working_mode=mode), points):
+        assert worst_error(angles, points, ExactDelta(CALIBRATED, mode)) <= INTERIOR
+
+
+def test_round_trip_over_the_workspace() -> None:
+    points = box_points(NOMINAL, 20_000)
+    found = Delta().inverse(points)
+    assert not np.asarray(found.status).any()
+    assert np.linalg.norm(Delta().forward(found.angles).position - points, axis=1).max() <= 5e-16
+
+
+def test_the_exact_discriminant_keeps_its_sign() -> None:
+    geometry = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.5, z_offset=0.5)
+    edge = 0.125 + 0.75  # stretched along limb 0: exactly at the edge
+    for x, sign in ((edge, 0.0), (np.nextafter(edge, 0.0), 1.0), (np.nextafter(edge, 1.0), -1.0)):
+        assert np.sign(exact_discriminant(float(x), 0.0, -0.5, geometry.limb(0))) == sign
+    for point in box_points(geometry, 20).tolist():
+        x, y, z = map(Fraction, point)
+        across = (x - Fraction(1, 8)) ** 2 + (z + Fraction(1, 2)) ** 2
+        exact = across / 4 - (across + y * y - Fraction(3, 16)) ** 2
+        assert exact_discriminant(*point, geometry.limb(0)) == pytest.approx(float(exact), rel=1e-15)
+
+
+def test_the_margin_falls_monotonically_through_the_edge() -> None:
+    for direction in np.random.default_rng(2).normal(size=(6, 3)):
+        start, unit = np.array((0.0, 0.0, 0.06)), direction / np.linalg.norm(direction)
+        low, high = 0.0, 1.0
+        while low < (middle := (low + high) / 2) < high:
+            inside = sets.plain_edge(NOMINAL, (start + middle * unit)[None]).min() > 0.0
+            low, high = (middle, high) if inside else (low, middle)
+        steps = low + np.concatenate([-np.logspace(-3, -12, 19), [0.0], np.logspace(-12, -3, 19)])
+        margin = np.asarray(Delta().inverse(start + steps[:, None] * unit).margin)
+        assert (np.diff(margin) < 0.0).all()
+        assert margin[0] > 0.0 > margin[-1]
+
+
+def test_continuity_where_a_platform_joint_passes_the_motor_plane() -> None:
+    """w changes sign at z = −z_offset, where forms that divide by w lose the angle or turn the knee."""
+    geometry = DeltaGeometry(base_radius=0.2, platform_radius=0.03, z_offset=0.0)
+    offsets = np.concatenate([-np.logspace(-2, -300, 150), [-0.0, 0.0], np.logspace(-300, -2, 150)])
+    points = np.stack([np.full_like(offsets, 0.01), np.full_like(offsets, -0.02), offsets], axis=-1)
+    found = Delta(geometry).inverse(points)
+    assert np.isfinite(found.angles).all()
+    steps = np.abs(np.diff(found.angles, axis=0)).max(axis=1)
+    assert (steps <= 40.0 * np.diff(offsets) + 1e-15).all()
+    assert worst_error(found.angles[140:160], points[140:160], ExactDelta(geometry)) <= INTERIOR

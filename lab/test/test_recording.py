@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger tactile record --protocol paper`: the paper's dockings by the real movements, in virtual time."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.output import DONE, FAILED
+from deltacharger_core.machine import DOCKING_JITTER
+from deltacharger_docking.codes import DockingError
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT
+from deltacharger_lab.campaigns import recording
+from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
+from deltacharger_lab.cli import tactile
+from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_tactile.classifiers.labels import TARGETS, examples
+from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
+
+SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
+
+
+def silent(_: str) -> None:
+    """Ignore progress."""
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:  # 3 s of CPU
+    return record_paper(SMALL, silent)
+
+
+@pytest.mark.rest
+def test_a_recording_has_both_sets_with_the_protocols_labels(data: Dataset) -> None:
+    assert len(data) == 6 * 6 + 25
+    assert [len(examples(data, target)) for target in TARGETS] == [36, 25, 25]
+    by_angle = data.subset == SUBSET_ANGLE
+    assert np.bincount(np.round(np.degrees(data.angle[by_angle])).astype(int)).tolist() == [6] * 6
+    grid = set(itertools.product((-10, -5, 0, 5, 10), repeat=2))
+    assert {(round(1e3 * x), round(1e3 * y)) for x, y, _ in commanded(data)[~by_angle]} == grid
+    lit = np.concatenate([data.left, data.right])
+    assert lit[lit > 0.0].min() >= 1.0
+    assert (data.meta["protocol"], data.meta["recorded"], data.simulated) == ("paper", True, True)
+
+
+def commanded(data: Dataset) -> Any:
+    return np.column_stack([data.horizontal, data.vertical, data.angle])
+
+
+@pytest.mark.rest
+def test_vision_leaves_its_error_and_not_a_share_of_the_start(data: Dataset) -> None:
+    starts = np.concatenate([part.starts() for part in SMALL.parts() if part.set == "angle"])
+    assert np.abs(starts).max() == pytest.approx(0.020)
+    assert set(np.round(1e3 * np.abs(starts)).ravel()) <= {0.0, 4.0, 8.0, 12.0, 16.0, 20.0}
+    left = commanded(data)[data.subset == SUBSET_ANGLE, :2]
+    assert np.abs(np.corrcoef(np.column_stack([left, starts]).T)[:2, 2:]).max() < 0.5, "of 36 dockings by chance"
+    assert (left.std(axis=0) < 0.0025).all(), "the camera's errors; the mount's are the same in every docking"
+
+
+@pytest.mark.rest
+def test_the_felt_offset_is_the_commanded_one_less_what_the_magnets_draw_apart_from_jitter(data: Dataset) -> None:
+    wanted = commanded(data)
+    off, slack = data.contact_pose - wanted, 4.5 * DOCKING_JITTER + 0.001  # jitter, and what friction holds back
+    drawn = np.where(wanted < 0.0, off, -off)[:, :2]
+    assert ((drawn > -slack) & (drawn < np.abs(wanted[:, :2]) + slack)).all(), "toward the centre and not beyond"
+    assert np.abs(off[:, 2]).max() < np.radians(1.0)
+    near = CURRENT_UNIT  # the band was reached before the frames
+    assert ((data.current > 0.4 - near) & (data.current < 0.5 + near)).all()
+    assert (data.force > 15.0).all()
+
+
+@pytest.mark.rest
+def test_one_seed_gives_one_recording_to_the_bit() -> None:
+    part = SMALL.parts()[3]
+    loads = [touch.frames for touch in record_part(SMALL, part)]
+    again = [touch.frames for touch in record_part(SMALL, part)]
+    other = [touch.frames for touch in record_part(dataclasses.replace(SMALL, seed=5), part)]
+    np.testing.assert_array_equal(loads, again)
+    assert not np.array_equal(np.nan_to_num(loads), np.nan_to_num(other))
+
+
+@pytest.mark.rest
+def test_rows_of_a_docking_are_successive_frames() -> None:
+    part = SMALL.parts()[0]
+    one, several = (record_part(dataclasses.replace(SMALL, rows=rows), part)[0] for rows in (1, 5))
+    assert one.frames.shape[0] == 1
+    loads = np.nansum(several.frames, axis=(1, 2, 3))
+    assert several.frames.shape[0] == 5
+    assert np.ptp(loads) < 0.1 * loads.mean()
+
+
+def test_a_docking_that_fails_three_times_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    blind = recording._seen
+    monkeypatch.setattr(recording, "_seen", lambda *words: dataclasses.replace(blind(*words), success=False))
+    with pytest.raises(DockingError, match=r"angle 2°: a docking failed 3 times, ELECTRODES_NOT_FOUND"):
+        record_part(SMALL, SMALL.parts()[2])
+
+
+def test_the_command_writes_the_data_set_or_names_the_failure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Protocol] = []
+    written = generate_continuous(rigs=(860,), count=10, seed=3, threshold=0.0)
+
+    def record(what: Protocol, _: object) -> Dataset:
+        asked.append(what)
+        if len(asked) == 1:
+            return written
+        raise DockingError("angle 2°: a docking failed 3 times")
+
+    monkeypatch.setattr(tactile, "record_paper", record)
+    words = [
+        "tactile",
+        "generate",
+        "--protocol",
+        "docked",
+        "--first-rig",
+        "880",
+        "--seed",
+        "4",
+        "--rows",
+        "2",
+        "--json",
+    ]
+    assert main([*words, "--out", str(tmp_path / "data.npz")]) == DONE
+    assert asked == [Protocol(rig=880, seed=4, rows=2)]
+    assert json.loads(capsys.readouterr().out)["n"] == len(written) == len(Dataset.load(tmp_path / "data.npz"))
+    assert main([*words, "--out", str(tmp_path / "none.npz")]) == FAILED
+    assert "failed 3 times" in capsys.readouterr().err
+    assert not (tmp_path / "none.npz").exists()

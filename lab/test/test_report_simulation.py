@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report simulation`: its converged reference (kinematics, energy, statics, models), and arithmetic."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from deltacharger_lab.reports.simulation import impact, reference, stability
+from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
+from deltacharger_lab.reports.simulation.reference import angle, on_axis
+from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
+from deltacharger_sim.mechanics import GEAR_BRISTLE
+from deltacharger_sim.parameters import MagnetParameters, ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.world import World
+from test.marks import rest
+
+
+@pytest.mark.parametrize("z", [0.0, 0.0199, 0.0201, 0.05, 0.08, 0.1])
+def test_its_kinematics_equal_the_deltas(z: float) -> None:
+    theta, first, second = angle(z)
+    assert theta == pytest.approx(DELTA.inverse(0.0, 0.0, z)[0], abs=1e-12)
+    assert first == pytest.approx(1.0 / (3.0 * DELTA.jacobian(0.0, 0.0, z)[6]), rel=1e-8)
+    assert second == pytest.approx((angle(z + 1e-5)[1] - angle(z - 1e-5)[1]) / 2e-5, rel=1e-4)
+
+
+def without_viscosity(parameters: WorldParameters) -> WorldParameters:
+    return replace(parameters, servo=replace(parameters.servo, viscosity=0.0))
+
+
+@pytest.mark.parametrize("contact", [1e5, 1e6, 1e8])
+def test_the_spring_stores_the_magnets_work_at_the_peak(contact: float) -> None:
+    parameters = without_viscosity(axis_world(contact, 15.0))
+    gap, magnets, geometry = 0.003, parameters.magnets, DELTA.geometry
+    found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)  # bound 0: the servos are limp
+    work = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range))
+    k = 2.0 * contact
+    # ½ K x² = W + F x
+    depth = (magnets.force + math.sqrt(magnets.force**2 + 2.0 * k * work)) / k
+    assert depth < parameters.contact.hard_stop
+    assert found.peak == pytest.approx(k * depth, rel=1e-6)
+    rotors = 3.0 * parameters.servo.inertia * angle(parameters.target.z)[1] ** 2
+    mass = geometry.platform_mass + 1.5 * geometry.rod_mass + rotors
+    assert 0.5 * mass * found.speed**2 == pytest.approx(work, rel=1e-5)
+
+
+def test_the_gears_friction_takes_its_work_from_a_strike() -> None:
+    gap, contact, torque = 0.003, 1e6, 0.06
+    parameters = without_viscosity(world(contact, 15.0, friction=torque, gravity_y=0.0))
+    found = on_axis(parameters, parameters.target.z - gap, [(0.0, 0.0, 0.0)], 0.1)
+    magnets, depth = parameters.magnets, found.peak / (2.0 * contact)
+    given = magnets.force * magnets.range * (1.0 - 1.0 / (1.0 + gap / magnets.range)) + magnets.force * depth
+    turned = angle(parameters.target.z + depth)[0] - angle(parameters.target.z - gap)[0]
+    slips = 3.0 * torque * (turned - 0.5 * torque / GEAR_BRISTLE)  # its bristle is stretched first
+    held = contact * depth * depth
+    assert held == pytest.approx(given - slips, rel=1e-5)
+
+
+@pytest.mark.parametrize("contact", [1e3, 1e5, rest(1e7)])
+def test_it_converges_and_comes_to_rest_where_springs_and_magnets_balance(contact: float) -> None:
+    parameters = axis_world(contact, 15.0)
+    orders = [(0.0, angle(0.086)[0], 4.1)]
+    rough, fine = (on_axis(parameters, 0.07, orders, 1.0, tolerance=each) for each in (1e-6, 1e-9))
+    assert rough.peak == pytest.approx(fine.peak, rel=1e-5)
+    assert fine.force == pytest.approx(settled_exactly(parameters, 0.086), rel=1e-5)
+    assert fine.left < 1e-5
+    assert fine.peak > fine.force
+
+
+def test_a_motion_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "_MOST_PIECES", 1)
+    with pytest.raises(ArithmeticError, match=r"1 pieces.* s, before 1\.0 s"):
+        on_axis(axis_world(1e5, 15.0), 0.07, [(0.0, angle(0.086)[0], 4.1)], 1.0)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("strike", STRIKES, ids=lambda strike: strike.name)
+def test_peaks_in_steps_of_docking_are_within_the_stated_limits(strike: object) -> None:
+    parameters = axis_world(1e6, 15.0, strike.magnets)  # type: ignore[attr-defined]
+    start, orders, duration = strike_orders(parameters, strike)  # type: ignore[arg-type]
+    exact = on_axis(parameters, start, orders, duration).peak
+    for step in (0.001, 0.005, 0.01, 0.02):
+        moved = World(parameters, start=(0.0, 0.0, start))
+        obey(moved, orders, duration, step)
+        assert moved.record.peak_force == pytest.approx(exact, rel=0.15)
+
+
+def test_the_light_models_path_converges_with_the_step_and_the_extrapolated_one_faster() -> None:
+    exact = axis_docking(1e5, 15.0)
+    parameters = axis_world(1e5, 15.0)
+    off = [rms(docking("light", parameters, step)["trace"], exact["trace"]) for step in (0.01, 0.005, 0.001)]
+    assert off == sorted(off, reverse=True)
+    assert off[-1] < 3e-5  # backward Euler damps the bounces on the springs, even at 1 ms
+    assert rms(docking("light, extrapolated", parameters, 0.01)["trace"], exact["trace"]) < 0.5 * off[0]
+
+
+def test_the_worst_error_of_none_or_of_an_unknown_one_is_unknown() -> None:
+    rows = [{"step": 0.01, "contact": 1e5, "percent": each, "grazes": each == 40.0} for each in (3.0, -8.0, 40.0)]
+    assert impact.worst(rows[:2], step=0.01) == -8.0
+    assert math.isnan(impact.worst(rows, step=0.02))
+    assert math.isnan(impact.worst([*rows, {**rows[0], "percent": math.nan}]))
+    assert (impact.at_docking(rows), impact.at_docking(rows, grazing=False)) == (40.0, 8.0)
+
+
+def test_a_diverged_point_is_never_proven() -> None:
+    good = {"bounded": True, "force_percent": 0.1, "path_mm": 0.1, "peak_percent": -3.0, "speed": 0.0}
+    assert stability._cell(good) == stability.PROVEN
+    for change in ({"bounded": False}, {"force_percent": float("nan")}, {"speed": 0.1}, {"speed": float("nan")}):
+        assert stability._cell({**good, **change}) == stability.DIVERGED
+    assert stability._cell({**good, "force_percent": 0.6}) == stability.FORCE_OFF
+    assert stability._cell({**good, "path_mm": 0.4}) == stability.PATH_OFF
+    for peak in (-16.0, 16.0, float("nan")):
+        assert stability._cell({**good, "peak_percent": peak}) == stability.PEAK_OFF
+
+
+@pytest.mark.parametrize(("step", "most"), [(0.01, 2e-4), (0.002, 5e-5)])
+def test_a_jump_in_free_air_follows_the_converged_one(step: float, most: float) -> None:
+    servo = ServoParameters(damping=0.25, viscosity=0.02, friction=0.1, friction_share=0.2)
+    free = WorldParameters(
+        servo=servo, magnets=MagnetParameters(force=0.0), gravity_y=0.0, target=TargetParameters(z=0.5)
+    )
+    goal = angle(0.075)[0]
+    exact = on_axis(free, 0.06, [(0.0, goal, 4.1)], 0.5, 0.01).trace
+    world = World(free, start=(0.0, 0.0, 0.06))
+    for index in range(3):
+        world.command(index, True, goal, 4.1)
+    squares = []
+    for place in exact:
+        for _ in range(round(0.01 / step)):
+            world.step(step)
+        squares.append((world.mechanics.position[2] - place) ** 2)
+    assert math.sqrt(sum(squares) / len(squares)) < most

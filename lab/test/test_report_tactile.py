@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report tactile` and `tactile compare`: its plan, its arithmetic and its workers."""
+
+from __future__ import annotations
+
+import importlib
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile import second
+from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, _second_targets, accuracies, shifts
+from deltacharger_lab.training.classifier import TrainableClassifier
+from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.dataset import SUBSET_ANGLE
+from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.estimator import to_seat
+
+KEYS = ("threshold", "frames", "physics")
+PLAN = tactile_plan.quick_plan(1)
+
+
+def refuse(*_: Any, **__: Any) -> None:
+    raise AssertionError("nothing is trained on the second physics")
+
+
+@pytest.mark.rest
+def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TrainablePoseEstimator, "fit", refuse)
+    rows = second.judge_estimates(860, 3, PLAN)
+    keys = {(row["physics"], row["threshold"], row["frames"]) for row in rows}
+    assert keys == {
+        (physics, cut, count) for physics in ("first", "second") for cut in (0.25, 1.0) for count in (12, 1)
+    }
+    summed = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
+    for (cut, frames, physics), row in summed.items():
+        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"] == 2 * 60
+        if physics == "first":
+            assert summed[cut, frames, "second"]["in_range"] < row["in_range"], "a dead band hides most of a contact"
+    bad = [row | {"unsafe": 3} for row in summed.values()]
+    families = [{"variant": "unchanged", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
+    assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
+    assert second.worst_z(summed.values()) == max(summed[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
+
+
+def telling(pose: np.ndarray, stddev: float) -> Any:
+    """Return an estimator of given poses (N, 3), or one for all frames, with `stddev`."""
+
+    def predict(left: np.ndarray, _: np.ndarray) -> Estimate:
+        x, y, angle = np.broadcast_to(pose, (len(left), 3)).T
+        small, yes, none = np.full(len(left), stddev), np.ones(len(left), dtype=bool), np.zeros(len(left))
+        chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
+        across = to_seat(np.column_stack([x, y, angle]))[:, 1]
+        return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
+
+    return SimpleNamespace(predict=predict, drifted=lambda left, _: np.zeros(len(left), dtype=bool))
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize(("exact", "most"), [(True, 0.0), (False, 0.9)])
+def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch, exact: bool, most: float) -> None:
+    data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
+    told = telling(data.contact_pose, 1e-6) if exact else telling(np.zeros(3), 1e-4)
+    monkeypatch.setattr(second, "default_model", lambda cut: told)
+    row = second._counts(data, 0.25)
+    assert row["acts"] > 50
+    assert 0.2 * most * row["n"] <= row["unsafe"] <= most * row["n"], "most of ±12 mm and ±20° leaves no clearance"
+
+
+@pytest.mark.rest
+def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
+    from deltacharger_lab.reports.tactile.measure import fitted
+    from deltacharger_tactile.classifiers import labels
+
+    known = generate_paper(rigs=(860,), seed=3, threshold=0.0)
+    rows = labels.examples(known, "angle")
+    model = fitted("lda", "angle", rows, 3)
+    half = np.arange(len(rows)) % 2 == 0
+    model.calibrate(rows.frames[~half], rows.labels[~half], rows.frames[half])
+    monkeypatch.setattr(TrainableClassifier, "fit", refuse)
+    models, subset = {("lda", "angle"): model}, known.subset == SUBSET_ANGLE
+    (found,) = second.judge_models(models, known, subset, (860, 3), lambda *_: [0.5, 1.0])
+    usual = {"model": "lda", "target": "angle", "accuracy": 0.95, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0}
+    (row,) = second.table([found, found], [usual | {"windows": [0.0, 0.0]}])
+    assert row["first"]["accuracy"] == 0.95
+    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second.SHARES, "windows")}
+    assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
+    assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
+
+
+def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
+    calm = {"accuracy": 0.9, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0, "windows": [0.0, 0.0]}
+    cases = (calm, calm | {"coverage": 0.5, "windows": [0.0, 0.9]}, calm | {"coverage": 0.5})
+    models = [{"model": "lda", "target": "angle", "first": calm, "second": case} for case in cases]
+    unsafe, sigma, blind = _second_targets({"models": models, "estimates": [], "variants": []})
+    assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
+    assert unsafe["met"] is None, "nothing was measured"
+    assert sigma["met"] is None
+
+
+def test_a_verdict_needs_coverage_or_an_alarm() -> None:
+    base = {"model": "m", "target": "angle", "accuracy": 0.9, "act_rate": 0.9, "drift_rate": 0.0, "n": 600}
+    cases = {"held": (0.95, 0.0, HOLDS), "lost": (0.5, 0.0, NEITHER), "told": (0.5, 0.9, FIRES)}
+    rows = [
+        {**base, "shift": name, "coverage": coverage, "windows": [0.0, windows], "seed": seed}
+        for name, (coverage, windows, _) in cases.items()
+        for seed in range(3)
+    ]
+    assert {row["shift"]: row["verdict"] for row in shifts(rows)} == {name: case[2] for name, case in cases.items()}
+
+
+def test_the_interval_is_over_rigs() -> None:
+    rows = [
+        {"model": "m", "target": target, "rig": rig, "accuracy": 0.9 + 0.02 * rig + 0.01 * seed, "fit_s": 1.0}
+        for target in ("angle", "vertical", "horizontal")
+        for rig in range(3)
+        for seed in (-1, 1)
+    ]
+    found = accuracies(rows, ["m"])["m"]["angle"]
+    assert found["mean"] == pytest.approx(0.92)
+    assert found["half"] == pytest.approx(4.303 * 0.02 / 3**0.5, rel=1e-3)
+
+
+@pytest.mark.rest
+def test_results_are_in_the_order_of_tasks_and_a_failing_one_ends_the_work_with_its_trace() -> None:
+    tasks = [ReportTask("sum", sum, ([index, 1],), float(weight)) for index, weight in enumerate((1, 5, 2))]
+    messages: list[str] = []
+    assert work(tasks, messages.append) == {"sum": [1, 2, 3]}
+    assert messages[-1].startswith("100 %")
+    with pytest.raises(ReportFailed, match=r"model.*nowhere\.npz"):
+        work([*tasks, ReportTask("model", Classifier.load, ("/nowhere.npz",))], messages.append)
+    with pytest.raises(ModuleNotFoundError) as missing:
+        work([ReportTask("import", importlib.import_module, ("no_such_library",))], messages.append)
+    assert missing.value.name == "no_such_library"
