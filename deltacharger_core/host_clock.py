@@ -15,7 +15,8 @@ from collections.abc import Callable
 
 AHEAD = 0.1
 """s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
-is, so this is no more than press_age_max. Clocks of two computers with NTP differ by less than a tenth of it."""
+is, so this is no more than the age at which docking stops its arm (PRESS_AGE_MAX). Clocks of two computers with NTP
+differ by less than a tenth of it."""
 
 COMPARE_CLOCKS = "if it comes from another computer, compare the clocks of both"
 """What to do about a stamp that is too old or in the future."""

@@ -13,7 +13,7 @@ import math
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking import wired
-from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.clearance import LEAN_SIGMAS, MisalignmentEstimate
 from deltacharger_docking.codes import (
     CriticalAngle,
     DetectionStale,
@@ -22,17 +22,22 @@ from deltacharger_docking.codes import (
     State,
     TactileStale,
 )
-from deltacharger_docking.context import Context
+from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.ease import ease
 from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
 from deltacharger_docking.press import Look, contact, move_aside
 from deltacharger_docking.release import lift_off
-from deltacharger_docking.standoff import approach
+from deltacharger_docking.standoff import APPROACH_TIMEOUT, approach
 from deltacharger_docking.touch import Target, measure
+from deltacharger_docking.watch import FIRST_DATA_TIMEOUT
 
-_ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with the detector's answer
+_ROLL_SIGMAS = 2.0  # standard deviations between a detected roll and critical_angle; the seeds were not kept
+_IMAGE_RANGE_MAX = 0.4  # m, largest range of a camera detection without depth
+_LOCATE_TIMEOUT = 10.0  # s, limit for LOCATE
+
+_ANSWER = 1.0  # s beyond _LOCATE_TIMEOUT, so that the phase ends with the detector's answer
 
 
 def dock(context: Context, target: Target, given: ElectrodePose | None, charges: bool) -> Script[None]:
@@ -102,17 +107,17 @@ def stands_at_ease(context: Context, target: Target) -> Script[bool]:
 def locate(context: Context) -> Script[ElectrodePose]:
     """Ask the camera where the electrodes are."""
     parameters = context.parameters
-    context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
-    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
+    context.enter(State.LOCATE, _LOCATE_TIMEOUT + _ANSWER)
+    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, _LOCATE_TIMEOUT)
     found = reply.detection
     if not reply.success or found is None:
         raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
     if not found.age <= parameters.detection_age_max:
         raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
-    if not found.image_range <= parameters.image_range_max:
+    if not found.image_range <= _IMAGE_RANGE_MAX:
         raise ElectrodesNotFound(
             f"the electrodes are {found.image_range:.2f} m from the camera and were measured without depth, which is "
-            f"trusted up to {parameters.image_range_max:g} m (image_range_max): drive nearer, or check the depth images"
+            f"trusted up to {_IMAGE_RANGE_MAX:g} m: drive nearer, or check the depth images"
         )
     check_place(found, context.planner, parameters)
     context.decide("located", "the camera sees the electrodes", **found.numbers)
@@ -126,7 +131,7 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
         CriticalAngle: it does.
     """
     roll, stddev = electrodes.roll, electrodes.roll_stddev
-    if abs(roll) + context.parameters.roll_sigmas * stddev < limit:
+    if abs(roll) + _ROLL_SIGMAS * stddev < limit:
         return
     text = "the roll, given or seen, is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
@@ -161,7 +166,7 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
 
 def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, limit: float) -> bool:
     """Return and record whether a lean (rad) exceeds its limit; False if it or its error is unknown (NaN)."""
-    if not abs(lean) - context.parameters.lean_sigmas * stddev > limit:
+    if not abs(lean) - LEAN_SIGMAS * stddev > limit:
         return False
     values = {f"{axis}_rad": lean, f"{axis}_stddev_rad": stddev, "limit_rad": limit}
     context.decide("refused", f"the {axis}, given or seen, is too large", **values)
@@ -170,9 +175,8 @@ def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, l
 
 def prepare(context: Context) -> Script[None]:
     """Wait for nodes that have just started, open the contactor, switch the torque on, lift off, tare in free air."""
-    parameters = context.parameters
-    context.enter(State.APPROACH, parameters.approach_timeout)
-    end = context.time + parameters.first_data_timeout
+    context.enter(State.APPROACH, APPROACH_TIMEOUT)
+    end = context.time + FIRST_DATA_TIMEOUT
     with context.waiting_for("servo_state and tactile_frame"):
         while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
             yield NEXT
@@ -188,7 +192,7 @@ def prepare(context: Context) -> Script[None]:
     # A restarted node does not know that it is docked; the pads show it.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
         yield from lift_off(context)
-    reply = yield from context.ask(Service.TARE, TactileStale, parameters.service_timeout)
+    reply = yield from context.ask(Service.TARE, TactileStale, SERVICE_TIMEOUT)
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")

@@ -11,7 +11,7 @@ magnets', of which the reach is not known.
 
 For a given place of the target, all else is normal and linear. All contacts share the load bias, the gain error of h,
 and the scale errors of the pads' force, of the magnets, of their width and of their draw. Each contact has its own
-landing error beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is
+landing error beside the commanded place (DOCKING_JITTER), which encoders do not see. So the likelihood of a place is
 a normal density. It is calculated on a grid of places, since it can have two peaks: the force is even in x.
 """
 
@@ -23,9 +23,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.machine import DOCKING_JITTER, PAD_DISTANCE, PAD_YAW_STIFFNESS
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import Offset, contradicts, expected_gain
+from deltacharger_docking.place import GAIN_ERROR, Offset, contradicts, expected_gain
+
+HORIZONTAL_SHARED = 0.00055  # m, error of horizontal estimates that all contacts share; chosen on seeds 5 and 19
+LOAD_PER_YAW = 5.73  # m/rad, offset along the bars that loads the pads like a yaw; their generator tilts by 10° per m
+# Chosen on seed 5 of lean2, lean5 and rigid.
+_LOAD_SHARE_MAX = 0.85  # largest share of the moment that empties a pad, for contacts made to probe
+_PROBE_OFFSET = 0.006  # m, offset from the target where the magnets' pull is probed
+# The spread of gains and magnets in the pads' generator (5 %), set a little higher; the width by judgement.
+FORCE_ERROR = 0.06  # relative error of the pads' force that all contacts share
+_MAGNET_ERROR = 0.06  # relative error of magnet_force
+_MAGNET_WIDTH_ERROR = 0.12  # relative error of MAGNET_WIDTH
 
 _HALF_WIDTH, _POINTS = 0.024, 65  # m around the expected place; number of places of the grid
 _NEGLIGIBLE = 1e-6  # weight of a place
@@ -79,10 +90,9 @@ class Plan:
     aside: float = 0.0
 
 
-def empty_pad_offset(parameters: DockingParameters, force: float) -> float:
+def empty_pad_offset(force: float) -> float:
     """Return the offset by load (m) from which a contact under this force (N) leaves a pad almost empty."""
-    p = parameters
-    return p.load_share_max * force * p.pad_distance / p.pad_yaw_stiffness * p.load_per_yaw
+    return _LOAD_SHARE_MAX * force * PAD_DISTANCE / PAD_YAW_STIFFNESS * LOAD_PER_YAW
 
 
 class AlongFilter:
@@ -108,11 +118,10 @@ class AlongFilter:
         bias: float = 0.0,
         bias_stddev: float = 0.0,
     ) -> None:
-        p = parameters
-        self._parameters, self._pull = p, MagnetPull(p)
+        self._pull = MagnetPull(parameters.magnet_force)
         self._foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
-        shared = math.hypot(bias_stddev, p.horizontal_shared)
-        errors = p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error, _DRAW_ERROR
+        shared = math.hypot(bias_stddev, HORIZONTAL_SHARED)
+        errors = GAIN_ERROR, FORCE_ERROR, _MAGNET_ERROR, _MAGNET_WIDTH_ERROR, _DRAW_ERROR
         self._prior = np.array([shared, *errors]) ** 2
         self._looks: list[LookAlong] = []
         self._weights, self._means, self._spread = np.ones(1), np.full(1, math.nan), math.inf
@@ -138,7 +147,7 @@ class AlongFilter:
         weights = np.exp(logs - logs.max())
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
-        variance = self._parameters.docking_jitter**2
+        variance = DOCKING_JITTER**2
         self._means = places - look.platform + variance * (last * score).sum(axis=1)
         left = variance - variance**2 * (last * of_last).sum(axis=1)
         self._spread = math.sqrt(max(float(weights @ left), _LEAST))
@@ -166,7 +175,7 @@ class AlongFilter:
     @property
     def contradicts_itself(self) -> bool:
         """Whether the contacts differ by more than their errors allow."""
-        return contradicts(self._parameters, self._innovations, _EACH * len(self._looks))
+        return contradicts(self._innovations, _EACH * len(self._looks))
 
     def parts(self, load: float, platform: float) -> tuple[float, float]:
         """Return the parts of an offset by load (m) that the target's place and its lean cause, as expected.
@@ -190,7 +199,7 @@ class AlongFilter:
     def plans(self, limit: float) -> list[Plan]:
         """Return the expected gains of a contact at the target, alone or after probes beside it."""
         now, known = self.risk(limit), self._information()
-        far, near = self._parameters.probe_offset, 0.5 * self._parameters.probe_offset
+        far, near = _PROBE_OFFSET, 0.5 * _PROBE_OFFSET
         plans = []
         for way in ((), (far,), (-far,), (near,), (-near,), (far, -far), (-far, far)):
             if any(self._empties(aside) for aside in way):
@@ -207,7 +216,7 @@ class AlongFilter:
         last = self._looks[-1]
         aside *= 1.0 - last.draw_share
         pull, _, _ = self._pull.at(np.array(aside), 0.0, last.angle)
-        return abs(self.bias + aside) > empty_pad_offset(self._parameters, float(pull) + last.push)
+        return abs(self.bias + aside) > empty_pad_offset(float(pull) + last.push)
 
     def _grid(self) -> Array:
         """Return the places (G,) of the grid, m."""
@@ -217,7 +226,7 @@ class AlongFilter:
 
     def _rows(self, places: Array, looks: list[LookAlong]) -> tuple[Array, Array, Array, Array]:
         """Return rows (G, 3N, 6) of contacts, residuals, noise, and the landing's part (G, 3N) for each place."""
-        size, jitter = _EACH * len(looks), self._parameters.docking_jitter
+        size, jitter = _EACH * len(looks), DOCKING_JITTER
         rows = np.zeros((len(places), size, 6))
         residual, landing = np.zeros((2, len(places), size))
         noise = np.zeros((len(places), size, size))
@@ -261,7 +270,7 @@ class AlongFilter:
 
     def _landing(self, known: Array) -> tuple[float, float]:
         """Return the variance (m²) of the offset of a contact at the target, before and after it is measured."""
-        look, jitter = self._expected(0.0), self._parameters.docking_jitter**2
+        look, jitter = self._expected(0.0), DOCKING_JITTER**2
         rows, noise, landing = self._linear(look)
         covariance = np.diag(np.full(8, jitter))
         covariance[:7, :7] = np.linalg.inv(known)

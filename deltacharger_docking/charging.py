@@ -13,7 +13,12 @@ from deltacharger_docking.context import SAME_SAMPLE, Context
 from deltacharger_docking.energy import NO_CURRENT
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.profile import TargetProfile
-from deltacharger_docking.touch import Target, keep_evidence, with_pitch
+from deltacharger_docking.touch import MEASURE_TIMEOUT, Target, keep_evidence, with_pitch
+
+CLEARANCE_PERIOD = 2.0  # s, period of clearance checks while charging
+_CLEARANCE_FRAMES = 12  # tactile frames averaged in one check while charging
+UNSAFE_MAX = 2  # successive checks without clearance that end charging
+BLIND_MAX = 3  # successive failed or unsure checks that end charging
 
 _FULL = 0.01  # of the profile's full voltage that a full target may lack
 _JUMP = 0.3  # V by which a voltage shows that something has changed
@@ -277,16 +282,14 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
     parameters = context.parameters
     unsafe = blind = 0
     while True:
-        yield from context.wait(parameters.clearance_period)
+        yield from context.wait(CLEARANCE_PERIOD)
         context.evidence.begin()
-        reply = yield from context.ask(
-            Service.ESTIMATE, TactileStale, parameters.measure_timeout, parameters.clearance_frames
-        )
+        reply = yield from context.ask(Service.ESTIMATE, TactileStale, MEASURE_TIMEOUT, _CLEARANCE_FRAMES)
         estimate = None if reply.estimate is None else with_pitch(context, reply.estimate)
         if estimate is None or not estimate.usable:
             blind += 1
             context.decide("blind", "the clearance could not be measured", times=blind)
-            if blind >= parameters.blind_max:
+            if blind >= BLIND_MAX:
                 raise _blind(reply, blind)
             continue
         blind = 0
@@ -296,7 +299,7 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
         unsafe = unsafe + 1 if lost else 0
         if lost:
             context.decide("unsafe", "the clearance is too small", times=unsafe, **estimate.numbers)
-        if unsafe >= parameters.unsafe_max:
+        if unsafe >= UNSAFE_MAX:
             raise CriticalAngle(
                 f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
                 f"{1000 * estimate.across:.1f} mm across the bars leave no clearance"

@@ -20,6 +20,13 @@ from typing import Any
 from deltacharger_core.units import IN_TOUCH, untouchable
 from deltacharger_docking.parameters import DockingParameters
 
+# From leaning contacts of the world and of the pose model at up to 5°, then seed 5.
+LEAN_SIGMAS = 2.0  # standard deviations by which a refused lean exceeds its limit
+_PITCH_SHIFT = 0.0086  # m/rad, error across the bars per pitch: 0.15 mm per degree
+# From the formula of the clearance, and a rate of unsafe acts by the normal distribution and its tails.
+CLEARANCE_SIGMAS = 3.0  # standard deviations required before current flows
+CLEARANCE_SIGMAS_SURE = 6.0  # standard deviations at which one contact is enough
+
 
 @dataclass(frozen=True)
 class MisalignmentEstimate:
@@ -103,14 +110,14 @@ class MisalignmentEstimate:
 class Verdict(Enum):
     """What an estimate allows."""
 
-    SAFE = "safe at clearance_sigmas_sure standard deviations"
-    PROBABLY_SAFE = "safe at clearance_sigmas standard deviations"
+    SAFE = "safe at CLEARANCE_SIGMAS_SURE standard deviations"
+    PROBABLY_SAFE = "safe at CLEARANCE_SIGMAS standard deviations"
     TOO_CLOSE = "the offset across the bars leaves no clearance"
     CRITICAL = "the angle leaves no clearance even without an offset across the bars"
 
     @property
     def leaves_clearance(self) -> bool:
-        """Whether it leaves clearance at `clearance_sigmas` standard deviations."""
+        """Whether it leaves clearance at CLEARANCE_SIGMAS standard deviations."""
         return self in (Verdict.SAFE, Verdict.PROBABLY_SAFE)
 
 
@@ -125,19 +132,19 @@ def clearance_stddev(estimate: MisalignmentEstimate, half_gap: float, half_lengt
     return math.hypot(slope * estimate.angle_stddev, estimate.across_stddev)
 
 
-def pitch_shift(estimate: MisalignmentEstimate, parameters: DockingParameters) -> float:
+def pitch_shift(estimate: MisalignmentEstimate) -> float:
     """Return the shift (m) that a known pitch may cause in the measured offset across the bars; 0 if unknown.
 
     An unknown pitch is part of the estimate's own error: its model was trained with leaning contacts.
     """
-    pitch = abs(estimate.pitch) + parameters.lean_sigmas * estimate.pitch_stddev
-    return parameters.pitch_shift * pitch if math.isfinite(pitch) else 0.0
+    pitch = abs(estimate.pitch) + LEAN_SIGMAS * estimate.pitch_stddev
+    return _PITCH_SHIFT * pitch if math.isfinite(pitch) else 0.0
 
 
 def least_clearance(estimate: MisalignmentEstimate, parameters: DockingParameters, sigmas: float) -> float:
     """Return the clearance (m) that is left at so many standard deviations."""
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    shifted = abs(estimate.across) + pitch_shift(estimate, parameters)
+    shifted = abs(estimate.across) + pitch_shift(estimate)
     return clearance(estimate.angle, shifted, gap, length) - sigmas * clearance_stddev(estimate, gap, length)
 
 
@@ -155,12 +162,12 @@ def judge(
     limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
     sigma = clearance_stddev(estimate, gap, length)
     centred = clearance(estimate.angle, 0.0, gap, length)
-    worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
+    worst_angle = abs(estimate.angle) + CLEARANCE_SIGMAS * estimate.angle_stddev
     # Written so that NaN never passes.
-    if not (worst_angle < limit and centred - parameters.clearance_sigmas * sigma >= parameters.clearance_min):
+    if not (worst_angle < limit and centred - CLEARANCE_SIGMAS * sigma >= parameters.clearance_min):
         return Verdict.CRITICAL
-    if not least_clearance(estimate, parameters, parameters.clearance_sigmas) >= parameters.clearance_min:
+    if not least_clearance(estimate, parameters, CLEARANCE_SIGMAS) >= parameters.clearance_min:
         return Verdict.TOO_CLOSE
-    if not least_clearance(estimate, parameters, parameters.clearance_sigmas_sure) >= parameters.clearance_min:
+    if not least_clearance(estimate, parameters, CLEARANCE_SIGMAS_SURE) >= parameters.clearance_min:
         return Verdict.PROBABLY_SAFE
     return Verdict.SAFE

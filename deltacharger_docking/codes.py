@@ -63,20 +63,15 @@ class Code(IntEnum):
 class DockingError(Picklable):
     """Base class of all reasons why a goal can fail.
 
-    `code` identifies it. `retriable`: the same goal may succeed later. `restart_may_help`: docking again at once may
-    help.
+    `code` identifies it. `retriable`: the same goal may succeed later.
     """
 
     code: Code = Code.INTERNAL
     retriable: bool = False
-    restart_may_help: bool = False
 
-    def __init_subclass__(
-        cls, code: Code | None = None, retriable: bool | None = None, restart_may_help: bool | None = None
-    ) -> None:
+    def __init_subclass__(cls, code: Code | None = None, retriable: bool | None = None) -> None:
         """Set what the class statement gives; the rest is inherited."""
-        given = {"code": code, "retriable": retriable, "restart_may_help": restart_may_help}
-        for name, value in given.items():
+        for name, value in {"code": code, "retriable": retriable}.items():
             if value is not None:
                 setattr(cls, name, value)
 
@@ -135,15 +130,15 @@ class Unreachable(Misplaced, code=Code.UNREACHABLE):
     """The target is outside the workspace; if `electrodes` is None, the arm's own motion would leave it."""
 
 
-class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, restart_may_help=True):
+class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True):
     """There was no contact up to the arm's limit, or contact was lost later."""
 
 
-class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, restart_may_help=True):
+class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True):
     """The servos pushed harder than allowed even after backing off."""
 
 
-class ChargeOvercurrent(Overcurrent, retriable=False, restart_may_help=False):
+class ChargeOvercurrent(Overcurrent, retriable=False):
     """More charge current flowed than allowed. Example: the power stage's current limiter failed."""
 
 
@@ -167,7 +162,7 @@ class ServoStale(DockingError, code=Code.SERVO_STALE, retriable=True):
     """servo_state stopped, or all servos fell silent, perhaps only briefly. Example: the computer stalled."""
 
 
-class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, restart_may_help=True):
+class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True):
     """The servos push but no taxel measures a force: the pads missed the target's ridges."""
 
 
@@ -179,11 +174,11 @@ class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
     """The target is rolled so far that the electrodes would short."""
 
 
-class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, restart_may_help=True):
+class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True):
     """The tactile estimate stayed unsure, or contradicts the arm's moves."""
 
 
-class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, restart_may_help=True):
+class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True):
     """The electrodes could not be moved far enough from the wrong bars."""
 
 
@@ -212,11 +207,11 @@ class VoltageOutOfRange(DockingError, code=Code.VOLTAGE_OUT_OF_RANGE):
 
 
 class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
-    """Current flows out of the target, again or much."""
+    """More than 5 A flowed out of the target."""
 
 
-class Regenerated(ReverseCurrent, retriable=True, restart_may_help=True):
-    """Current flowed out of the target once in this goal. Example: it braked its wheels."""
+class Regenerated(ReverseCurrent, retriable=True):
+    """Current flowed out of the target. Example: it braked its wheels."""
 
 
 class ContactorWelded(DockingError, code=Code.CONTACTOR_WELDED):

@@ -12,6 +12,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 
+CONTACT_WINDOW = 0.12  # s, window of the contact current's median
+
 
 class ContactCurrent:
     """Contact current I_c = f_z J_z / Kt, with f_z from J⁻ᵀ (τ − τ_hold(p)) less its reading in free air.
@@ -28,7 +30,7 @@ class ContactCurrent:
     def __init__(self, kinematics: ScalarDelta, parameters: DockingParameters) -> None:
         self._kinematics = kinematics
         self._gravity = parameters.gravity
-        self._span = parameters.contact_window
+        self._span = CONTACT_WINDOW
         self._constant = parameters.torque_constant
         geometry = kinematics.geometry
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
@@ -105,7 +107,7 @@ class ContactCurrent:
 
     @property
     def force(self) -> float:
-        """Force (N) of the servos on the target along +z, median over `contact_window`; NaN without readings."""
+        """Force (N) of the servos on the target along +z, median over CONTACT_WINDOW; NaN without readings."""
         if self._median != self._median and self._window:
             values = sorted(value for _, value, _ in self._window)
             middle = len(values) // 2
@@ -121,7 +123,7 @@ class ContactCurrent:
 
     @property
     def currents(self) -> Vector:
-        """Mean of the servos' currents (A) over `contact_window`; NaN without readings."""
+        """Mean of the servos' currents (A) over CONTACT_WINDOW; NaN without readings."""
         count = len(self._window)
         if not count:
             return NAN3

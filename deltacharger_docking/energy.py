@@ -7,6 +7,7 @@ import math
 
 from deltacharger_core.charge_port import ChargeLimits, Port, port_of
 from deltacharger_core.script import NEXT, Script, Wait
+from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import (
     Leaning,
     NoChargeCurrent,
@@ -33,6 +34,11 @@ from deltacharger_docking.watch import (
     welded,
 )
 
+OPEN_TIMEOUT = 1.0  # s, limit for current to stop after an order to open
+_OPENING_TIME = 0.1  # s, delay of an order to open
+_PROBE_TIMEOUT = 2.0  # s, limit for an answer of probe, longer than the board's own
+_DUPLICATE_SOURCE_TIMEOUT = 25.0  # s, limit for second sources to disappear before the contactor closes
+
 _CAUSE = 0.3  # s in which servo_state shows why servo_node opened the contactor, or that it ended (live_servo_age_max)
 _LAST_WORD = 0.2  # s
 NO_CURRENT = 0.05  # A, below it none flows, as the board counts
@@ -46,13 +52,13 @@ def wait_for_single_sources(context: Context, begun: float, state: State = State
 
     Args:
         context: of the docking.
-        begun: s, from which duplicate_source_timeout counts, also for a source that comes and goes.
+        begun: s, from which _DUPLICATE_SOURCE_TIMEOUT counts, also for a source that comes and goes.
         state: during the wait; its checks stay active.
 
     Raises:
-        DuplicateSource: there is still a second source after duplicate_source_timeout.
+        DuplicateSource: there is still a second source after _DUPLICATE_SOURCE_TIMEOUT.
     """
-    limit = context.parameters.duplicate_source_timeout
+    limit = _DUPLICATE_SOURCE_TIMEOUT
     context.enter(state, math.inf)
     if names := context.observation.duplicate_sources:
         context.decide("wait", f"nothing is energised while there is a second source: {names}", limit_s=limit)
@@ -91,7 +97,7 @@ def energise(context: Context) -> Script[bool]:
     context.enter(State.ENERGISE, math.inf)  # each of its steps has its limit
     if context.observation.power_fault not in (0, WELD):
         yield from _clear_fault(context)
-    reply = yield from context.ask(Service.PROBE, PowerStale, parameters.probe_timeout)
+    reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
     context.decide(
         "probe",
         f"the probe {'answered' if reply.success else 'failed: ' + reply.message}",
@@ -151,8 +157,8 @@ def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
 
 def _clear_fault(context: Context) -> Script[None]:
     """Open once to clear a fault that was latched before this docking; if it returns, docking ends."""
-    yield from context.ask(Service.OPEN, PowerStale, context.parameters.probe_timeout)
-    end = context.time + context.parameters.open_timeout
+    yield from context.ask(Service.OPEN, PowerStale, _PROBE_TIMEOUT)
+    end = context.time + OPEN_TIMEOUT
     while context.observation.power_fault and context.time < end:
         yield NEXT
 
@@ -177,9 +183,9 @@ def de_energise(context: Context) -> Script[None]:
         return
     current = context.observation.charge_current
     context.decide("open", "the contactor is ordered to open", charge_current_A=current)
-    begun, parameters = context.time, context.parameters
-    while is_closed(context) or not context.time - context.observation.power_age >= begun + parameters.opening_time:
-        if context.time > begun + parameters.open_timeout:
+    begun = context.time
+    while is_closed(context) or not context.time - context.observation.power_age >= begun + _OPENING_TIME:
+        if context.time > begun + OPEN_TIMEOUT:
             raise welded(context)
         yield NEXT
     current = context.observation.charge_current
@@ -222,7 +228,7 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
             )
     elif profile.port == "live":
         pitch = context.electrodes
-        if port is Port.OPEN and pitch and abs(pitch.pitch) > context.parameters.lean_sigmas * pitch.pitch_stddev:
+        if port is Port.OPEN and pitch and abs(pitch.pitch) > LEAN_SIGMAS * pitch.pitch_stddev:
             raise Leaning(
                 f"no current flows into the port; the electrodes' faces are pitched by "
                 f"{math.degrees(pitch.pitch):+.1f}° about x of charger_base, so one bar does not press: level "

@@ -17,6 +17,10 @@ from deltacharger_docking.observation import Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
+CONTACT_LOST_CURRENT = 0.15  # A, contact current below which contact is lost
+_CONTACT_LOST_RETREAT = 0.0015  # m, retreat while live that means lost contact
+PRESS_AGE_MAX = 0.1  # s, age of servo_state and tactile frames that stops the arm
+
 _ASIDE = 0.006  # m; faultless dockings stand still: 0.0 in 420 of seven scenes
 _HARDER = 0.3  # A above the band; faultless dockings 0.2, with worn gears
 _PATTERN, _LARGEST = 300.0, 1.2  # share of the pattern per m of clearance; and as far as that holds
@@ -68,14 +72,14 @@ class Evidence:
             current: contact current, A; the largest that its noise allows.
             seen: the present observation.
         """
-        if self._place is None or max(seen.servo_age, seen.tactile_age) > parameters.press_age_max:
+        if self._place is None or max(seen.servo_age, seen.tactile_age) > PRESS_AGE_MAX:
             return ""
         x, y, z = (now - then for now, then in zip(position, self._place, strict=True))
         if (aside := math.hypot(x, y)) > _ASIDE:
             return f"the electrodes moved sideways by {1000 * aside:.1f} mm"
-        if abs(z) > parameters.contact_lost_retreat:
+        if abs(z) > _CONTACT_LOST_RETREAT:
             return f"the electrodes moved by {1000 * z:+.1f} mm along z"
-        if current < parameters.contact_lost_current or not seen.tactile_contact:
+        if current < CONTACT_LOST_CURRENT or not seen.tactile_contact:
             return "contact was lost"
         if current > parameters.current_max + _HARDER:
             return f"the push rose to {current:.2f} A"

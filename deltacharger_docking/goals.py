@@ -11,6 +11,7 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import wrong_id
 from deltacharger_core.units import far, outside
+from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.motion import Planner
@@ -116,7 +117,7 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
     if wrong:
         if never := planner.reach_problem((0.0, 0.0, DOCK_DISTANCE)):
             raise Rejected(f"the arm reaches no electrodes, not even at {never}: correct the arm's geometry")
-        base = BasePose.before(electrodes.position, electrodes.sure_yaw(parameters.lean_sigmas))
+        base = BasePose.before(electrodes.position, electrodes.sure_yaw(LEAN_SIGMAS))
         dx, dy, dz = (f"{1000 * value:+.0f}" for value in (base.x, base.y, base.z))
         turn = f" and {in_words(base.yaw)}" if base.yaw else ""
         raise Unreachable(
@@ -167,16 +168,12 @@ class GoalDesk:
         context.observe(observation)
         self.is_open, self.cancel_requested, self.outcome = True, False, None
         context.started, context.status.elapsed = context.time, 0.0
-        self.renew()
+        self.deadline = context.time + context.parameters.goal_timeout
         context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
-        context.charge_end, context.regenerated = "", False
+        context.charge_end = ""
         context.deadline = math.inf
         context.status.request_id = request_id
         context.status.code, context.status.message = Code.NONE, ""
-
-    def renew(self) -> None:
-        """Restart `goal_timeout`."""
-        self.deadline = self._context.time + self._context.parameters.goal_timeout
 
     def succeed(self, message: str, notice: str = "") -> None:
         """End the goal with success, if there is one; `notice` is further information for its client."""

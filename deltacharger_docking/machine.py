@@ -130,7 +130,7 @@ class DockingMachine:
             self._refusal = self._docking.take(goal)
             return
         self._docking = docking = TargetVisit(self._context, self._desk, goal)
-        self._runner.start(self._serve(docking.run, self.parameters.restarts_max))
+        self._runner.start(self._serve(docking.run))
 
     def start_undock(self, request_id: str, observation: Observation) -> None:
         """Begin to stop charging and take the arm back.
@@ -195,7 +195,7 @@ class DockingMachine:
             if self._context.status.charging:
                 self._context.end_charge(error.code.name)
             if not self._context.status.code:
-                self._failure = self._report(None, error)
+                self._report(error)
         self._context.energise, self._context.closing = False, None
         self._context.status.charging = False
         self._context.enter(State.IDLE, math.inf)
@@ -252,55 +252,38 @@ class DockingMachine:
             return PhaseTimeout(f"docking took longer than goal_timeout, {self.parameters.goal_timeout:.0f} s")
         return context.expired()  # even retracting has a limit
 
-    def _serve(self, script: Callable[[], Script[None]], restarts: int = 0) -> Script[None]:
-        """Run a goal's script. However it ends, open the contactor and retract the arm; keep the first error.
-
-        If docking again may help, it restarts, at most `restarts` times.
-        """
-        context, desk = self._context, self._desk
-        self._failure = None
-        while True:
-            self._interruptible, self._halted, self._watches = True, False, Watches(context)
-            try:
-                yield from script()
-                return
-            except DockingError as error:
-                last = error
-                if context.status.charging:
-                    context.end_charge(error.code.name)
-            finally:
-                self._interruptible = False
-            if self._docking is not None and self._docking.supervising:
-                self._failure = None  # the restart succeeded, so the earlier error no longer counts
-            self._failure = self._report(self._failure, last)
-            try:
-                home = yield from self._retract(last)
-            except ContactorWelded as error:  # whatever ended the goal, a person must come
-                self._failure, home = error, False
-            if not (home and restarts and last.restart_may_help) or desk.cancel_requested:
-                break
-            restarts -= 1
-            context.decide("restart", f"docking begins again, {restarts} more times at most", code=last.code)
-            context.status.code, context.status.message = Code.NONE, ""
-            desk.renew()
+    def _serve(self, script: Callable[[], Script[None]]) -> Script[None]:
+        """Run a goal's script. However it ends, open the contactor and retract the arm; keep the first error."""
+        context, self._failure = self._context, None
+        self._interruptible, self._halted, self._watches = True, False, Watches(context)
+        try:
+            yield from script()
+            return
+        except DockingError as error:
+            last = error
+            if context.status.charging:
+                context.end_charge(error.code.name)
+        finally:
+            self._interruptible = False
+        self._report(last)
+        try:
+            yield from self._retract(last)
+        except ContactorWelded as error:  # whatever ended the goal, a person must come
+            self._failure = last = error
         context.enter(State.IDLE, math.inf)
-        desk.fail(self._failure)
+        self._desk.fail(last)
 
-    def _report(self, first: DockingError | None, last: DockingError) -> DockingError:
-        """Return and report the error that counts: the first one, unless the client has cancelled."""
-        status = self._context.status
-        blamed = last if first is None or isinstance(last, Canceled) else first
-        status.code, status.message = blamed.code, str(blamed)
-        if first is not None:
-            status.message = f"{first}; then, docking again: {last}"
+    def _report(self, error: DockingError) -> None:
+        """Keep and report why the goal has failed."""
+        self._failure, status = error, self._context.status
+        status.code, status.message = error.code, str(error)
         problem = self._context.observation.clock_problem
-        if problem and not isinstance(blamed, Canceled):  # without a valid clock, data seem stale
+        if problem and not isinstance(error, Canceled):  # without a valid clock, data seem stale
             status.message = f"{status.message}; {problem}"
-        self._context.decide("interrupted", f"{last.code.name}: {last}", code=last.code)
-        return blamed
+        self._context.decide("interrupted", f"{error.code.name}: {error}", code=error.code)
 
-    def _retract(self, why: DockingError) -> Script[bool]:
-        """Open the contactor, move the arm home and switch the torque off; return whether that succeeded."""
+    def _retract(self, why: DockingError) -> Script[None]:
+        """Open the contactor, move the arm home and switch the torque off."""
         context, status = self._context, self._context.status
         context.interrupt()
         try:
@@ -311,7 +294,6 @@ class DockingMachine:
                 yield from go_limp(context)
             else:
                 yield from retract(context)
-            return not (isinstance(why, Astray) or context.observation.hardware_error)
         except ContactorWelded as error:
             seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.power_age_max
             if status.code is not Code.CONTACTOR_WELDED:
@@ -331,7 +313,6 @@ class DockingMachine:
             yield from go_limp(context)
         finally:
             status.charging = False
-        return False
 
 
 def _undock(context: Context) -> Script[str]:

@@ -278,7 +278,7 @@ class DockingOutcome(GoalOutcome):
 class DockingStatus:
     """The machine's state between commands.
 
-    `aligned`: this contact has clearance, no gain is expected from another, and the risk is at most `aligned_risk_max`.
+    `aligned`: this contact has clearance, no gain is expected from another, and the risk is at most 2 %.
     """
 
     state: State = State.IDLE

@@ -7,7 +7,12 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_core.machine import DOCKING_JITTER
+
+# Chosen in earlier campaigns whose seeds were not kept.
+_CONTRADICTION_START = 25.0  # squared innovations that contradict the arm's moves
+_CONTRADICTION_EACH = 4.0  # more of them per measured number
+GAIN_ERROR = 0.15  # error of a misalignment estimate relative to its size; chosen on seeds 5 and 19
 
 _LEAST = 1e-12  # m²; avoids division by zero
 _QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
@@ -43,15 +48,14 @@ def expected_gain(now: float, foreseen: float, measured: float, limit: float) ->
     return sum(max(now - risk, 0.0) for risk in risks) / len(_QUANTILES)
 
 
-def contradicts(parameters: DockingParameters, innovations: float, values: int) -> bool:
+def contradicts(innovations: float, values: int) -> bool:
     """Return whether these values differ by more than their errors allow: they do not follow the arm's moves.
 
     Args:
-        parameters: docking's.
         innovations: sum of squares, each divided by its variance.
         values: how many were measured.
     """
-    return innovations > parameters.contradiction_start + parameters.contradiction_each * values
+    return innovations > _CONTRADICTION_START + _CONTRADICTION_EACH * values
 
 
 class AxisFilter:
@@ -59,13 +63,12 @@ class AxisFilter:
 
     The axis may have any direction that is fixed in charger_base; docking uses the one across the bars.
 
-    A contact differs from its commanded place by `docking_jitter` (standard deviation, m), which encoders do not see.
+    A contact differs from its commanded place by DOCKING_JITTER (standard deviation, m), which encoders do not see.
     The error of an estimate has two parts: one of this contact alone, and one that grows with the offset by
-    `gain_error`, so that a first contact 8 mm away has little weight once the platform is close.
+    GAIN_ERROR, so that a first contact 8 mm away has little weight once the platform is close.
     """
 
-    def __init__(self, parameters: DockingParameters) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self._information = 0.0  # 1/m²
         self._innovations = 0.0
         self._looks = 0
@@ -76,9 +79,8 @@ class AxisFilter:
 
     def update(self, platform: float, offset: float, stddev: float) -> None:
         """Add one contact: platform and offset (m), and the offset's reported standard deviation (m)."""
-        parameters = self._parameters
-        own = max(stddev**2, _LEAST) + (parameters.gain_error * offset) ** 2
-        variance, place, weight = parameters.docking_jitter**2 + own, platform + offset, 1.0 / own
+        own = max(stddev**2, _LEAST) + (GAIN_ERROR * offset) ** 2
+        variance, place, weight = DOCKING_JITTER**2 + own, platform + offset, 1.0 / own
         mean = offset
         self._looks += 1
         if self._information > 0.0:
@@ -95,12 +97,12 @@ class AxisFilter:
     @property
     def _ahead(self) -> float:
         """Variance (m²) with which the filter predicts the offset of a contact."""
-        return self._parameters.docking_jitter**2 + 1.0 / self._information + _LEAST
+        return DOCKING_JITTER**2 + 1.0 / self._information + _LEAST
 
     @property
     def contradicts_itself(self) -> bool:
         """Whether the contacts differ by more than their errors allow."""
-        return contradicts(self._parameters, self._innovations, self._looks)
+        return contradicts(self._innovations, self._looks)
 
     def gain(self, limit: float) -> float:
         """Return the expected decrease of the risk of exceeding `limit` (m) by another contact."""

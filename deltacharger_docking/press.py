@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking.along import FORCE_ERROR
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import (
     NoContact,
@@ -17,9 +18,27 @@ from deltacharger_docking.codes import (
     TactileStale,
     Unreachable,
 )
-from deltacharger_docking.context import Context, KnownContact
-from deltacharger_docking.release import take_off
+from deltacharger_docking.context import RESPONSE_MAX, RESPONSE_MIN, SETTLE_TOUCHING, Context, KnownContact
+from deltacharger_docking.evidence import PRESS_AGE_MAX
+from deltacharger_docking.parameters import BAND_MARGIN
+from deltacharger_docking.release import FREE_CURRENT, LIFT, take_off
 
+# Chosen on seeds of the family 777001, then 5 and 19.
+_SEARCH_FROM = 0.007  # m, distance before the expected contact where the search begins
+_NEAR = 0.004  # m, distance before the known contact where press_speed begins
+# From statics of the arm, then seeds 5 and 19.
+_AIM_BELOW = 0.02  # A, how far below the band's middle a press on a known contact aims
+_STEP_SHARE = 0.7  # largest share of the way to the band in one step
+_STEP_NEAR = 0.75  # share of the band's lower end from which one step goes all the way
+_OVERSHOOT_BACK_OFF = 0.35  # A, contact current to release after an overshoot
+
+_COARSE_STEP = 0.0025  # m, largest step in free air
+_STEP_MAX = 0.015  # m, longest pressing step, however soft the contact seems
+_STEP_ABOVE = 0.1  # A above the band that a step on a stiff contact may reach
+_RESPONSE_VISIBLE = 0.02  # A, least change between two readings that shows the response
+_OVERSHOOTS_MAX = 3  # overshoots of the band after which contact fails
+CONTACT_TIMEOUT = 45.0  # s, limit for CONTACT
+ALIGN_TIMEOUT = 45.0  # s, limit for one ALIGN
 _DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless 12, once 22 on a robot that swung
 _LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
@@ -44,7 +63,7 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
         NoTactileContact: the servos push but the pads measure no force.
         Overcurrent: the band was overshot too often.
     """
-    context.enter(State.CONTACT, context.parameters.contact_timeout)
+    context.enter(State.CONTACT, CONTACT_TIMEOUT)
     estimate = yield from _meet(context, depth, look)
     if estimate is not None:
         return estimate
@@ -89,9 +108,9 @@ def move_aside(context: Context, x: float, y: float) -> Script[None]:
     """
     parameters = context.parameters
     commanded, z = context.commanded, context.position[2]
-    place = commanded[0] + x, commanded[1] + y, z - parameters.lift
+    place = commanded[0] + x, commanded[1] + y, z - LIFT
     context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
-    context.enter(State.ALIGN, parameters.align_timeout)
+    context.enter(State.ALIGN, ALIGN_TIMEOUT)
     yield from take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
     context.evidence.forget()
@@ -104,7 +123,7 @@ def step_to(context: Context, z: float) -> Script[None]:
     Raises:
         NoContact: the command is beyond the arm's reach.
     """
-    while context.observation.servo_age > context.parameters.press_age_max:
+    while context.observation.servo_age > PRESS_AGE_MAX:
         yield NEXT
     try:
         yield from context.move((*_beside(context), z), context.parameters.press_speed)
@@ -131,17 +150,17 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
     """
     parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
     context.drawn = math.nan
-    while context.observation.servo_age > parameters.press_age_max:
+    while context.observation.servo_age > PRESS_AGE_MAX:
         yield NEXT
     context.contact.clear()
     try:
         if known is None or (look is not None and not context.port_shown):
             return (yield from _search(context, depth, look))
-        before = max(known.measured - parameters.near, z)
+        before = max(known.measured - _NEAR, z)
         touched = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _touches(context))
         if touched and context.position[2] < before:
             return (yield from _press_on(context, look))
-        wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
+        wanted = known.commanded + (parameters.current_target - _AIM_BELOW - known.current) / slope_expected(context)
         rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
             (x, y, wanted),
@@ -166,7 +185,7 @@ def _search(context: Context, depth: float, look: Look | None = None) -> Script[
     """Move along z to the start of the search, then slowly up to `depth` (m) until contact; continue pressing there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     expected = depth - parameters.search_depth
-    free = expected - parameters.search_from
+    free = expected - _SEARCH_FROM
     legs = [(free, parameters.travel_speed)] if z < free else []
     depth = _deepest(context, depth)
     # The first line of the search starts faster than the long one.
@@ -184,7 +203,7 @@ def _touches(context: Context) -> bool:
 
 def _press_on(context: Context, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
     """Continue pressing from where the platform stops, to a share of the band that is safe on a rigid target."""
-    parameters, end = context.parameters, context.time + context.parameters.settle_touching
+    parameters, end = context.parameters, context.time + SETTLE_TOUCHING
     highest = -math.inf
     while context.time < end and context.position[2] > highest:
         highest = context.position[2]
@@ -194,7 +213,7 @@ def _press_on(context: Context, look: Look | None = None) -> Script[Misalignment
         return estimate
     z = context.commanded[2]
     pressing = context.position[2] + context.lead[2]
-    pressing += parameters.step_share * parameters.current_target / slope_expected(context)
+    pressing += _STEP_SHARE * parameters.current_target / slope_expected(context)
     yield from context.move((*_beside(context), max(z, pressing)), parameters.press_speed)
     return None
 
@@ -213,7 +232,7 @@ def _beside(context: Context) -> tuple[float, float]:
 def _into_band(context: Context, depth: float) -> Script[None]:
     """Step coarsely until the current leaves its baseline, then by the missing current; enter the band from below."""
     parameters = context.parameters
-    low, high = parameters.current_min + parameters.band_margin, parameters.current_max
+    low, high = parameters.current_min + BAND_MARGIN, parameters.current_max
     response, overshoots = 1.0, 0  # response: the slope's share of the expected one
     start, contradictions = (context.felt_forces, context.contact.force), 0
     while True:
@@ -232,28 +251,29 @@ def _into_band(context: Context, depth: float) -> Script[None]:
             context.decide(
                 "overshoot", "the push is above its band and is reduced", contact_current_A=before, times=overshoots
             )
-            if overshoots > parameters.overshoots_max:
+            if overshoots > _OVERSHOOTS_MAX:
                 raise Overcurrent(
                     f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving?"
                     f"{context.springs.contradiction}"
                 )
-            yield from step_to(context, z - parameters.overshoot_back_off / slope)
+            yield from step_to(context, z - _OVERSHOOT_BACK_OFF / slope)
             continue
         check_depth(context, depth)
-        touching = abs(before) > parameters.free_current or context.observation.tactile_contact
+        touching = abs(before) > FREE_CURRENT or context.observation.tactile_contact
         if touching:
-            far = before < parameters.step_near * low
-            share = parameters.step_share ** (far + overshoots)  # a worn gear holds, then gives way
+            far = before < _STEP_NEAR * low
+            share = _STEP_SHARE ** (far + overshoots)  # a worn gear holds, then gives way
             step = share * (parameters.current_target - before) / slope
-            stiff = (parameters.step_current_max - before) / expected  # soft springs may bottom within the step
-            step = min(step, parameters.step_max, max(stiff, 0.0))
+            most = parameters.current_max + _STEP_ABOVE
+            stiff = (most - before) / expected  # soft springs may bottom within the step
+            step = min(step, _STEP_MAX, max(stiff, 0.0))
         else:
-            step = min(parameters.coarse_step, parameters.step_share * parameters.current_min / expected)
+            step = min(_COARSE_STEP, _STEP_SHARE * parameters.current_min / expected)
         yield from step_to(context, z + step)
         after = context.contact.value
-        if touching and before > 0.0 and after - before > parameters.response_visible:
+        if touching and before > 0.0 and after - before > _RESPONSE_VISIBLE:
             measured = (after - before) / (step * expected)
-            response = min(max(measured, parameters.response_min), parameters.response_max)
+            response = min(max(measured, RESPONSE_MIN), RESPONSE_MAX)
 
 
 def _contradiction(context: Context, before: tuple[float, float], told: float) -> str:
@@ -265,7 +285,7 @@ def _contradiction(context: Context, before: tuple[float, float], told: float) -
     if not _LEVEL * felt <= min(before):
         return ""
     felt, told = sum(context.felt_forces) - felt, context.contact.force - told
-    if not felt - context.springs.true_force(told)[1] > _DIFFERS + 2.0 * context.parameters.force_error * felt:
+    if not felt - context.springs.true_force(told)[1] > _DIFFERS + 2.0 * FORCE_ERROR * felt:
         return ""
     return (
         f"pads and currents contradict each other: while pressing, the pads felt {felt:.0f} N more and the servos' "

@@ -14,9 +14,15 @@ import numpy as np
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import DockingError, Stuck, TactileStale, TargetRolls
 from deltacharger_docking.context import REACH, Context
+from deltacharger_docking.evidence import PRESS_AGE_MAX
+from deltacharger_docking.motion import push_current
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
 
+FREE_CURRENT = 0.06  # A, largest size of the contact current in free air
+LIFT = 0.008  # m that the platform lifts before it moves sideways; chosen on seeds of the family 777001, then 5 and 19
+RELEASE_CURRENT = 4.0  # A, current bound of each servo during release; from statics, then seeds 5 and 19
+_RELEASE_TIME = 1.0  # s, longest pull against the magnets
 BACK = 0.012  # m from where it first touched or parted: the arm swings by half of it when it stops there
 _FARTHEST = 0.025  # m that a braked target follows at most: 5 N/mm and 2 mm of play under push and magnets
 _FOLLOWS = 0.010  # m from which one that did not part counts as rolling
@@ -66,8 +72,8 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
     """
     parameters = context.parameters
     x, y, z = context.measured()
-    clear = min(max(z - parameters.lift, parameters.home_z), z)
-    pushes = context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current
+    clear = min(max(z - LIFT, parameters.home_z), z)
+    pushes = context.observation.tactile_contact or abs(context.contact.value) > FREE_CURRENT
     if touches(context) or ((pull or pushes) and not _is_home(context)):
         yield from take_off(context, clear)
     else:
@@ -96,15 +102,16 @@ def _release(context: Context) -> Script[None]:
         yield NEXT
     context.feed.stop()
     x, y, z = context.position
-    first, last = (_behind(context, current) for current in (parameters.push_current, parameters.release_current))
+    pushing = push_current(parameters)
+    first, last = (_behind(context, current) for current in (pushing, RELEASE_CURRENT))
     free = (z if math.isnan(context.touched) else min(z, context.touched)) - BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
     rest = behind if math.isfinite(behind[0]) else None
     begun, pushed = context.time, context.contact.value
-    parted = yield from _pull(context, first, parameters.push_current, _SET_BACK, z, rest)
+    parted = yield from _pull(context, first, pushing, _SET_BACK, z, rest)
     pattern, pulled = context.observation.taxels, context.time
     if context.position[2] > parted - REACH:
-        most, seconds = parameters.release_current, parameters.release_time
+        most, seconds = RELEASE_CURRENT, _RELEASE_TIME
         parted = yield from _pull(context, last, most, seconds, parted, rest)
     here, frame = context.measured(), context.observation.taxels
     came = here[2] > parted - REACH
@@ -118,7 +125,7 @@ def _release(context: Context) -> Script[None]:
         "released",
         "the electrodes are released",
         contact_current_A=pushed,
-        pull_bound_A=parameters.release_current,
+        pull_bound_A=RELEASE_CURRENT,
         time_s=context.time - begun,
         followed_m=z - parted,
     )
@@ -128,7 +135,7 @@ def _release(context: Context) -> Script[None]:
     except DockingError:
         context.hold()  # ends the pull
         raise
-    most = parameters.release_current * parameters.torque_constant
+    most = RELEASE_CURRENT * parameters.torque_constant
     yield from _come_to_rest(context, goal.angles, (most, most, most), back)
     if frozen:
         raise TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
@@ -153,7 +160,7 @@ def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -
 
 def touches(context: Context) -> bool:
     """Return whether fresh frames of tared pads show contact."""
-    seen, oldest = context.observation, context.parameters.press_age_max
+    seen, oldest = context.observation, PRESS_AGE_MAX
     return seen.tared and seen.tactile_contact and seen.tactile_age <= oldest
 
 
@@ -181,7 +188,7 @@ def _pull(
             newest, parted = sampled, min(parted, z)
             if z < start - _FARTHEST or _is_home(context):
                 break
-        known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
+        known = observation.servos_valid and observation.servo_age <= PRESS_AGE_MAX
         if known:
             context.pull(goal, bound, rest)
         yield NEXT
@@ -193,10 +200,9 @@ def _pull(
 def _stuck(context: Context) -> Stuck:
     context.hold()
     context.decide("stuck", "the magnets do not release", contact_current_A=context.contact.value)
-    parameters = context.parameters
     return Stuck(
-        f"the magnets held against {parameters.release_current:.1f} A per servo for "
-        f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
+        f"the magnets held against {RELEASE_CURRENT:.1f} A per servo for "
+        f"{_RELEASE_TIME:.1f} s; move the target away by hand, or use weaker magnets"
         f"{context.springs.contradiction}"
     )
 

@@ -7,11 +7,13 @@ import math
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import ServoFailure, State, Stuck
-from deltacharger_docking.context import REACH, Context
+from deltacharger_docking.context import REACH, SERVICE_TIMEOUT, Context
 from deltacharger_docking.energy import de_energise, prove_dead
+from deltacharger_docking.evidence import PRESS_AGE_MAX
 from deltacharger_docking.observation import Service
-from deltacharger_docking.release import lift_off, rolls, touches
+from deltacharger_docking.release import LIFT, lift_off, rolls, touches
 
+RETRACT_TIMEOUT = 20.0  # s, limit for RETRACT
 _OFF_TIME = 0.1  # s: servo_node switches the torque off within some cycles
 
 
@@ -28,8 +30,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     yield from de_energise(context)  # has its own limit: the phase must not expire while electrodes may be live
     if wanted:
         yield from context.answered()
-    context.deadline = context.time + parameters.retract_timeout
-    while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
+    context.deadline = context.time + RETRACT_TIMEOUT
+    while PRESS_AGE_MAX < context.observation.servo_age <= parameters.servo_age_max:
         yield NEXT
     observation = context.observation
     if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
@@ -38,7 +40,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         return
     if not math.isfinite(context.position[2]):
         raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
-    strayed = wanted and math.dist(context.position, parameters.home) > parameters.lift
+    strayed = wanted and math.dist(context.position, parameters.home) > LIFT
     needed = strayed or observation.tactile_contact
     if needed and not observation.torque_enabled:
         yield from context.torque_on()
@@ -51,8 +53,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         if touches(context) or context.touched - context.felt > REACH:  # at the end it may touch too lightly to feel
             raise rolls(context, "it followed the arm home")
         away = math.dist(context.position, parameters.home)
-        context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
-        if away > parameters.lift:
+        context.decide("retracted", "the arm is home" if away <= LIFT else "the arm stayed", away_m=away)
+        if away > LIFT:
             context.check_moved(begun)
             raise Stuck(
                 f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
@@ -60,7 +62,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
             )
     context.status.docked = False
     yield from prove_dead(context)
-    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, parameters.service_timeout)
+    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, SERVICE_TIMEOUT)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     # Otherwise the next goal could read an old servo_state and send a trajectory to limp servos.

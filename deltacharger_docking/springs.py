@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deltacharger_core.machine import SERVO_INERTIA, SERVO_STIFFNESS
+from deltacharger_core.machine import SERVO_DAMPING, SERVO_INERTIA, SERVO_STIFFNESS
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import Swung
@@ -44,7 +44,7 @@ class Springs:
     def __init__(self, parameters: DockingParameters) -> None:
         self._configured = parameters.servo_stiffness
         self._constant = parameters.torque_constant
-        self.damping = parameters.servo_damping
+        self.damping = SERVO_DAMPING
         self.dampings: Vector = (math.nan, math.nan, math.nan)
         self.play = 0.0
         self.friction: Vector = (0.0, 0.0, 0.0)

@@ -14,8 +14,8 @@ from itertools import permutations
 
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
-from deltacharger_docking.context import Context
-from deltacharger_docking.release import take_off
+from deltacharger_docking.context import SETTLE_TOUCHING, Context
+from deltacharger_docking.release import RELEASE_CURRENT, take_off
 from deltacharger_docking.springs import LOAD_SHARES
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import (
@@ -28,6 +28,13 @@ from deltacharger_kinematics.swing import (
     swing_readings,
 )
 
+# Chosen on seeds of the family 777001, then 5 and 19.
+_APPROACH_SPEED = 0.18  # m/s, peak speed toward the standoff, at which a target nearer than told is met
+# Chosen on seeds 5 and 43.
+_RUN_UP_SPEED = 0.045  # m/s, peak speed of the run-up before the tare
+_RUN_UP = 0.004  # m, travel along +z before the tare: gives friction the sign of pushing
+
+APPROACH_TIMEOUT = 20.0  # s, limit for APPROACH
 _MOST_DAMPED = 3.0  # times what is critical; such a servo creeps, and a D gain that high makes its current chatter
 _JUMP_CURRENT, _LONGEST_JUMP = 0.9, 0.35  # A and rad: twice what sound gears rub, and 40 mm
 _FREE = 0.9  # of the torque bound, below which a current follows the error
@@ -60,7 +67,7 @@ def approach(context: Context, target: Vector) -> Script[float]:
         NoContact: the pads feel contact wherever the arm would tare, or live ones (power: none) touch before.
     """
     parameters = context.parameters
-    context.enter(State.APPROACH, parameters.approach_timeout)
+    context.enter(State.APPROACH, APPROACH_TIMEOUT)
     x, y, z = target
     context.check_way((x, y, z - parameters.standoff))  # before anything moves
     yield from _check_swing(context, z - parameters.standoff)
@@ -71,7 +78,7 @@ def approach(context: Context, target: Vector) -> Script[float]:
         context.decide("nearer", "the target is nearer than told", z_m=context.position[2])
         if parameters.always_live:
             break
-        yield from context.wait(parameters.settle_touching)
+        yield from context.wait(SETTLE_TOUCHING)
         z = context.position[2]
         yield from take_off(context, max(z - parameters.standoff, parameters.home_z))
     raise NoContact("the pads feel contact before the standoff: check the target's coordinates, and the pads")
@@ -79,14 +86,14 @@ def approach(context: Context, target: Vector) -> Script[float]:
 
 def _tare(context: Context, target: Vector) -> Script[bool]:
     """Weigh the platform at the standoff on a way back and forward again, and tare; return whether the pads touched."""
-    parameters, speed = context.parameters, context.parameters.run_up_speed
+    parameters, speed = context.parameters, _RUN_UP_SPEED
     x, y, z = target
     standoff = x, y, z - parameters.standoff
-    if (yield from _free_move(context, standoff, parameters.approach_speed, settle=False)):
+    if (yield from _free_move(context, standoff, _APPROACH_SPEED, settle=False)):
         return True
     lag = max(standoff[2] - context.position[2], 0.0)  # mostly by friction, which a run-up reverses
     speed *= min(1.0, context.springs.softness)  # stiff servos overshoot, which turns friction's sign
-    run_up = max(parameters.run_up * max(1.0, context.springs.softness), min(_LAGS * lag, _LONGEST_RUN_UP))
+    run_up = max(_RUN_UP * max(1.0, context.springs.softness), min(_LAGS * lag, _LONGEST_RUN_UP))
     for _ in range(_LONGER):
         yield from context.move((x, y, max(standoff[2] - run_up, min(parameters.home_z, standoff[2]))), speed)
         down, currents, angles = context.contact.force, context.contact.currents, context.observation.angles
@@ -231,7 +238,7 @@ def _check_order(context: Context, back: Vector) -> None:
     moves = ", ".join(f"servo {servo} limb {limb}" for servo, limb in enumerate(right, 1) if limb != servo - 1)
     raise ServoFailure(
         f"the arm's weight lies on the servos as if {moves} moved: with the torque off, turn each limb by hand and "
-        "compare joint_states with docs/hardware.md; or correct gravity_x, gravity_y and gravity_z of docking_node"
+        "compare joint_states with docs/hardware.md; or correct gravity of docking_node"
     )
 
 
@@ -242,13 +249,12 @@ def _check_pull(context: Context, target: Vector) -> None:
         Stuck: less friction, the pull is below 1.3 times the magnets.
     """
     parameters, springs = context.parameters, context.springs
-    torque = parameters.release_current * parameters.torque_constant
+    torque = RELEASE_CURRENT * parameters.torque_constant
     pull = context.kinematics.force(*target, (torque, torque, torque))[2]
     left = (1.0 - LOAD_SHARES[1]) * pull - springs.friction_force
     needed = _STRONGER * parameters.magnet_force
     if left < needed:
         raise Stuck(
-            f"the arm could not let go: {parameters.release_current:.1f} A pull with {left:.0f} N less friction, and "
-            f"magnets of {parameters.magnet_force:.0f} N need {needed:.0f}: raise release_current, free the cable, or "
-            "use weaker magnets"
+            f"the arm could not let go: {RELEASE_CURRENT:.1f} A pull with {left:.0f} N less friction, and "
+            f"magnets of {parameters.magnet_force:.0f} N need {needed:.0f}: free the cable, or use weaker magnets"
         )

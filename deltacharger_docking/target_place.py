@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deltacharger_docking.along import AlongFilter, LookAlong, Plan, empty_pad_offset
+from deltacharger_core.machine import PAD_DISTANCE, PAD_YAW_STIFFNESS
+from deltacharger_docking.along import HORIZONTAL_SHARED, LOAD_PER_YAW, AlongFilter, LookAlong, Plan, empty_pad_offset
 from deltacharger_docking.clearance import MisalignmentEstimate, pitch_shift
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
@@ -17,6 +18,15 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import AxisFilter, Offset
 from deltacharger_docking.yielding import RemainingShare
 
+# Chosen on seeds 5 and 19.
+_REDOCKING_GAIN_MIN = 0.004  # decrease of the risk of exceeding landing_limit or overlap_loss_max that pays a contact
+_HORIZONTAL_SCALE = 0.83  # true / reported standard deviation of horizontal estimates
+# Chosen on seed 5 of lean2, lean5 and rigid.
+_PROBE_GAIN_MIN = 0.03  # more decrease of that risk that pays a contact which only probes
+_PAD_FORCE_MIN = 3.0  # N, force below which a pad does not hold its ridge
+
+_FORCE_REPEATABILITY = 0.045  # relative scatter of a pad's force between contacts; its data sheet has 0.04 to 0.045
+_UNSURE_MOVE_SIGMAS = 3.0  # standard deviations at which an unsure offset is followed; the seeds were not kept
 _UNKNOWN_FORCE = 1e3  # N, standard deviation of an unknown force
 _ON_PAD = 0.009  # m across, within which a ridge is completely on its pad
 _FAR = 0.02  # m along, where a ridge begins to leave its pad
@@ -46,7 +56,7 @@ class TargetPlace:
             usual = parameters.yaw_stddev
             self._yaw, self._seen = (_along_ridges(electrodes, yaw, usual) for yaw in (usual, math.inf))
         self._along = self._foreseen(electrodes)
-        self._across = AxisFilter(parameters)
+        self._across = AxisFilter()
         self._load = math.nan  # m, offset by load in this contact, before the arm was put at ease
         self._turn = math.nan  # rad, of the bars in the first contact; defines the axis across the bars
         self.off = (math.nan, math.nan)
@@ -67,15 +77,14 @@ class TargetPlace:
         The magnets drew the platform by `drawn` (m along x, NaN = unknown) while it landed; `draw_share` of its way
         from the command to the target was expected. `again`: replaces the earlier estimate of this contact.
         """
-        p = self._parameters
         if math.isnan(self._turn):
             self._turn = estimate.angle
         cosine, sine = math.cos(self._turn), math.sin(self._turn)
         platform = cosine * y - sine * x
         self._across.update(platform, estimate.across, estimate.across_stddev)
-        own = math.sqrt(max((p.horizontal_scale * estimate.horizontal_stddev) ** 2 - p.horizontal_shared**2, 1e-8))
+        own = math.sqrt(max((_HORIZONTAL_SCALE * estimate.horizontal_stddev) ** 2 - HORIZONTAL_SHARED**2, 1e-8))
         force = estimate.left_force + estimate.right_force
-        spread = p.force_repeatability * math.hypot(estimate.left_force, estimate.right_force)
+        spread = _FORCE_REPEATABILITY * math.hypot(estimate.left_force, estimate.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNKNOWN_FORCE, 0.0
         if not (draw_share > 0.0 and math.isfinite(drawn)):
@@ -105,9 +114,9 @@ class TargetPlace:
             reaches: whether the platform reaches a place at this offset (m, along x and y).
         """
         p = self._parameters
-        price, across = p.redocking_gain_min * _PRICE_GROWTH**moves, self._across.gain(p.landing_limit)
+        price, across = _REDOCKING_GAIN_MIN * _PRICE_GROWTH**moves, self._across.gain(p.landing_limit)
         plans = [
-            replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
+            replace(plan, gain=plan.gain + across - price - _PROBE_GAIN_MIN * (plan.contacts - 1))
             for plan in self._along.plans(p.overlap_loss_max)
             if not plan.aside or reaches(*self.step(plan.aside))
         ]
@@ -132,16 +141,16 @@ class TargetPlace:
         p, loads = self._parameters, (estimate.left_force, estimate.right_force)
         light, force = min(loads), sum(loads)
         # With less force than at _FAR aside, or than pads measure well, an offset may also empty the pad.
-        pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
-        enough = max((push + float(pull)) / (1.0 - 2.0 * p.force_repeatability), 5.0 * p.pad_force_min)
-        if not (estimate.complete and light < p.pad_force_min and force > enough):
+        pull, _, _ = MagnetPull(p.magnet_force).at(np.array(_FAR), 0.0, 0.0)
+        enough = max((push + float(pull)) / (1.0 - 2.0 * _FORCE_REPEATABILITY), 5.0 * _PAD_FORCE_MIN)
+        if not (estimate.complete and light < _PAD_FORCE_MIN and force > enough):
             return math.nan
         heavy = 1.0 if loads[0] > loads[1] else -1.0  # side of the loaded pad along x
-        ridge = estimate.across / math.cos(estimate.angle) - heavy * p.pad_distance * math.tan(estimate.angle)
-        place, lean = self._along.parts(heavy * empty_pad_offset(p, force), x)
+        ridge = estimate.across / math.cos(estimate.angle) - heavy * PAD_DISTANCE * math.tan(estimate.angle)
+        place, lean = self._along.parts(heavy * empty_pad_offset(force), x)
         if abs(ridge) > _ON_PAD or heavy * lean < abs(place):
             return math.nan
-        return heavy * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
+        return heavy * PAD_DISTANCE * force * (p.platform_compliance + 1.0 / PAD_YAW_STIFFNESS)
 
     def pointed_at(self, estimate: MisalignmentEstimate, x: float) -> tuple[float, float]:
         """Return where (m, along x and y) an unsure estimate points, with the platform at `x` (m).
@@ -151,7 +160,7 @@ class TargetPlace:
         """
         if not estimate.in_range:
             return 0.0, estimate.across / math.cos(estimate.angle)
-        sigmas = self._parameters.unsure_move_sigmas
+        sigmas = _UNSURE_MOVE_SIGMAS
         along, _ = self._along.parts(estimate.horizontal, x)
         return (
             along if abs(along) > sigmas * estimate.horizontal_stddev else 0.0,
@@ -160,7 +169,7 @@ class TargetPlace:
 
     def learn(self) -> None:
         """Learn, once per target with a detected yaw, the share of the yaw that remains, from its contacts alone."""
-        bias, per_yaw = self._along.measured_bias, self._parameters.load_per_yaw
+        bias, per_yaw = self._along.measured_bias, LOAD_PER_YAW
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
@@ -171,7 +180,7 @@ class TargetPlace:
 
     def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
         """Return the filter before contact: with the place if known, and the load bias expected from the yaw."""
-        (yaw, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
+        (yaw, stddev), share, per_yaw = self._yaw, self._share, LOAD_PER_YAW
         spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
@@ -183,12 +192,12 @@ class TargetPlace:
         """
         p, contact = self._parameters, self._along.contact
         if later:
-            spread = math.hypot(contact.stddev, p.horizontal_scale * estimate.horizontal_stddev)
+            spread = math.hypot(contact.stddev, _HORIZONTAL_SCALE * estimate.horizontal_stddev)
             contact = Offset(contact.mean + estimate.horizontal - self._load, spread)
         angle = estimate.angle
         sine, cosine = math.sin(angle), math.cos(angle)
         pitch, pitch_stddev = _among(p.yaw_stddev, estimate.pitch, estimate.pitch_stddev)
-        shifted = pitch_shift(replace(estimate, pitch_stddev=0.0), p)  # what a known pitch adds to the pads' own error
+        shifted = pitch_shift(replace(estimate, pitch_stddev=0.0))  # what a known pitch adds to the pads' own error
         yaw, yaw_stddev = self._yaw_by_contacts()
         return replace(
             estimate,
@@ -205,7 +214,7 @@ class TargetPlace:
 
         They show the load of the share that remains, so the share's relative error is one of the yaw.
         """
-        (before, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
+        (before, stddev), share, per_yaw = self._yaw, self._share, LOAD_PER_YAW
         load = self._along.measured_bias
         found = load.mean / per_yaw / share.value
         error = math.hypot(load.stddev / per_yaw, share.stddev * max(abs(found), abs(before))) / share.value

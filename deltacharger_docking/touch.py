@@ -6,8 +6,17 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.machine import MAGNET_WIDTH
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge, least_clearance
+from deltacharger_docking.clearance import (
+    CLEARANCE_SIGMAS,
+    CLEARANCE_SIGMAS_SURE,
+    LEAN_SIGMAS,
+    MisalignmentEstimate,
+    Verdict,
+    judge,
+    least_clearance,
+)
 from deltacharger_docking.codes import (
     CriticalAngle,
     EstimateUnsure,
@@ -17,11 +26,23 @@ from deltacharger_docking.codes import (
     State,
     TactileStale,
 )
-from deltacharger_docking.context import Context
+from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.release import LIFT
 from deltacharger_docking.target_place import TargetPlace
 
+_CLEARANCE_CONTACTS = 2  # successive contacts that must pass if one is not enough; chosen as CLEARANCE_SIGMAS
+_ALIGNMENT_TOLERANCE = 0.001  # m, offset from which a move counts as a correction; chosen on seeds 5 and 19
+ALIGNMENTS_MAX = 15  # most corrections and repeated contacts, as in the paper
+# Largest estimated risk of exceeding overlap_loss_max or landing_limit when aligned. Chosen on seed 5 of lean2, lean5
+# and rigid.
+_ALIGNED_RISK_MAX = 0.02
+_UNSURE_MAX = 4  # unsure estimates after which alignment ends; the seeds were not kept
+_UNSURE_HERE_MAX = 2  # unsure estimates in one place after which alignment ends
+_UNSURE_MOVE_MIN = 0.002  # m, offset from which an unsure estimate is followed
+ESTIMATE_FRAMES = 24  # tactile frames averaged in one estimate
+MEASURE_TIMEOUT = 10.0  # s, limit for MEASURE
 _DRAWS = 1e-3  # m, times force/width²: lateral stiffness of magnets while the platform lands; chosen on seed 43
 
 
@@ -32,14 +53,11 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
         NoTactileContact: they measure no contact.
         TactileStale: no estimate arrived.
     """
-    parameters = context.parameters
-    context.enter(State.MEASURE, parameters.measure_timeout)
+    context.enter(State.MEASURE, MEASURE_TIMEOUT)
     context.doubt, context.doubtful = "", context.observation.duplicate_sources
     context.evidence.forget()
     context.evidence.begin()
-    reply = yield from context.ask(
-        Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
-    )
+    reply = yield from context.ask(Service.ESTIMATE, TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     estimate = reply.estimate
     if not reply.success or estimate is None:
         raise TactileStale(f"no misalignment estimate: {reply.message}")
@@ -54,7 +72,7 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
 
 def keep_evidence(context: Context, estimate: MisalignmentEstimate) -> None:
     """Let this estimate of the contact count until its evidence is lost."""
-    sigmas = context.parameters.clearance_sigmas
+    sigmas = CLEARANCE_SIGMAS
     margin = least_clearance(estimate, context.parameters, sigmas) if estimate.usable else 0.0
     context.evidence.keep(context.position, margin)
 
@@ -71,7 +89,7 @@ def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_an
     verdict = judge(estimate, parameters, critical_angle)
     least = [
         least_clearance(estimate, parameters, sigmas) - parameters.clearance_min
-        for sigmas in (0.0, parameters.clearance_sigmas, parameters.clearance_sigmas_sure)
+        for sigmas in (0.0, CLEARANCE_SIGMAS, CLEARANCE_SIGMAS_SURE)
     ]
     context.decide(
         "verdict",
@@ -136,15 +154,13 @@ class Target:
             context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=estimate.horizontal)
             raise EstimateUnsure(
                 "the pads' estimates contradict the arm's own moves; check whether frames repeat, the target "
-                "moves, or magnet_force and magnet_width are wrong"
+                "moves, or magnet_force is wrong"
             )
         verdict = self._judge(estimate)
-        safe = verdict is Verdict.SAFE or (
-            verdict is Verdict.PROBABLY_SAFE and self._passed >= parameters.clearance_contacts
-        )
+        safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= _CLEARANCE_CONTACTS)
         self._place.choose(self._moves, self._reaches)
-        context.status.aligned = safe and not self._pays and self._place.risk <= parameters.aligned_risk_max
-        settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
+        context.status.aligned = safe and not self._pays and self._place.risk <= _ALIGNED_RISK_MAX
+        settled = stay or not self._pays or self._exhausted
         if stay and not safe:  # the target has moved, so earlier contacts no longer count
             self._place = TargetPlace(parameters, context.share)
             self._place.add(estimate, x, y, push)
@@ -190,7 +206,7 @@ class Target:
                 f"after {self._moves} moves there is no sure clearance; the electrodes are {1000 * x:.1f} mm "
                 f"horizontally and {1000 * y:.1f} mm vertically off"
             )
-        if max(abs(x), abs(y)) > context.parameters.alignment_tolerance:
+        if max(abs(x), abs(y)) > _ALIGNMENT_TOLERANCE:
             context.status.alignments += 1
             text = "to the estimated target" if not aside else "beside the target: the magnets' force shows its place"
             context.decide("move", f"the electrodes move {text}", x_m=x, y_m=y, risk=risk)
@@ -206,7 +222,7 @@ class Target:
         context, p = self._context, self._context.parameters
         a, b, c = context.kinematics.jacobian(*context.position)[:3]
         arm = context.springs.stiffness / (a * a + b * b + c * c)
-        magnets = _DRAWS * p.magnet_force / p.magnet_width**2
+        magnets = _DRAWS * p.magnet_force / MAGNET_WIDTH**2
         return magnets / (magnets + arm)
 
     @property
@@ -215,9 +231,9 @@ class Target:
 
     def _reaches(self, x: float, y: float) -> bool:
         """Return whether the platform reaches a contact at this offset (m), and the place before it."""
-        here, parameters = self._context.position, self._context.parameters
+        here = self._context.position
         place = here[0] + x, here[1] + y, here[2]
-        return not self._context.planner.reach_problem(place, (*place[:2], place[2] - parameters.lift))
+        return not self._context.planner.reach_problem(place, (*place[:2], place[2] - LIFT))
 
     @property
     def _moves(self) -> int:
@@ -225,7 +241,7 @@ class Target:
 
     @property
     def _exhausted(self) -> bool:
-        return self._moves >= self._context.parameters.alignments_max
+        return self._moves >= ALIGNMENTS_MAX
 
     def _judge(self, estimate: MisalignmentEstimate) -> Verdict:
         """Judge this contact; after two contacts, also the mean angle."""
@@ -236,7 +252,7 @@ class Target:
         mean = sum(self._angles) / len(self._angles)
         centred = replace(estimate, angle=mean, across=0.0)
         if (
-            len(self._angles) >= parameters.clearance_contacts
+            len(self._angles) >= _CLEARANCE_CONTACTS
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
         ):
             raise CriticalAngle(rolled_too_far(mean))
@@ -248,26 +264,26 @@ class Target:
         A pad that has lost its ridge across the bars still shows the direction. An unsure estimate only moves the arm;
         energising needs a sure one. If one pad carries nearly all the force, the cause is a lean: no move.
         """
-        context, parameters = self._context, self._context.parameters
+        context = self._context
         self._unsure_here += 1
         self._unsure += 1
         place = context.position
         yaw = self._place.least_yaw(estimate, place[0], context.contact.force)
         if math.isfinite(yaw):
-            if self._unsure_here >= parameters.unsure_here_max:
+            if self._unsure_here >= _UNSURE_HERE_MAX:
                 raise self._leaning(estimate, yaw)
             context.status.redockings += 1
             context.decide("again", "one pad carries nearly all the force: the contact is repeated", yaw_rad=yaw)
             return 0.0, 0.0
         x, y = self._place.pointed_at(estimate, place[0])
-        lost = estimate.complete and math.hypot(x, y) > parameters.unsure_move_min
+        lost = estimate.complete and math.hypot(x, y) > _UNSURE_MOVE_MIN
         reachable = lost and not context.planner.reach_problem((place[0] + x, place[1] + y, place[2]))
-        if reachable and self._unsure < parameters.unsure_max:
+        if reachable and self._unsure < _UNSURE_MAX:
             self._unsure_here = 0
             context.status.alignments += 1
             context.decide("elsewhere", "a pad has lost its ridge: the arm searches for it", x_m=x, y_m=y)
             return x, y
-        if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
+        if self._unsure_here >= _UNSURE_HERE_MAX or self._unsure >= _UNSURE_MAX:
             self._give_up(estimate)
         context.status.redockings += 1
         context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
@@ -276,7 +292,7 @@ class Target:
     def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
-        seen = electrodes.sure_yaw(self._context.parameters.lean_sigmas) if electrodes is not None else 0.0
+        seen = electrodes.sure_yaw(LEAN_SIGMAS) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         left, right = estimate.left_force, estimate.right_force

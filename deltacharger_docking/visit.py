@@ -13,6 +13,7 @@ from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import CriticalAngle, DockingError, NoContact, ServoFailure, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
+from deltacharger_docking.evidence import CONTACT_LOST_CURRENT
 from deltacharger_docking.goals import GoalDesk
 from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.touch import Target
@@ -92,7 +93,7 @@ class TargetVisit:
     def _renew_contact(self) -> Script[None]:
         """Measure again where the electrodes rest; dock again only if contact is no longer good."""
         context = self._context
-        value, least = context.contact.value, context.parameters.contact_lost_current
+        value, least = context.contact.value, CONTACT_LOST_CURRENT
         if not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
@@ -163,7 +164,7 @@ class TargetVisit:
                 if desk.is_open:
                     raise ServoFailure("the servos lost their torque while docked; see servo_node's diagnostics")
                 return False
-            if context.contact.value < context.parameters.contact_lost_current:
+            if context.contact.value < CONTACT_LOST_CURRENT:
                 raise NoContact("contact was lost after docking; the target moved")
             reason = order.is_met(context)
             if desk.is_open and reason:

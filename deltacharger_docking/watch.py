@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deltacharger_core.charge_port import LIVE_VOLTAGE
-from deltacharger_core.machine import LONGEST_LEASE
+from deltacharger_core.machine import LONGEST_LEASE, ZERO_CURRENT
 from deltacharger_docking.codes import (
     POWER_FAULTS,
     Astray,
@@ -36,9 +36,14 @@ from deltacharger_docking.codes import (
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
+from deltacharger_docking.evidence import PRESS_AGE_MAX
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.release import rolls
 
+_FAULT_DELAY = 0.15  # s, longest delay of the fault report after a refused renewal
+_PAUSE_MAX = 1.0  # s, longest pause of docking while the electrodes are live
+_THERMAL_RESERVE_MIN = 5.0  # s, thermal reserve of a servo at which charging ends
+FIRST_DATA_TIMEOUT = 3.0  # s, limit for the first data of nodes that have just started
 _OVERCHARGES, _NEVER_FILLS = 0.1, 0.3  # V of a stage's constant voltage above and below the profile's full voltage
 _ABOVE, _BELOW = 0.3, 1.0  # V that a charging target may be above full, and below empty while its load steps
 _OVER, _BACK, _MUCH_BACK = 0.5, -0.5, -5.0  # A above the profile's; out of the target for 0.1 s, and at once
@@ -181,21 +186,21 @@ class Watches:
         return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
 
     def _is_missing(self, age: float, oldest: float) -> bool:
-        """Return whether data of this age (s) end the goal; nodes that have just started get `first_data_timeout`.
+        """Return whether data of this age (s) end the goal; nodes that have just started get FIRST_DATA_TIMEOUT.
 
         A node counts as starting if none of its data was measured since the goal began, even if earlier data arrived.
         """
         context = self._context
         since = context.time - context.started
         starting = age > since and context.status.state in _BEFORE_MOVING
-        return age > oldest and not (starting and since < context.parameters.first_data_timeout)
+        return age > oldest and not (starting and since < FIRST_DATA_TIMEOUT)
 
     def _paused(self) -> DockingError | None:
         context, pause = self._context, self._context.pause
         if context.closing is None:
             return None
         context.closing.was_closed |= context.observation.contactor_closed or pause > LONGEST_LEASE  # which has lapsed
-        if not pause > context.parameters.pause_max:
+        if not pause > _PAUSE_MAX:
             return None
         return PowerStale(
             f"docking itself was suspended for {pause:.1f} s while the electrodes were live; check what else this "
@@ -228,7 +233,7 @@ class Watches:
             return None
         if fault == _REVERSE:
             much = self._context.observation.least_current < _MUCH_BACK
-            return self._flows_back("the power stage opened the contactor: current flowed", much)
+            return _flows_back("the power stage opened the contactor: current flowed", much)
         kind, words = POWER_FAULTS.get(fault, (PowerStale, f"fault {fault}"))
         return kind(f"the power stage opened the contactor: {words}")
 
@@ -256,18 +261,12 @@ class Watches:
             if good:
                 live.sound[name] = context.time
         if current < _MUCH_BACK or context.time - live.sound["reverse"] > _VOLTAGE_TIME:
-            return self._flows_back(f"{current:.1f} A flow", much=current < _MUCH_BACK)
+            return _flows_back(f"{current:.1f} A flow", current < _MUCH_BACK)
         if context.time - live.sound["current"] > _VOLTAGE_TIME:
             return ChargeOvercurrent(
                 f"{current:.1f} A exceed the limit of {most:.1f} A; have the power stage's limiter checked"
             )
         return None
-
-    def _flows_back(self, flow: str, much: bool = False) -> DockingError:
-        """Return the error of a target that regenerates: once in a goal it may be tried again."""
-        kind = ReverseCurrent if self._context.regenerated or much else Regenerated
-        self._context.regenerated = True
-        return kind(f"{flow} out of the target: it brakes its wheels, or a second charger feeds it")
 
     def _refusal(self, live: Live, refusal: str) -> DockingError | None:
         """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
@@ -275,7 +274,7 @@ class Watches:
         if not live.refused:
             live.refused, live.refused_at = refusal, context.time
             context.energise = False
-        if context.time - live.refused_at <= context.parameters.fault_delay:
+        if context.time - live.refused_at <= _FAULT_DELAY:
             return None
         return self._lost(f"the contactor's lease was not renewed: {live.refused}")
 
@@ -300,18 +299,24 @@ class Watches:
         return None
 
     def _contact(self) -> DockingError | None:
-        context, parameters = self._context, self._context.parameters
-        if context.closing is None or context.observation.servo_age > parameters.press_age_max:
+        context = self._context
+        if context.closing is None or context.observation.servo_age > PRESS_AGE_MAX:
             return None
         if why := context.evidence_lost:
             return NoContact(f"{why} while the electrodes were live; the target moved")
         return None
 
 
+def _flows_back(flow: str, much: bool) -> DockingError:
+    """Return the error of a target that regenerates: unless much flowed, it may be tried again."""
+    kind = ReverseCurrent if much else Regenerated
+    return kind(f"{flow} out of the target: it brakes its wheels, or a second charger feeds it")
+
+
 def is_closed(context: Context) -> bool:
     """Return whether the last measurement shows a closed contactor, current, or a weld."""
     seen = context.observation
-    flows = abs(seen.charge_current) >= context.parameters.zero_current
+    flows = abs(seen.charge_current) >= ZERO_CURRENT
     return seen.contactor_closed or flows or seen.power_fault == WELD
 
 
@@ -364,7 +369,7 @@ def servo_problem(context: Context) -> DockingError | None:
         return observation.servo_silence()
     if not observation.torque_enabled:
         return ServoFailure("the servos lost their torque while electrodes were live; see servo_node's diagnostics")
-    if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
+    if not observation.thermal_reserve >= _THERMAL_RESERVE_MIN:
         return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
     return None
 

@@ -14,10 +14,10 @@ from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.charging import Order, clearance_checks
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict
 from deltacharger_docking.codes import CriticalAngle, State, TactileStale
-from deltacharger_docking.context import Context, Live
+from deltacharger_docking.context import SERVICE_TIMEOUT, Context, Live
 from deltacharger_docking.observation import Service
 from deltacharger_docking.retract import retract
-from deltacharger_docking.touch import Target, record_verdict, rolled_too_far, with_pitch
+from deltacharger_docking.touch import ESTIMATE_FRAMES, Target, record_verdict, rolled_too_far, with_pitch
 
 _POWER = 0.1  # s, two periods of charger_power
 _UNKNOWN = "this charger does not measure, limit or interrupt it"
@@ -47,9 +47,7 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     if not parameters.always_live and context.port_shown and not context.is_dark:
         return None
     context.contact.clear()
-    reply = yield from context.ask(
-        Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
-    )
+    reply = yield from context.ask(Service.ESTIMATE, TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     if not reply.success or reply.estimate is None:
         raise TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
     context.status.estimate = estimate = with_pitch(context, reply.estimate)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import PAD_YAW_STIFFNESS
 from deltacharger_docking.parameters import DockingParameters
 
 _DOUBT = 0.4  # relative error of the share by the parameters: compliance and stiffness differ between robots
@@ -21,7 +22,7 @@ class RemainingShare:
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
-        self.value = 1.0 / (1.0 + parameters.platform_compliance * parameters.pad_yaw_stiffness)
+        self.value = 1.0 / (1.0 + parameters.platform_compliance * PAD_YAW_STIFFNESS)
         self.stddev = _DOUBT * self.value
 
     def learn(self, seen: float, seen_stddev: float, left: float, left_stddev: float) -> None:

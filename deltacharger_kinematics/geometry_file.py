@@ -8,13 +8,22 @@ import numbers
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.yaml_file import read_declared, write_yaml
+from deltacharger_core.units import outside
+from deltacharger_core.yaml_file import YamlError, read_declared, write_yaml
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+
+LARGEST = 1.0  # m; a longer arm was written in millimetres
 
 
 def load_geometry(path: str | Path) -> DeltaGeometry:
     """Read a geometry file; errors as in `read_declared`."""
-    return read_declared(path, DeltaGeometry)
+    geometry = read_declared(path, DeltaGeometry)
+    lengths = {name: getattr(geometry, name) for name in ("base_radius", "arm", "rod", "platform_radius", "z_offset")}
+    far = max(map(abs, (*geometry.workspace_min, *geometry.workspace_max)))
+    for name, value in (*lengths.items(), ("workspace_min and workspace_max", far)):
+        if problem := outside(value, -LARGEST, LARGEST, "m"):
+            raise YamlError(path, f"'{name}': {problem}")
+    return geometry
 
 
 def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -72,15 +72,15 @@ def docking_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, Delt
         ValueError: a value is refused.
     """
     if _GEOMETRY in values:
-        base = from_mapping(values[_GEOMETRY], DeltaGeometry)
+        geometry = from_mapping(values[_GEOMETRY], DeltaGeometry)
     else:
-        base = load_geometry(given_path(values[_FILE])) if values.get(_FILE) else DeltaGeometry()
-    lengths = {name: _plain(value) for name, value in _of(DeltaGeometry, values).items() if name != "limbs"}
-    return DockingParameters(**_of(DockingParameters, values)), replace(base, **lengths)
+        geometry = load_geometry(given_path(values[_FILE])) if values.get(_FILE) else DeltaGeometry()
+    names = {item.name for item in fields(DockingParameters)}
+    return DockingParameters(**{name: _plain(value) for name, value in values.items() if name in names}), geometry
 
 
 def known_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:
-    """As `docking_settings`, without the limbs' own adjustments if the geometry file is on another computer."""
+    """As `docking_settings`, with the default geometry if its file is on another computer."""
     try:
         return docking_settings(values)
     except OSError:
@@ -98,10 +98,6 @@ def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry]
         return known_settings({name: parse_json(text) for name, text in values[-1].items()}) if values else None
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{file.path}: invalid parameters of docking_node: {error}") from error
-
-
-def _of(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    return {item.name: values[item.name] for item in fields(kind) if item.name in values}
 
 
 def _plain(value: Any) -> Any:

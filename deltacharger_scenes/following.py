@@ -20,7 +20,7 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
         "servo_stiffness": ("servo.stiffness",),
         "power": ("circuit.wired",),
         "torque_constant": _CONSTANT,
-        **{axis: (axis,) for axis in _GRAVITY},
+        "gravity": _GRAVITY,
     },
 }
 """For each node: its parameters, and the keys of the world that they follow."""

@@ -58,10 +58,7 @@ class NodeSpec:
         return name == self.stands_in_for or name in self.plays
 
 
-_GEOMETRY = (
-    "deltacharger_kinematics.parameters.GeometryFileParameters",
-    "deltacharger_kinematics.parameters.GeometryParameters",
-)
+_GEOMETRY = "deltacharger_kinematics.parameters.GeometryFileParameters"
 
 _SERVOS = "deltacharger_core.servos_file.ServosFileParameters"
 _FRAMES = "deltacharger_core.frames.FrameParameters"
@@ -96,7 +93,7 @@ NODES: dict[str, NodeSpec] = {
     ),
     "kinematics_node": NodeSpec(
         "deltacharger_kinematics.kinematics_node.KinematicsNode",
-        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", _FRAMES, *_GEOMETRY, _SERVOS),
+        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", _FRAMES, _GEOMETRY, _SERVOS),
         may_restart=True,
         lacks="no end_effector_pose, no contact_wrench, no kinematics services",
     ),
@@ -172,7 +169,7 @@ NODES: dict[str, NodeSpec] = {
             "deltacharger_docking.parameters.DockingNodeParameters",
             "deltacharger_docking.profile.ProfileNames",
             _TRANSFORMS,
-            *_GEOMETRY,
+            _GEOMETRY,
             _SERVOS,
         ),
         named=("target_profiles", "deltacharger_docking.profile.TargetProfile"),

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 from deltacharger_driver.servos.port import REPLY_MARGIN
@@ -15,10 +13,8 @@ from .waiting import host
 
 STEPS = {
     "standoff": 0.008,
-    "coarse_step": 0.004,
     "search_speed": 0.05,
     "press_speed": 0.05,
-    "lift": 0.008,
     "travel_speed": 0.3,
     "charge_stable_time": 0.2,
     "overlap_loss_max": 0.006,
@@ -50,9 +46,9 @@ QUICK = {
 """Content of a scene: five nodes on a simulated charger whose target is exactly at the given pose."""
 
 
-def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
-    """Return a packaged scene of the simulated charger, quick and patient, with other parameters of docking_node."""
+def quick_simulation(name: str) -> Scene:
+    """Return a packaged scene of the simulated charger, quick and patient."""
     packaged = load_scene(name)
     quick = {node: {**packaged.parameters.get(node, {}), **given} for node, given in PATIENT.items()}
-    quick["docking_node"] = {**STEPS, **PATIENT["docking_node"], **steps}
+    quick["docking_node"] = {**STEPS, **PATIENT["docking_node"]}
     return replace(packaged, parameters={**packaged.parameters, **quick})

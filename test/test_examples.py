@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from deltacharger_core.environment import LARGEST_DOMAIN
+from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import load_scene
 
 from .chargers import Process
@@ -96,6 +97,7 @@ def test_the_file_for_real_hardware_is_a_scene() -> None:
     scene = load_scene(str(EXAMPLES / "charger.yaml"))
     assert scene.touches_hardware
     assert scene.docks
+    assert not list(problems(scene))
 
 
 def test_the_examples_are_short_checked_and_named_in_the_table() -> None:

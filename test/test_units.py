@@ -20,7 +20,6 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.inputs import _in_order
-from deltacharger_kinematics.parameters import GeometryParameters
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.ros import messages as mission
 from deltacharger_ros.refusals import MessageRefused
@@ -59,7 +58,6 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "the charger's mount, missions": ("millimetres", lambda: MissionNodeParameters(base_pose=MOUNT)),
     "the camera's mount, detector": ("millimetres", lambda: DetectorNodeParameters(mount=MOUNT)),
     "the camera's mount, file": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
-    "the arm's geometry": ("millimetres", lambda: GeometryParameters(arm=100.0)),
     "the robot's home": ("millimetres", lambda: MissionParameters(home_x=25_000.0)),
     "its heading": ("degrees", lambda: MissionParameters(home_yaw=90.0)),
     "electrodes on the other robot": ("millimetres", lambda: MissionParameters(electrodes_x=400.0)),

@@ -121,7 +121,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
             FAILED,
         )
     if options.geometry is not None:
-        docking = {name: value for name, value in docking.items() if name.startswith("gravity_")}
+        docking = {name: value for name, value in docking.items() if name == "gravity"}
     try:
         settings, geometry = docking_settings(docking)
     except OSError as error:

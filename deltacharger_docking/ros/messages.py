@@ -26,6 +26,8 @@ from deltacharger_ros.frames import Contradiction, Frames
 from deltacharger_ros.messages import duration
 from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
+_GOAL_LEAN_STDDEV = math.radians(1.0)  # standard deviation of a goal's lean, which goals do not give
+
 _UNIT = (0.9, 1.1)  # accepted norm of a quaternion
 _LEVEL = 1e-3  # rad; a smaller lean is rounding, for example of a quaternion with four digits
 IMAGE_ALONE = "image"
@@ -87,7 +89,7 @@ def electrodes(
 
     Args:
         message: pose of the electrodes' midpoint, its z axis away from the charger. A lean is used with the error
-            `goal_lean_stddev`. Without a lean the orientation is taken as the roll about z alone, as most clients send
+            _GOAL_LEAN_STDDEV. Without a lean the orientation is taken as the roll about z alone, as most clients send
             it, and the lean of the faces is unknown.
         mount: limits of the electrodes' lean.
         charger: charger_base in the goal's frame.
@@ -113,7 +115,7 @@ def electrodes(
     if leans < _LEVEL:
         return found
     yaw, pitch = lean(axes.tolist())
-    stddev = mount.goal_lean_stddev
+    stddev = _GOAL_LEAN_STDDEV
     return replace(found, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
 
 

@@ -62,7 +62,7 @@ def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
             "ticks explain; "
             + (
                 f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from docking_node's parameters: "
-                "correct gravity_x, gravity_y, gravity_z"
+                "correct gravity"
                 if angle > _TURNED
                 else "remove the target; check for a loose platform, rod or horn and a pulling cable, and check the "
                 "geometry"

@@ -171,8 +171,8 @@ def _first_guess(table: _Table) -> Array:
         (softness, _), *_ = np.linalg.lstsq(rows, table.errors[used, servo], rcond=None)
         if per_torque <= 0.0 or softness <= 0.0:
             raise ServoTrouble(
-                f"the current of servo {servo + 1} does not grow with the weight it should carry: correct gravity_x, "
-                "gravity_y, gravity_z of docking_node or `direction` of servo_node, or fasten the platform"
+                f"the current of servo {servo + 1} does not grow with the weight it should carry: correct gravity of "
+                "docking_node or `direction` of servo_node, or fasten the platform"
             )
         numbers[3 * servo : 3 * servo + 3] = -math.log(softness), -math.log(per_torque), rubbing / per_torque
     return np.array(numbers)

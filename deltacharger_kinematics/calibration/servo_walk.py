@@ -167,7 +167,7 @@ class ArmWalk:
         for servo in map(int, np.flatnonzero(extra > _STRANGE + _SHARE * np.abs(borne))):
             raise ServoTrouble(
                 f"servo {servo + 1} carries {extra[servo]:.2f} N·m more than weight and friction at one place: "
-                "remove what blocks the platform there, or correct gravity_x, gravity_y, gravity_z of docking_node"
+                "remove what blocks the platform there, or correct gravity of docking_node"
             )
 
 

@@ -19,10 +19,11 @@ from deltacharger_docking.codes import DockingError, Rejected, State, Unreachabl
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.press import contact
+from deltacharger_docking.press import ALIGN_TIMEOUT, contact
 from deltacharger_docking.release import lift_off
-from deltacharger_docking.retract import retract
+from deltacharger_docking.retract import RETRACT_TIMEOUT, retract
 from deltacharger_docking.standoff import approach
+from deltacharger_docking.touch import MEASURE_TIMEOUT
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.006  # m before the standoff, where the run-up along +z starts
@@ -127,8 +128,8 @@ class TouchSession:
 
     def _record(self, context: Context, place: Vector) -> Script[None]:
         """Rest, take frames, release, and wait until all is stored."""
-        parameters, keeper = context.parameters, self.keeper
-        context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + parameters.measure_timeout)
+        _parameters, keeper = context.parameters, self.keeper
+        context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + MEASURE_TIMEOUT)
         yield from context.wait(self.dwell)
         keeper.start_frames()
         positions = [context.position]
@@ -137,7 +138,7 @@ class TouchSession:
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))
         touch = Rested((x, y, z), context.contact.value, place)
-        context.enter(State.RETRACT, parameters.retract_timeout)
+        context.enter(State.RETRACT, RETRACT_TIMEOUT)
         yield from lift_off(context)
         keeper.keep(touch)
 
@@ -145,7 +146,7 @@ class TouchSession:
 def _go_before(context: Context, command: Vector) -> Script[None]:
     """Move sideways in free air, before the standoff, so that the approach tares in a motion along +z."""
     parameters = context.parameters
-    context.enter(State.ALIGN, parameters.align_timeout)
+    context.enter(State.ALIGN, ALIGN_TIMEOUT)
     x, y, z = command
     yield from context.move((x, y, _before(parameters, z)), parameters.travel_speed, settle=False)
 

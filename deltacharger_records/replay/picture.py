@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltacharger_docking.clearance import clearance, clearance_stddev
+from deltacharger_docking.clearance import CLEARANCE_SIGMAS, clearance, clearance_stddev
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, RED
 from deltacharger_records.quantities import in_unit
 from deltacharger_records.replay.record import Replay
@@ -51,7 +51,6 @@ _MARKED = {
     "full": ("full", FAINT),
     "interrupted": ("interrupted", RED),
     "open": ("open", FAINT),
-    "restart": ("docks again", ORANGE),
     "stuck": ("stuck", RED),
 }
 """Decisions that get a label, and its colour; the others are ticks only."""
@@ -134,7 +133,7 @@ def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
 
 
 def _clearance(axes: Axes, replay: Replay) -> None:
-    """Draw each measurement's clearance, less `clearance_sigmas` standard deviations, against the needed one."""
+    """Draw each measurement's clearance, less CLEARANCE_SIGMAS standard deviations, against the needed one."""
     needed = 1e3 * replay.parameters.clearance_min
     places = [(touch.time, *_left(touch, replay)) for touch in replay.run.touches]
     places = [place for place in places if math.isfinite(place[2])]
@@ -151,15 +150,15 @@ def _clearance(axes: Axes, replay: Replay) -> None:
         f"{needed:.1f} mm\nneeded", (1.0, needed), xycoords=("axes fraction", "data"), xytext=(4, 0),
         textcoords="offset points", va="center", fontsize=7, color=RED, annotation_clip=False,
     )  # fmt: skip
-    axes.set_ylabel(f"clearance\nto {replay.parameters.clearance_sigmas:g}σ, mm")
+    axes.set_ylabel(f"clearance\nto {CLEARANCE_SIGMAS:g}σ, mm")
 
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
-    """Return the clearance of a measurement, and that value less `clearance_sigmas` standard deviations, mm."""
+    """Return the clearance of a measurement, and that value less CLEARANCE_SIGMAS standard deviations, mm."""
     gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
     pose = touch.estimate
     left = clearance(pose.angle, pose.across, gap, length)
-    return 1e3 * left, 1e3 * (left - replay.parameters.clearance_sigmas * clearance_stddev(pose, gap, length))
+    return 1e3 * left, 1e3 * (left - CLEARANCE_SIGMAS * clearance_stddev(pose, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from deltacharger_docking.clearance import MisalignmentEstimate, clearance, clearance_stddev
+from deltacharger_docking.clearance import CLEARANCE_SIGMAS, MisalignmentEstimate, clearance, clearance_stddev
 from deltacharger_docking.codes import REMEDIES, Code
 from deltacharger_records.quantities import in_unit, numbers
 from deltacharger_records.replay.record import Replay
@@ -122,7 +122,7 @@ def _tilted(replay: Replay, message: str) -> str:
     estimate, parameters = _mean(touches), replay.parameters
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
     left = clearance(estimate.angle, 0.0, gap, length)
-    sigmas = parameters.clearance_sigmas
+    sigmas = CLEARANCE_SIGMAS
     worst = left - sigmas * clearance_stddev(estimate, gap, length)
     needed = in_unit(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(touches), len(touches))} contacts" if len(touches) > 1 else ""
@@ -146,7 +146,7 @@ def _off(replay: Replay, message: str) -> str:
         f"{message}; the last measurement found {in_unit(last.across, 'm')} ± {in_unit(last.across_stddev, 'm')} "
         f"across the bars and {in_unit(last.angle, 'rad')} ± {in_unit(last.angle_stddev, 'rad')}, which leaves "
         f"{in_unit(judged[-1].clearance, 'm')} of clearance, and {needed} are needed "
-        f"at {replay.parameters.clearance_sigmas:g} standard deviations"
+        f"at {CLEARANCE_SIGMAS:g} standard deviations"
     )
 
 

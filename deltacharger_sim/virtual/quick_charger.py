@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_core.machine import CONTACT_FORCE, SERVO_DAMPING
+from deltacharger_docking.contact_current import CONTACT_WINDOW
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
@@ -97,7 +98,7 @@ class QuickCharger(VirtualCharger):
 
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
-        feed = OnePieceFeed(parameters.servo_damping / parameters.servo_stiffness)
+        feed = OnePieceFeed(SERVO_DAMPING / parameters.servo_stiffness)
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed, self.profiles)
 
     def tick(self) -> None:
@@ -196,7 +197,7 @@ class QuickCharger(VirtualCharger):
         world, start, waits = self.world, self.now, self._waits
         # While live, the contact current is checked after each of these steps.
         decides = start + ticks * TICK if self._energised else self._quiet_until() if waits.reads else math.inf
-        from_then_on = decides - (self.parameters.contact_window + _MORE)
+        from_then_on = decides - (CONTACT_WINDOW + _MORE)
         if standing:
             world.step(ticks * TICK)
             self.now = start + ticks * TICK

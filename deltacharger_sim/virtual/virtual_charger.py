@@ -26,6 +26,7 @@ from deltacharger_core.machine import (
     FRAME_RATE,
     PADS,
     ROWS,
+    SERVO_DAMPING,
     STIFFNESS_PER_GAIN,
 )
 from deltacharger_core.script import NEXT, Script
@@ -153,7 +154,7 @@ class VirtualCharger:
         self._probed: tuple[float, float] | None = None  # Ω and V of the last probe, if it has ended
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
-        stiffness, damping = self.parameters.servo_stiffness, self.parameters.servo_damping
+        stiffness, damping = self.parameters.servo_stiffness, SERVO_DAMPING
         gains = round(stiffness / STIFFNESS_PER_GAIN), 0, round(damping / DAMPING_PER_GAIN)
         self._watch = JointWatch(BusSettings("", gains=gains), self.parameters.torque_constant)
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm

@@ -184,7 +184,7 @@ def test_the_nudge_occurs_once_at_its_time() -> None:
 def test_charging_continues_after_a_nudge_with_clearance() -> None:
     row = nudged(x=0.001, after=1.5)
     assert (row["ended"], math.isnan(row["nudge_opened"])) == ("", True)
-    assert row["energised"] > 1.5 + watched_after(DockingParameters())
+    assert row["energised"] > 1.5 + watched_after()
 
 
 def test_before_the_nudge_the_docking_is_unchanged_and_one_before_the_outcome_belongs_to_it() -> None:

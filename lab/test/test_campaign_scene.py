@@ -240,7 +240,7 @@ TILTED = {"parked": {"heading": [-0.08, 0.08]}, "world": {"target": {"tilt_y": {
         ({"based_on": "bad"}, "based_on", "packaged"),
         ({"tactile": {"contact": {"hole": 0.002}}}, "tactile.contact.hole", "electrode.hole"),
         ({"dockings": [x([0.0, 0.01])]}, "dockings[0].target.x", "fixed"),
-        ({"docking": {"current_min": [0.40, 0.48]}}, "docking.current_min", "current_min + 2"),
+        ({"docking": {"current_min": [0.40, 0.48]}}, "docking.current_min", "current_max must be"),
         (assumed(geometry={"limb_0": {"arm": 0.01}}), "assumed.geometry.limb_0.arm", "-0.005 to 0.005"),
         (assumed(gravity_tilt=0.0, gravity_azimuth=1.0), "assumed.gravity_azimuth", "no effect"),
         ({**assumed(gravity_tilt=0.1), "gravity": {"tilt": 0.1, "known": False}}, "gravity.known", "contradicts"),

@@ -19,6 +19,8 @@ import deltacharger_records.datasets.measuring_arm as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_core.servos_file import load_servos
 from deltacharger_kinematics.calibration.servo_checks import Gains
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_records.datasets.arm_guest import ArmError
 
 from ..chargers import Process, wait_until
@@ -119,6 +121,14 @@ WORLD = {
     "servo": {"stiffness": 10.0, "friction": 0.08, "backlash": 0.004, "torque_constant": 1.3},
 }
 OLD = "stiffness: 7.0\n"
+
+
+def test_docking_nodes_gravity_counts_also_with_another_geometry(tmp_path: Path) -> None:
+    save_geometry(DeltaGeometry(arm=0.103), tmp_path / "arm.yaml")
+    options = argparse.Namespace(geometry=str(tmp_path / "arm.yaml"), weight_percent=2.0, seconds=1.0, seed=1)
+    docking = {"gravity": (0.0, 0.0, -9.81), "geometry_file": "/nowhere/arm.yaml"}
+    task, _ = command._task(options, docking, GAINS)
+    assert (task.gravity, task.geometry.arm) == ((0.0, 0.0, -9.81), 0.103)
 
 
 @pytest.fixture(scope="module")

@@ -20,19 +20,24 @@ import numpy as np
 import pytest
 
 from deltacharger_core.charge_port import ChargeLimits, Port
-from deltacharger_core.parameters import ParameterError
+from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.script import NEXT
 from deltacharger_core.servos_file import MeasuredServo
 from deltacharger_docking import (
     algorithm,
     charging,
+    clearance,
     codes,
     context,
     energy,
+    evidence,
     goals,
     machine,
+    motion,
     place,
+    press,
     release,
+    retract,
     standoff,
     touch,
     watch,
@@ -54,6 +59,7 @@ from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParam
 from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot, thermal, trajectory
 from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.line import PEAK_SPEED
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.swing import Swung, surely_swings
 from deltacharger_mission.machine import MissionMachine
@@ -135,7 +141,7 @@ CLEARANCE = (
     *fields(usable, 0.001, (NAN, INF), *POSES),
     *fields(usable, 0.0, (-1e-9, -1.0), "angle_stddev", "vertical_stddev", "horizontal_stddev"),
     *fields(usable, True, (False,), "contact", "sure", "in_range"),
-    Limit("squared innovations", lambda v: not place.contradicts(PARAMETERS, v, 2), 33.0, 33.1, ()),
+    Limit("squared innovations", lambda v: not place.contradicts(v, 2), 33.0, 33.1, ()),
 )
 
 
@@ -857,14 +863,11 @@ def settable(kind: Any, *rows: tuple[str, float, float]) -> Iterator[Limit]:
 
 SETTINGS = (
     *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104), ("hard_current", 4.0, 4.1)),
-    *settable(DockingParameters, ("clearance_sigmas", 3.0, 2.9), ("clearance_sigmas_sure", 6.0, 5.9)),
-    *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("clearance_contacts", 2, 1)),
-    *settable(DockingParameters, ("blind_max", 20, 21), ("unsafe_max", 20, 21)),
+    *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("electrode_half_gap", 0.02, 0.021)),
+    *settable(DockingParameters, ("yaw_max", 0.2617, 0.2619), ("pitch_max", 0.2617, 0.2619)),
     *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("servo_age_max", 2.0, 2.1)),
-    *settable(DockingParameters, ("press_age_max", 1.0, 1.1), ("tactile_age_max", 2.0, 2.1)),
+    *settable(DockingParameters, ("tactile_age_max", 2.0, 2.1), ("magnet_force", 300.0, 300.1)),
     *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
-    *settable(DockingParameters, ("zero_current", 2.0, 2.1)),
-    *settable(DockingParameters, ("thermal_reserve_min", 0.0, -0.1), ("pause_max", 5.0, 5.1)),
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
     *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
     *settable(PadDockingParameters, ("position_jitter", 5e-3, 6e-3)),
@@ -879,6 +882,71 @@ ROWS = (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS, *CAMERA, *SE
 def test_limit(row: Limit) -> None:
     assert row.accepts(row.inside)
     assert not [value for value in (row.outside, *row.refused) if row.accepts(value)]
+
+
+# What nobody may set.
+
+CONSTANTS: dict[str, tuple[float, float]] = {
+    "σ of the clearance": (clearance.CLEARANCE_SIGMAS, 3.0),
+    "σ of the clearance, sure": (clearance.CLEARANCE_SIGMAS_SURE, 6.0),
+    "contacts that must pass": (touch._CLEARANCE_CONTACTS, 2),
+    "σ of a lean": (clearance.LEAN_SIGMAS, 2.0),
+    "σ of a roll": (algorithm._ROLL_SIGMAS, 2.0),
+    "shift per pitch, m/rad": (clearance._PITCH_SHIFT, 0.0086),
+    "checks without clearance": (charging.UNSAFE_MAX, 2),
+    "blind checks": (charging.BLIND_MAX, 3),
+    "period of checks, s": (charging.CLEARANCE_PERIOD, 2.0),
+    "frames of a check": (charging._CLEARANCE_FRAMES, 12),
+    "contact that is lost, A": (evidence.CONTACT_LOST_CURRENT, 0.15),
+    "retreat that loses contact, m": (evidence._CONTACT_LOST_RETREAT, 0.0015),
+    "data that stop the arm, s": (evidence.PRESS_AGE_MAX, 0.1),
+    "pause of docking, s": (watch._PAUSE_MAX, 1.0),
+    "thermal reserve, s": (watch._THERMAL_RESERVE_MIN, 5.0),
+    "first data, s": (watch.FIRST_DATA_TIMEOUT, 3.0),
+    "report of a fault, s": (watch._FAULT_DELAY, 0.15),
+    "no current, A": (watch.ZERO_CURRENT, 0.5),
+    "delay of an opening, s": (energy._OPENING_TIME, 0.1),
+    "opening, s": (energy.OPEN_TIMEOUT, 1.0),
+    "second sources, s": (energy._DUPLICATE_SOURCE_TIMEOUT, 25.0),
+    "probe, s": (energy._PROBE_TIMEOUT, 2.0),
+    "other services, s": (context.SERVICE_TIMEOUT, 3.0),
+    "LOCATE, s": (algorithm._LOCATE_TIMEOUT, 10.0),
+    "APPROACH, s": (standoff.APPROACH_TIMEOUT, 20.0),
+    "CONTACT, s": (press.CONTACT_TIMEOUT, 45.0),
+    "MEASURE, s": (touch.MEASURE_TIMEOUT, 10.0),
+    "ALIGN, s": (press.ALIGN_TIMEOUT, 45.0),
+    "RETRACT, s": (retract.RETRACT_TIMEOUT, 20.0),
+    "push above the band, A": (motion._PUSH_ABOVE, 0.2),
+    "step above the band, A": (press._STEP_ABOVE, 0.1),
+    "overshoots": (press._OVERSHOOTS_MAX, 3),
+    "pull, A": (release.RELEASE_CURRENT, 4.0),
+    "pull, s": (release._RELEASE_TIME, 1.0),
+    "lift before a move sideways, m": (release.LIFT, 0.008),
+    "corrections": (touch.ALIGNMENTS_MAX, 15),
+    "unsure estimates": (touch._UNSURE_MAX, 4),
+    "unsure estimates in one place": (touch._UNSURE_HERE_MAX, 2),
+    "image without depth, m": (algorithm._IMAGE_RANGE_MAX, 0.4),
+}
+
+
+@pytest.mark.parametrize("what", CONSTANTS)
+def test_constant(what: str) -> None:
+    value, literal = CONSTANTS[what]
+    assert value == literal
+
+
+def test_the_numbers_of_docking_fit_each_other() -> None:
+    """What were contradictions between parameters, before these became constants."""
+    lowest = DockingParameters(current_min=0.15, current_max=0.19)
+    assert release.FREE_CURRENT < evidence.CONTACT_LOST_CURRENT <= lowest.current_min
+    assert lowest.current_max + press._STEP_ABOVE < motion.push_current(lowest)
+    assert clearance.CLEARANCE_SIGMAS < clearance.CLEARANCE_SIGMAS_SURE
+    assert energy._OPENING_TIME + 0.2 < energy.OPEN_TIMEOUT  # s until charger_power shows it at the latest
+    slowest = {each.name: each.low for each in declared(DockingParameters) if each.name.endswith("_speed")}
+    assert PEAK_SPEED * 0.11 / slowest["travel_speed"] < min(press.ALIGN_TIMEOUT, retract.RETRACT_TIMEOUT)
+    assert PEAK_SPEED * 0.11 / standoff._APPROACH_SPEED < standoff.APPROACH_TIMEOUT
+    assert PEAK_SPEED * (press._SEARCH_FROM + 0.05) / slowest["search_speed"] < press.CONTACT_TIMEOUT
+    assert PEAK_SPEED * press._NEAR / slowest["press_speed"] < press.CONTACT_TIMEOUT
 
 
 def test_numbers_that_need_more_than_a_row() -> None:

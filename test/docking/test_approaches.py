@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from deltacharger_docking import energy
+from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_sim.parameters import CircuitParameters, PortParameters
@@ -182,17 +184,18 @@ def test_a_docked_charger_is_supervised_as_while_charging(wrong: dict[str, Any],
 
 def test_the_arm_retracts_after_docking_was_suspended_or_clearance_is_lost() -> None:
     run = Wired(coarse=True).docked()
-    run.now += run.parameters.clearance_period + 2.0
+    run.now += CLEARANCE_PERIOD + 2.0
     ends(run, Code.POWER_STALE, 0.1)
     assert_home(run)
     assert run.dock().success
     feel(run, angle=math.radians(11.0))
-    ends(run, Code.CRITICAL_ANGLE, 2.5 * run.parameters.clearance_period)
+    ends(run, Code.CRITICAL_ANGLE, 2.5 * CLEARANCE_PERIOD)
     assert_home(run)
 
 
-def test_with_a_second_source_it_does_not_touch() -> None:
-    run = Wired(parameters={"duplicate_source_timeout": 2.0}).run
+def test_with_a_second_source_it_does_not_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
+    run = Wired().run
     spoil(run, duplicate_sources="servo_state: a and b")
     assert run.dock().code is Code.DUPLICATE_SOURCE
     assert run.world.record.contacts == 0

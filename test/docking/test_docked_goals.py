@@ -15,6 +15,8 @@ from typing import Any
 import pytest
 
 from deltacharger_core.texts import REQUEST_ID_MAX
+from deltacharger_docking import energy, retract
+from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters, PortParameters, TargetParameters
@@ -35,7 +37,6 @@ from .dockings import (
 )
 
 WIRED = {"parameters": {"power": "none"}, "circuit": CircuitParameters(wired=True)}
-AGAIN = {"restarts_max": 2}
 CONTACT_ONLY = DockGoal(GOAL, start_charging=False)
 FILLING = PortParameters(capacity=200.0)  # constant voltage after 80 s, then a falling current
 
@@ -116,7 +117,7 @@ def test_repeated_goals_do_not_delay_the_clearance_check() -> None:
     while run.world.snapshot().contactor_closed and run.now < start + 20.0:
         assert run.dock().success
         run.run(0.5)
-    assert run.now - start < 3.0 * run.parameters.clearance_period + 1.0
+    assert run.now - start < 3.0 * CLEARANCE_PERIOD + 1.0
     assert run.machine.status.code is Code.CRITICAL_ANGLE
 
 
@@ -276,54 +277,16 @@ def lose_contact(run: VirtualCharger) -> None:
     spoil(run)
 
 
-def test_docking_again_recovers_from_a_nudge_under_supervision() -> None:
-    run = docked(parameters=AGAIN, coarse=True)
-    shown = len(run.states)
+def test_after_a_nudge_the_arm_goes_home_and_a_client_may_dock_again() -> None:
+    run = docked(coarse=True)
     lose_contact(run)
     with pytest.raises(Busy):
         run.machine.start_dock(DockGoal(GOAL), run.observe())
-    run.until(lambda: run.machine.status.charging, 120.0)
-    assert run.machine.status.code is Code.NONE
-    assert run.states[shown : shown + 3] == [State.RETRACT, State.APPROACH, State.CONTACT]
+    until_idle(run)
+    assert run.machine.status.code is Code.NO_CONTACT
+    assert_safe_at_home(run)
+    assert run.dock().success
     assert run.world.record.parted_live == 0
-    lose_contact(run)
-    run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
-    assert run.undock().success, "undocking ends docking again"
-    assert_safe_at_home(run)
-
-
-def test_a_held_goal_survives_a_nudge_and_counts_all_its_energy() -> None:
-    run = quick_charger(parameters=AGAIN, coarse=True)
-    run.begin(DockGoal(GOAL, hold=True, stop_energy=1000.0))
-    run.until(lambda: run.machine.status.charging, 120.0)
-    run.run(2.0)
-    lose_contact(run)
-    outcome = run.finish(200.0)
-    assert outcome.success
-    assert 1000.0 <= outcome.energy < 1100.0
-
-
-def test_docking_again_is_bounded_and_keeps_the_first_error() -> None:
-    run = quick_charger(3.0, 20.0, parameters=AGAIN, coarse=True)
-    outcome = run.dock()
-    assert (outcome.code, outcome.retriable) == (Code.NO_TACTILE_CONTACT, True)
-    assert "docking again" in outcome.message
-    assert run.states.count(State.RETRACT) == 3
-    assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(("state", "code"), [(State.RETRACT, Code.NO_CONTACT), (State.CONTACT, Code.CANCELED)])
-def test_a_cancel_before_or_while_docking_again_ends_the_goal(state: State, code: Code) -> None:
-    run = quick_charger(parameters=AGAIN)
-    run.begin(DockGoal(GOAL, hold=True))
-    run.until(lambda: run.machine.status.charging, 120.0)
-    lose_contact(run)
-    run.until(lambda: run.machine.status.state is state, 60.0)
-    run.machine.cancel()
-    outcome = run.finish(60.0)
-    assert outcome.code is code
-    assert "contact was lost" in outcome.message
-    assert_safe_at_home(run)
 
 
 def cancel_while_the_camera_looks(run: VirtualCharger) -> None:
@@ -338,8 +301,7 @@ def cancel_while_undocking(run: VirtualCharger) -> None:
     run.run(0.3)
 
 
-def cancel_during_the_last_retract(run: VirtualCharger) -> None:
-    """A tilt cannot be mended by docking again, so there is no other retract."""
+def cancel_while_the_arm_retracts(run: VirtualCharger) -> None:
     feel(run, angle=math.radians(14.0))
     reach(run, State.RETRACT)
 
@@ -349,11 +311,11 @@ def cancel_during_the_last_retract(run: VirtualCharger) -> None:
     [
         (cancel_while_the_camera_looks, Code.CANCELED),
         (cancel_while_undocking, Code.CANCELED),
-        (cancel_during_the_last_retract, Code.CRITICAL_ANGLE),
+        (cancel_while_the_arm_retracts, Code.CRITICAL_ANGLE),
     ],
 )
 def test_a_cancel_ends_at_home_and_keeps_the_result(until: Callable[[VirtualCharger], None], code: Code) -> None:
-    run = quick_charger(parameters=AGAIN)
+    run = quick_charger()
     until(run)
     run.machine.cancel()
     assert run.finish(60.0).code is code
@@ -431,8 +393,9 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
 
 
 @pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": NAN3, "servos_valid": False}])
-def test_retracting_ends_with_any_servo_data(fault: dict[str, Any]) -> None:
-    run = quick_charger(parameters={"retract_timeout": 3.0})
+def test_retracting_ends_with_any_servo_data(monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any]) -> None:
+    monkeypatch.setattr(retract, "RETRACT_TIMEOUT", 3.0)
+    run = quick_charger()
     reach(run, State.MEASURE)
     run.machine.cancel()
     spoil(run, **fault)
@@ -552,9 +515,12 @@ def test_undocking_without_servos_fails_while_the_magnets_may_hold(fault: dict[s
 
 
 @pytest.mark.parametrize("begins", [rest(State.APPROACH), State.MEASURE, rest(State.ENERGISE)])
-def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) -> None:
+def test_the_contactor_stays_open_while_there_is_a_second_source(
+    monkeypatch: pytest.MonkeyPatch, begins: State
+) -> None:
     """At any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
-    run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
+    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
+    run = quick_charger()
     reach(run, begins)
     spoil(run, duplicate_sources=NAMES)
     outcome = run.finish(120.0)
@@ -565,8 +531,9 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(begins: State) 
     until_idle(run)
 
 
-def test_a_second_source_that_comes_and_goes_counts_like_one_that_stays() -> None:
-    run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
+def test_a_second_source_that_comes_and_goes_counts_like_one_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
+    run = quick_charger()
     reach(run, State.MEASURE)
     run.distort = lambda seen: replace(seen, duplicate_sources=NAMES if int(9.2 * seen.time) % 2 else "")
     outcome = run.finish(20.0)

@@ -95,7 +95,7 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
     in_robot = product(mount.base_pose[3:], orientation)
     for found in (goal(orientation, mount), goal(in_robot, mount, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
-        assert found.yaw_stddev == found.pitch_stddev == mount.goal_lean_stddev
+        assert found.yaw_stddev == found.pitch_stddev == DEGREE
         assert found.roll == pytest.approx(roll_of(orientation))
 
 

@@ -330,7 +330,7 @@ def test_parameters_set_at_run_time_apply_to_the_next_goal(charger: RunningCharg
     node = charger.node("docking_node")
 
     def set_home(z: float) -> str:
-        both = [Parameter("home_z", value=z), Parameter("unsure_max", value=5)]
+        both = [Parameter("home_z", value=z), Parameter("search_depth", value=0.03)]
         return str(node.set_parameters_atomically(both).reason)
 
     usual, cancel, seen = node.get_parameter("home_z").value, threading.Event(), list[Progress]()
@@ -339,7 +339,7 @@ def test_parameters_set_at_run_time_apply_to_the_next_goal(charger: RunningCharg
     cancel.set()
     assert ended.result(DEADLINE).error_name == "CANCELED"
     assert seen[-1].z == pytest.approx(usual, abs=2e-3), "it went where it would have gone"
-    assert (node.get_parameter("home_z").value, node.get_parameter("unsure_max").value) == (usual, 4)
+    assert (node.get_parameter("home_z").value, node.get_parameter("search_depth").value) == (usual, 0.025)
     assert charger.dock(CONTACT_ONLY).success
     assert "undock" in set_home(0.03), "the electrodes rest on the target"
     charger.go_home()

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from deltacharger_docking import press
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
@@ -130,7 +131,7 @@ def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -
 def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
     """Conditions of each line of contact, in order: fast, slow, pressing; then again."""
     status, z = run.machine.status, run.world.snapshot
-    depth = GOAL.position[2] - run.parameters.search_from
+    depth = GOAL.position[2] - press._SEARCH_FROM
     return [
         lambda: status.state is State.CONTACT and z().position[2] < depth,
         lambda: status.state is State.CONTACT and z().position[2] > depth,

@@ -27,6 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.rotation import Pose as Numbers
 from deltacharger_core.rotation import composed
+from deltacharger_docking import energy
 from deltacharger_ros import qos
 from deltacharger_ros.messages import CODES
 from deltacharger_ros.tf_tree import installed
@@ -142,12 +143,12 @@ def test_second_sources_are_named_and_docking_waits_until_they_are_gone(quick_sc
 
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_false_angle_estimate_never_closes_the_contactor(
-    quick_scene: Scene, context: Any, spin: Spin, beside: bool
+    monkeypatch: pytest.MonkeyPatch, quick_scene: Scene, context: Any, spin: Spin, beside: bool
 ) -> None:
     """The target is tilted past the rule. Next to the true server it names frames; in its place it names none."""
+    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 0.5)
     tilted = ("mock_servo_node", "mock_tactile_node")
     more = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}
-    more["docking_node"] = {**quick_scene.parameters["docking_node"], "duplicate_source_timeout": 0.5}
     nodes = tuple(name for name in quick_scene.nodes if beside or name != "misalignment_node")
     scene = replace(quick_scene, nodes=nodes, parameters={**quick_scene.parameters, **more})
     with RunningCharger(scene, context) as charger:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import BATTERY_MAX
+from deltacharger_docking import algorithm
+from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
 from deltacharger_sim.parameters import ContactParameters, PlatformParameters, ServoParameters, TargetParameters
@@ -148,8 +150,9 @@ def test_impossible_goals_move_nothing(goal: DockGoal, error: type[Exception]) -
         (None, Code.ELECTRODES_NOT_FOUND),
     ],
 )
-def test_an_invalid_detection_moves_nothing(reply: Reply | None, code: Code) -> None:
-    run = quick_charger(parameters={"locate_timeout": 2.0})
+def test_an_invalid_detection_moves_nothing(monkeypatch: pytest.MonkeyPatch, reply: Reply | None, code: Code) -> None:
+    monkeypatch.setattr(algorithm, "_LOCATE_TIMEOUT", 2.0)
+    run = quick_charger()
     run.answer[Service.DETECT] = lambda asked: None if reply is None else replace(reply, number=asked.number)
     outcome = run.dock(DockGoal(None))
     assert outcome.code is code
@@ -303,7 +306,7 @@ def test_a_known_pitch_also_counts_while_charging() -> None:
     outcome = dock(run, 0.5)
     assert outcome.success, outcome.message
     seen = math.radians(0.5)
-    for seconds in (0.0, run.parameters.clearance_period + 1.0):
+    for seconds in (0.0, CLEARANCE_PERIOD + 1.0):
         run.run(seconds)
         felt = run.machine.status.estimate
         assert run.machine.status.charging

@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_docking import press
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
@@ -313,7 +314,7 @@ def test_cancel_in_every_phase(run: Faulty, state: State) -> None:
 def test_old_data_stop_the_arm_fresh_data_continue_and_missing_data_end_the_goal(
     state: State, age: str, code: Code
 ) -> None:
-    run = Faulty(travel_speed=0.1, lift=0.015, search_speed=0.02)  # 2 mm in the 0.1 s that data may be old
+    run = Faulty(travel_speed=0.1, search_speed=0.02)  # 2 mm in the 0.1 s that data may be old
     run.reach(state)
     if state is State.ALIGN:  # sideways, off the magnets
         run.until(lambda: run.world.snapshot().position[0] > 1.0 * MILLIMETRE, 10.0)
@@ -327,7 +328,7 @@ def test_old_data_stop_the_arm_fresh_data_continue_and_missing_data_end_the_goal
     run.shown = {}
     run.until(lambda: moves(run, 3 * TICK), 5.0)
     since, z = run.now, run.world.snapshot().position[2]
-    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it cannot strike anything
+    free = GOAL.position[2] - press._SEARCH_FROM  # up to here it cannot strike anything
     run.distort = lambda observation: replace(observation, **{age: run.now - since})
     assert run.finish(20.0).code is code
     assert run.world.snapshot().position[2] < max(z + 3.0 * MILLIMETRE, free), "it was never carried on"

@@ -16,8 +16,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from deltacharger_docking import algorithm, retract
 from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
+from deltacharger_docking.evidence import CONTACT_LOST_CURRENT
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL
@@ -25,8 +27,8 @@ from deltacharger_sim.virtual.virtual_charger import GOAL
 from .. import quick
 from .dockings import quick_charger
 
-TIMES = {"goal_timeout": 25.0, "locate_timeout": 2.0, "retract_timeout": 8.0}
-LIMITS = DockingParameters(**{**quick.STEPS, **TIMES, "restarts_max": 1})
+GOAL_TIMEOUT, LOCATE_TIMEOUT, RETRACT_TIMEOUT = 25.0, 2.0, 8.0
+LIMITS = DockingParameters(**quick.STEPS, goal_timeout=GOAL_TIMEOUT)
 NAN3 = (math.nan, math.nan, math.nan)
 
 # What may follow each state: docs/dock-goals.md.
@@ -40,8 +42,16 @@ LEGAL: dict[State, set[State]] = {
     State.ALIGN: {State.CONTACT, *BACK},
     State.ENERGISE: {State.CHARGING, *BACK},
     State.CHARGING: {State.IDLE, *BACK},
-    State.RETRACT: {State.IDLE, State.LOCATE, State.APPROACH},
+    State.RETRACT: {State.IDLE},
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_phases() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(algorithm, "_LOCATE_TIMEOUT", LOCATE_TIMEOUT)
+        patch.setattr(retract, "RETRACT_TIMEOUT", RETRACT_TIMEOUT)
+        yield
 
 
 class Judge:
@@ -95,7 +105,7 @@ class Judge:
         assert observation.torque_enabled
         assert observation.hardware_error == 0
         assert observation.tactile_contact
-        assert contact_current >= LIMITS.contact_lost_current
+        assert contact_current >= CONTACT_LOST_CURRENT
         assert observation.servo_age <= LIMITS.live_servo_age_max
         assert observation.tactile_age <= LIMITS.tactile_age_max
         assert observation.power_age <= LIMITS.power_age_max
@@ -173,7 +183,7 @@ class Run:
     """A charger, the adversary and the judge."""
 
     def __init__(self, seed: int, spoiled: tuple[str, ...], rate: float) -> None:
-        self.charger = quick_charger(parameters={**TIMES, "restarts_max": 1}, coarse=True)
+        self.charger = quick_charger(parameters={"goal_timeout": GOAL_TIMEOUT}, coarse=True)
         self.machine, self.judge = self.charger.machine, Judge()
         self._source = random.Random(seed)
         self._spoiled, self._rate, self._left = spoiled, rate, 0
@@ -235,8 +245,7 @@ class Run:
             quiet = quiet + 1 if rests and not self.machine.busy else 0
 
 
-# The goal's deadline twice, since docking restarts once, plus retracting.
-ENOUGH = 2.0 * (LIMITS.goal_timeout + LIMITS.retract_timeout + 5.0)
+ENOUGH = GOAL_TIMEOUT + RETRACT_TIMEOUT + 5.0  # s for a goal and the way home
 ADVERSARIES = st.tuples(
     st.integers(0, 2**32),
     st.lists(st.sampled_from(sorted(SPOILS)), min_size=1, max_size=3, unique=True).map(tuple),

@@ -17,7 +17,7 @@ import pytest
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.motion import Planner
+from deltacharger_docking.motion import Planner, push_current
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos import trajectory as driver
@@ -44,14 +44,14 @@ def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> N
     lead = np.subtract(waypoints[-1].angles, DELTA.inverse(STANDOFF).angles)
     assert np.allclose(lead * PARAMETERS.servo_stiffness, held, atol=1e-12)
     assert np.abs(lead).max() > math.radians(0.5)
-    weightless = Planner(DockingParameters(gravity_y=0.0), DeltaGeometry()).line(HOME, STANDOFF, 0.12)
+    weightless = Planner(DockingParameters(gravity=(0.0, 0.0, 0.0)), DeltaGeometry()).line(HOME, STANDOFF, 0.12)
     assert np.allclose(weightless[-1].angles, DELTA.inverse(STANDOFF).angles, atol=1e-15)
 
 
 def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> None:
     last = PLANNER.line(HOME, STANDOFF, 0.12)[-1]
     held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
-    assert np.allclose(np.subtract(last.torque_bound, held), PARAMETERS.push_current * TORQUE_CONSTANT, atol=1e-12)
+    assert np.allclose(np.subtract(last.torque_bound, held), push_current(PARAMETERS) * TORQUE_CONSTANT, atol=1e-12)
 
 
 def test_velocities_match_the_commanded_angles_and_end_at_rest() -> None:

@@ -95,10 +95,15 @@ def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
         assert springs.stiffness == pytest.approx(15.0), "even where it is lighter"
 
 
+def along_axes(gravity: Vector) -> dict[str, float]:
+    """Return the world's parameters of this gravity (m/s²)."""
+    return dict(zip(("gravity_x", "gravity_y", "gravity_z"), gravity, strict=True))
+
+
 @pytest.mark.parametrize("after", [rest(0.3), 0.6])
 def test_a_repeated_servo_state_is_ignored(after: float) -> None:
-    up = {"gravity_y": 0.0, "gravity_z": -9.81}  # equal load on all three servos, as under a push
-    run = charger(parameters=up, **up)
+    up = (0.0, 0.0, -9.81)  # equal load on all three servos, as under a push
+    run = charger(parameters={"gravity": up}, **along_axes(up))
     reach(run, State.CONTACT)
     run.run(after)
     held = run.observe()
@@ -188,8 +193,7 @@ def test_a_stuck_arm_reports_a_wrong_stiffness(given: float, named: bool) -> Non
 @pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (3.0, -5.0, 7.0)])
 def test_force_comes_from_the_torques_less_the_holding_torques(gravity: tuple[float, float, float]) -> None:
     source, delta = random.Random(3), ScalarDelta()
-    x, y, z = gravity
-    parameters = DockingParameters(gravity_x=x, gravity_y=y, gravity_z=z)
+    parameters = DockingParameters(gravity=gravity)
     for _ in range(200):
         place = source.uniform(-0.06, 0.06), source.uniform(-0.06, 0.06), source.uniform(0.0, 0.11)
         angles = delta.inverse(*place)
@@ -222,9 +226,9 @@ def resting(
     x: float, y: float, stiffness: float, gravity: Vector, believed: float | None = None, friction: float = 0.3
 ) -> VirtualCharger:
     """A charger before a target at (x, y) mm."""
-    weight = dict(zip(("gravity_x", "gravity_y", "gravity_z"), gravity, strict=True))
-    world = {"servo": ServoParameters(stiffness=stiffness), "contact": ContactParameters(friction=friction), **weight}
-    return charger(x, y, parameters={"servo_stiffness": believed or stiffness, **weight}, coarse=True, **world)
+    servo, contact = ServoParameters(stiffness=stiffness), ContactParameters(friction=friction)
+    given = {"servo_stiffness": believed or stiffness, "gravity": gravity}
+    return charger(x, y, parameters=given, coarse=True, servo=servo, contact=contact, **along_axes(gravity))
 
 
 def currents(run: VirtualCharger) -> list[float]:

@@ -13,19 +13,29 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deltacharger_docking.along import AlongFilter, LookAlong, empty_pad_offset
+from deltacharger_core.machine import DOCKING_JITTER, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
+from deltacharger_docking import along, place
+from deltacharger_docking import target_place as place_of_target
+from deltacharger_docking.along import (
+    FORCE_ERROR,
+    HORIZONTAL_SHARED,
+    LOAD_PER_YAW,
+    AlongFilter,
+    LookAlong,
+    empty_pad_offset,
+)
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import AxisFilter
+from deltacharger_docking.place import GAIN_ERROR, AxisFilter
 from deltacharger_docking.target_place import TargetPlace
 from deltacharger_docking.yielding import RemainingShare
 
 MILLIMETRE, DEGREE = 1e-3, math.radians(1.0)
 PARAMETERS = DockingParameters()
 PUSH = 17.0  # N
-RIGID = 1.0 + PARAMETERS.platform_compliance * PARAMETERS.pad_yaw_stiffness
+RIGID = 1.0 + PARAMETERS.platform_compliance * PAD_YAW_STIFFNESS
 
 
 def target_place(parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> TargetPlace:
@@ -42,8 +52,8 @@ def contact(
     x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True
 ) -> MisalignmentEstimate:
     """Estimate of one contact by the model: target off by x and across (m), faces yawed by degrees."""
-    left = 0.5 * (float(MagnetPull(PARAMETERS).at(np.array(x), across, angle)[0]) + PUSH)
-    along = x + PARAMETERS.load_per_yaw * yaw * DEGREE / RIGID
+    left = 0.5 * (float(MagnetPull(MAGNET_FORCE).at(np.array(x), across, angle)[0]) + PUSH)
+    along = x + LOAD_PER_YAW * yaw * DEGREE / RIGID
     vertical = (across + along * math.sin(angle)) / math.cos(angle)
     forces = {"left_force": left, "right_force": left} if force else {}
     return MisalignmentEstimate(
@@ -188,7 +198,7 @@ def test_the_learnt_share_has_its_true_error() -> None:
             yaw = random.normal(0.0, 2.0)
             place = TargetPlace(PARAMETERS, share, seen(yaw, 0.05))
             for aside in (0.0, 0.006, -0.006):
-                landed = aside + random.normal(0.0, PARAMETERS.docking_jitter)
+                landed = aside + random.normal(0.0, DOCKING_JITTER)
                 felt = contact(landed, yaw * true * RIGID)
                 noise = random.normal(0.0, 1e-3)
                 place.add(replace(felt, horizontal=felt.horizontal + noise), -aside, 0.0, PUSH)
@@ -233,7 +243,7 @@ def test_each_further_contact_has_to_gain_more() -> None:
     for moves in (0, 4, 8):
         place.choose(moves, lambda x, y: True)
         gains.append(place.plan.gain)
-    first = PARAMETERS.redocking_gain_min
+    first = place_of_target._REDOCKING_GAIN_MIN
     assert gains[0] > 0.0
     assert gains[0] - gains[1] == pytest.approx(first * (1.5**4 - 1.0))
     assert gains[0] - gains[2] == pytest.approx(first * (1.5**8 - 1.0))
@@ -246,26 +256,24 @@ FLAT = 0.2  # m; a prior without information within the grid
 @pytest.mark.parametrize("angle", [0.0, 0.05, -0.2])
 @pytest.mark.parametrize(("x", "across"), [(0.0, 0.0), (0.003, -0.001), (-0.007, 0.002), (0.012, 0.004)])
 def test_derivatives_of_the_pull_match_finite_differences(x: float, across: float, angle: float) -> None:
-    pull, slope, by_width = MagnetPull(PARAMETERS).at(np.array(x), across, angle)
+    pull, slope, by_width = MagnetPull(MAGNET_FORCE).at(np.array(x), across, angle)
     step = 1e-7
-    more, less = (MagnetPull(PARAMETERS).at(np.array(x + side * step), across, angle)[0] for side in (1.0, -1.0))
+    more, less = (MagnetPull(MAGNET_FORCE).at(np.array(x + side * step), across, angle)[0] for side in (1.0, -1.0))
     assert slope == pytest.approx((more - less) / (2 * step), rel=1e-5, abs=1e-4)
     wide, narrow = (
-        MagnetPull(DockingParameters(magnet_width=PARAMETERS.magnet_width * math.exp(side * 1e-6))).at(
-            np.array(x), across, angle
-        )[0]
+        MagnetPull(MAGNET_FORCE, MAGNET_WIDTH * math.exp(side * 1e-6)).at(np.array(x), across, angle)[0]
         for side in (1.0, -1.0)
     )
     assert by_width == pytest.approx((wide - narrow) / 2e-6, rel=1e-5, abs=1e-4)
     # The distance of the centres, for an end_effector that measures the bars as rotated.
     y = (across + x * math.sin(angle)) / math.cos(angle)
-    share = 1.0 / (1.0 + (x * x + y * y) / PARAMETERS.magnet_width**2)
-    assert pull == pytest.approx(PARAMETERS.magnet_force * share)
+    share = 1.0 / (1.0 + (x * x + y * y) / MAGNET_WIDTH**2)
+    assert pull == pytest.approx(MAGNET_FORCE * share)
 
 
 def test_far_away_only_the_floor_of_the_pull_remains_and_gives_no_place() -> None:
-    pull, slope, by_width = MagnetPull(PARAMETERS).at(np.array([-0.03, 0.03]), 0.0, 0.1)
-    assert pull == pytest.approx(PARAMETERS.magnet_force * PARAMETERS.magnet_floor)
+    pull, slope, by_width = MagnetPull(MAGNET_FORCE).at(np.array([-0.03, 0.03]), 0.0, 0.1)
+    assert pull == pytest.approx(MAGNET_FORCE * MAGNET_FLOOR)
     assert np.all(slope == 0.0)
     assert np.all(by_width == 0.0)
 
@@ -279,23 +287,23 @@ class Target:
     """
 
     def __init__(self, random: np.random.Generator, bias_stddev: float, place_stddev: float = 0.005) -> None:
-        p, self._random = PARAMETERS, random
+        self._random = random
         self.place = random.normal(0.0, place_stddev)
-        self._bias = random.normal(0.0, math.hypot(bias_stddev, p.horizontal_shared))
-        self._gain = random.normal(0.0, p.gain_error)
-        self._scale = 1.0 + random.normal(0.0, p.force_error)
-        width = p.magnet_width * (1.0 + random.normal(0.0, p.magnet_width_error))
-        force = p.magnet_force * (1.0 + random.normal(0.0, p.magnet_error))
-        self._pull = MagnetPull(DockingParameters(magnet_width=width, magnet_force=force))
+        self._bias = random.normal(0.0, math.hypot(bias_stddev, HORIZONTAL_SHARED))
+        self._gain = random.normal(0.0, GAIN_ERROR)
+        self._scale = 1.0 + random.normal(0.0, FORCE_ERROR)
+        width = MAGNET_WIDTH * (1.0 + random.normal(0.0, along._MAGNET_WIDTH_ERROR))
+        force = MAGNET_FORCE * (1.0 + random.normal(0.0, along._MAGNET_ERROR))
+        self._pull = MagnetPull(force, width)
         self.landed = math.nan
 
     def look(self, platform: float, stddev: float = 0.0006) -> LookAlong:
         """A contact of the platform commanded to a place (m); `stddev` is its own standard deviation, m."""
         random = self._random
-        self.landed = x = self.place - platform + random.normal(0.0, PARAMETERS.docking_jitter)
+        self.landed = x = self.place - platform + random.normal(0.0, DOCKING_JITTER)
         load = x * (1.0 + self._gain) + self._bias + random.normal(0.0, stddev)
         pressed = float(self._pull.at(np.array(x), 0.0, 0.0)[0]) + PUSH
-        spread = PARAMETERS.force_repeatability * pressed / math.sqrt(2.0)
+        spread = place_of_target._FORCE_REPEATABILITY * pressed / math.sqrt(2.0)
         force = self._scale * pressed + random.normal(0.0, spread)
         return LookAlong(platform, load, stddev, force, spread, PUSH, 0.0, 0.0)
 
@@ -319,20 +327,18 @@ def simulated(count: int, asides: tuple[float, ...], bias_stddev: float = BIAS) 
 
 def test_with_parallel_faces_one_contact_gives_the_place_by_its_load() -> None:
     tracker = AlongFilter(PARAMETERS, 0.0, FLAT)
-    pull = float(MagnetPull(PARAMETERS).at(np.array(0.003), 0.0, 0.0)[0])
+    pull = float(MagnetPull(MAGNET_FORCE).at(np.array(0.003), 0.0, 0.0)[0])
     tracker.update(LookAlong(0.001, 0.003, 1e-4, pull + PUSH, 1e3, PUSH, 0.0, 0.0))
     assert tracker.contact.mean == pytest.approx(0.003, abs=0.2 * MILLIMETRE)
     assert tracker.target == pytest.approx(0.004, abs=0.2 * MILLIMETRE)
-    assert tracker.contact.stddev < 1.2 * math.hypot(PARAMETERS.horizontal_shared, 0.003 * PARAMETERS.gain_error)
+    assert tracker.contact.stddev < 1.2 * math.hypot(HORIZONTAL_SHARED, 0.003 * GAIN_ERROR)
 
 
 def test_with_an_unknown_lean_one_contact_does_not_change_the_expected_place() -> None:
     tracker = known(bias_stddev=0.1)
     tracker.update(LookAlong(0.0, 0.015, 1e-4, 60.0 + PUSH, 1e3, PUSH, 0.0, 0.0))
     assert abs(tracker.target) < 0.1 * MILLIMETRE
-    assert tracker.contact.stddev == pytest.approx(
-        math.hypot(PARAMETERS.place_stddev, PARAMETERS.docking_jitter), rel=0.1
-    )
+    assert tracker.contact.stddev == pytest.approx(math.hypot(PARAMETERS.place_stddev, DOCKING_JITTER), rel=0.1)
 
 
 def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> None:
@@ -359,17 +365,17 @@ def test_the_risk_matches_the_observed_frequency() -> None:
 
 def test_no_probe_is_planned_that_would_leave_a_pad_empty() -> None:
     force = 60.0 / (1.0 + (0.006 / 0.008) ** 2) + PUSH
-    most = empty_pad_offset(PARAMETERS, force)
+    most = empty_pad_offset(force)
     for bias in (0.0, most - 0.005, most - 0.007):
         tracker = AlongFilter(PARAMETERS, 0.0, 0.005, bias, 1e-4)
         tracker.update(LookAlong(0.0, bias, 1e-4, 60.0 + PUSH, 3.0, PUSH, 0.0, 0.0))
         for plan in tracker.plans(0.004):
-            pull = float(MagnetPull(PARAMETERS).at(np.array(plan.aside), 0.0, 0.0)[0])
-            limit = empty_pad_offset(PARAMETERS, pull + PUSH)
+            pull = float(MagnetPull(MAGNET_FORCE).at(np.array(plan.aside), 0.0, 0.0)[0])
+            limit = empty_pad_offset(pull + PUSH)
             assert not plan.aside or abs(tracker.bias + plan.aside) <= limit
         asides = {plan.aside for plan in tracker.plans(0.004)}
-        assert (PARAMETERS.probe_offset in asides) == (tracker.bias + PARAMETERS.probe_offset < most)
-        assert -PARAMETERS.probe_offset in asides
+        assert (along._PROBE_OFFSET in asides) == (tracker.bias + along._PROBE_OFFSET < most)
+        assert -along._PROBE_OFFSET in asides
 
 
 def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
@@ -475,12 +481,9 @@ def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_change
             assert judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is judge(pose, PARAMETERS)
 
 
-def axis(jitter: float = 0.00095) -> AxisFilter:
-    return AxisFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15))
-
-
-def test_a_far_first_contact_does_not_outweigh_near_ones() -> None:
-    tracker = axis(jitter=0.0005)
+def test_a_far_first_contact_does_not_outweigh_near_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(place, "DOCKING_JITTER", 0.0005)
+    tracker = AxisFilter()
     tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm, truth 8 mm
     tracker.update(0.010, -0.002, 1e-4)
     assert tracker.target == pytest.approx(0.008, abs=3e-4)
@@ -491,10 +494,10 @@ def contacts(count: int, reported: float) -> list[tuple[float, AxisFilter]]:
     random = np.random.default_rng(8)
     dockings = []
     for _ in range(count):
-        tracker, place, true = axis(), 0.0, 0.0
+        tracker, place, true = AxisFilter(), 0.0, 0.0
         for _ in range(3):
-            true = 0.003 - place + random.normal(0.0, 0.00095)
-            tracker.update(place, true + random.normal(0.0, math.hypot(reported, 0.15 * true)), reported)
+            true = 0.003 - place + random.normal(0.0, DOCKING_JITTER)
+            tracker.update(place, true + random.normal(0.0, math.hypot(reported, GAIN_ERROR * true)), reported)
             place = tracker.target
         dockings.append((true, tracker))
     return dockings
@@ -515,7 +518,7 @@ def test_the_risk_of_a_contact_matches_the_observed_frequency() -> None:
 
 
 def test_another_contact_pays_if_this_one_is_off() -> None:
-    near, far = axis(), axis()
+    near, far = AxisFilter(), AxisFilter()
     near.update(0.0, 0.0002, 1e-4)
     far.update(0.0, 0.0028, 1e-4)
     assert near.gain(0.0025) < 1e-3
@@ -528,8 +531,7 @@ def test_another_contact_pays_if_this_one_is_off() -> None:
         ("critical_angle", 0.5),
         ("battery_voltage_min", 30.0),
         ("current_max", 0.4),
-        ("lift", math.nan),
-        ("clearance_sigmas", 7.0),
+        ("standoff", math.nan),
     ],
 )
 def test_impossible_parameters_are_refused_by_name(name: str, value: object) -> None:

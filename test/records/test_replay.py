@@ -295,15 +295,14 @@ def test_a_changed_definition_is_no_older_one_and_is_named(tmp_path: Path) -> No
 
 LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
 CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
-TURNED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76, "torque_constant": 1.1}
+TURNED = {"gravity": (0.0, -6.0, 7.76), "torque_constant": 1.1}
 PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
 
 
 def pushing() -> ServoState:
     """Return servo_state of that charger while it pushes at that place."""
     delta = ScalarDelta(CALIBRATED)
-    gravity = (TURNED["gravity_x"], TURNED["gravity_y"], TURNED["gravity_z"])
-    held = delta.holding_torque(*PLACE, gravity)
+    held = delta.holding_torque(*PLACE, TURNED["gravity"])
     lever = delta.jacobian(*PLACE)[6:9]
     message = ServoState(name=list(JOINTS), valid=[True] * 3)
     message.position = list(delta.inverse(*PLACE))
@@ -313,12 +312,11 @@ def pushing() -> ServoState:
 
 @pytest.fixture
 def settings(tmp_path: Path) -> dict[str, Any]:
-    """docking_node's parameters; the limbs' own adjustments are in its file only."""
+    """docking_node's parameters; the geometry is in its file only."""
     save_geometry(CALIBRATED, tmp_path / "arm.yaml")
     return {
         **TURNED,
         "geometry_file": str(tmp_path / "arm.yaml"),
-        "arm": 0.103,
         "start_type_description_service": True,
     }
 
@@ -331,7 +329,7 @@ def test_the_settings_are_docking_nodes_even_if_its_file_is_on_another_computer(
     assert known_settings(kept) == (parameters, CALIBRATED)
     with pytest.raises(OSError, match=r"arm\.yaml"):
         docking_settings(settings)
-    assert known_settings(settings) == (parameters, DeltaGeometry(arm=0.103))
+    assert known_settings(settings) == (parameters, DeltaGeometry())
     assert known_settings({**settings, "geometry_file": "~nobody-here/arm.yaml"}) == known_settings(settings)
     assert known_settings({}) == (DockingParameters(), DeltaGeometry())
 

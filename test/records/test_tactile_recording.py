@@ -36,7 +36,6 @@ FRAMES = 3
 STEPS = {
     "standoff": 0.006,
     "search_depth": 0.005,
-    "coarse_step": 0.005,
     "search_speed": 0.1,
     "press_speed": 0.1,
     "travel_speed": 0.5,

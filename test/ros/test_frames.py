@@ -136,8 +136,8 @@ def test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name(
 ) -> None:
     monkeypatch.setattr(frames_module, "installed", lambda: False)
     node = Node("asker", **options(context, namespace))
-    frames = Frames(node, TransformParameters("left/"), "base_link", MOUNT)
-    assert frames.charger_base_in("base_link") == MOUNT
+    frames = Frames(node, TransformParameters("left/"), "torso", MOUNT)
+    assert frames.charger_base_in("torso") == MOUNT
     assert frames.charger_base_in("left/charger_base") == IDENTITY
     with pytest.raises(UnknownFrame, match="tf2_ros, which is not installed"):
         frames.charger_base_in("map")

@@ -311,7 +311,7 @@ def test_a_profile_that_is_incomplete_or_contradicts_itself_is_refused_with_its_
 
 @pytest.mark.ros
 def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
-    given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
+    given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "torque_constant": 1}}
     scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")
     assert not list(problems(scene))
     with Composition(scene, context, namespace) as composition:
@@ -334,15 +334,13 @@ def test_parameters_are_known_without_loading_heavy_modules() -> None:
 
 def test_nodes_follow_the_world_unless_the_scene_sets_other_values() -> None:
     world = {"servo": {"stiffness": 6.0, "torque_constant": 1.2}, "gravity_y": -9.0, "gravity_z": 3.0}
-    content = {"simulation": {"world": world}, "parameters": {"docking_node": {"gravity_z": 0.0}}}
+    content = {"simulation": {"world": world}, "parameters": {"docking_node": {"gravity": [0.0, 0.0, 9.0]}}}
     scene = parse_scene(content, "mine")
     assert scene.node_parameters("docking_node", {}) == {
         "servo_stiffness": 6.0,
         "power": "board",
         "torque_constant": 1.2,
-        "gravity_x": 0.0,
-        "gravity_y": -9.0,
-        "gravity_z": 0.0,
+        "gravity": [0.0, 0.0, 9.0],
         **SIMULATED_TARGET,
     }
     assert scene.node_parameters("servo_node", {}) == {"torque_constant": 1.2}

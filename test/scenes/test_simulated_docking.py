@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import pytest
 from deltacharger.msg import ChargerPower, DockingState
 from rclpy.qos import QoSProfile
 
+from deltacharger_docking import algorithm
 from deltacharger_ros.outcomes import DockRequest, Progress
 from deltacharger_scenes.scene import Scene, SceneError, parse_scene
 
@@ -69,10 +68,10 @@ def test_it_docks_on_real_bytes_and_reports_no_charge(context: Any) -> None:
 BY_CAMERA = DockRequest(None)
 
 
-def scene(steps: Mapping[str, Any] = MappingProxyType({}), **target: Any) -> Scene:
-    """The packaged scene with quick steps, other parameters of docking_node, and another target."""
+def scene(**target: Any) -> Scene:
+    """The packaged scene with quick steps and another target."""
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    packaged = quick_simulation("camera", steps)
+    packaged = quick_simulation("camera")
     assert packaged.simulation is not None
     world = packaged.simulation.world
     moved = replace(world, target=replace(world.target, **target))
@@ -100,18 +99,19 @@ PLACE = {"x": 0.02, "y": 0.01, "z": 0.22}
 
 
 @pytest.mark.parametrize(
-    ("target", "steps", "code"),
+    ("target", "code"),
     [
-        rest({"present": False}, {"locate_timeout": 3.0}, "ELECTRODES_NOT_FOUND"),
-        rest({"roll": math.radians(11.8)}, {}, "CRITICAL_ANGLE"),
-        rest(PLACE, {}, "UNREACHABLE"),
+        rest({"present": False}, "ELECTRODES_NOT_FOUND"),
+        rest({"roll": math.radians(11.8)}, "CRITICAL_ANGLE"),
+        rest(PLACE, "UNREACHABLE"),
     ],
 )
 def test_what_the_image_forbids_is_refused_without_motion(
-    context: Any, target: dict[str, Any], steps: dict[str, float], code: str
+    monkeypatch: pytest.MonkeyPatch, context: Any, target: dict[str, Any], code: str
 ) -> None:
+    monkeypatch.setattr(algorithm, "_LOCATE_TIMEOUT", 3.0)
     phases: list[str] = []
-    with RunningCharger(scene(steps, **target), context) as charger:
+    with RunningCharger(scene(**target), context) as charger:
         before = charger.world.snapshot().position
         outcome = charger.dock(BY_CAMERA, lambda progress: phases.append(progress.phase))
         assert (outcome.success, outcome.error_name) == (False, code), outcome

@@ -25,6 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import JOINTS
+from deltacharger_docking import energy
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import wait_until
@@ -140,9 +141,10 @@ class Stranger(Node):
 
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[RunningCharger]:
-    scene = quick_simulation("simulated", {"duplicate_source_timeout": 0.5})
-    with RunningCharger(scene, context) as charger:
-        yield charger
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 0.5)
+        with RunningCharger(quick_simulation("simulated"), context) as charger:
+            yield charger
 
 
 @pytest.mark.parametrize("name", [*TOPICS, *SERVICES])

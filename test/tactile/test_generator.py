@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import deltacharger_tactile
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import Dataset
@@ -30,7 +30,7 @@ def test_the_defaults_match_the_frozen_parameters() -> None:
     assert TactileParameters().digest() == FROZEN["digest"] == FROZEN_DEFAULTS
     assert json.loads(TactileParameters().to_json()) == FROZEN["parameters"]
     assert default_model().about["parameters"] == FROZEN_DEFAULTS
-    assert DockingParameters().docking_jitter == TactileParameters().docking.position_jitter
+    assert TactileParameters().docking.position_jitter == DOCKING_JITTER
 
 
 @pytest.mark.rest

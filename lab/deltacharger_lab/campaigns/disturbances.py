@@ -12,7 +12,7 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_core.parameters import number
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.charging import BLIND_MAX, CLEARANCE_PERIOD, UNSAFE_MAX
 from deltacharger_sim.world import World
 
 LASTS = 0.2  # s of a nudge: a person bumps into the target
@@ -88,10 +88,10 @@ class Nudging:
             self.opened, self._done = live - self._began, True
 
 
-def watched_after(parameters: DockingParameters) -> float:
+def watched_after() -> float:
     """Return how long (s) to watch charging after a nudge, so that docking can detect it.
 
     Docking ends charging after this many bad estimates, one period apart; one more may have begun before the nudge.
     """
-    looks = 1 + max(parameters.unsafe_max, parameters.blind_max)
-    return LASTS + looks * (parameters.clearance_period + _LOOK)
+    looks = 1 + max(UNSAFE_MAX, BLIND_MAX)
+    return LASTS + looks * (CLEARANCE_PERIOD + _LOOK)

@@ -188,7 +188,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
     if charger.machine.status.charging:
         watched = SECONDS if trial is None else trial.watched
         if nudging is not None:
-            watched = max(watched, drawn.nudge.after + watched_after(drawn.docking))
+            watched = max(watched, drawn.nudge.after + watched_after())
         row |= Rest(charger, watched, nudging).watch()
     if nudging is not None:
         row["nudge_opened"] = nudging.opened

@@ -156,7 +156,7 @@ TAKEN = {
     "world.step": "a campaign steps the world itself",
     "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
     "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
-    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or assumed.gravity_tilt" for axis in "xyz"},
+    "docking.gravity": "give gravity.tilt and gravity.known, or assumed.gravity_tilt",
 }
 """Keys of world and docking that a campaign sets itself, with the keys to give instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}

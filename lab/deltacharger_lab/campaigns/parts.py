@@ -40,7 +40,7 @@ def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactilePa
         "servo_stiffness": factor * world.servo.stiffness,
         "torque_constant": constant * world.servo.torque_constant,
         "power": "none" if world.circuit.wired else "board",
-        **_axes(assumed_gravity(values, gravity)),
+        "gravity": assumed_gravity(values, gravity),
     }
     if world.magnets.force == 0.0:  # a charger built without magnets is known to have none
         given["magnet_force"] = 0.0

@@ -24,10 +24,10 @@ from deltacharger_docking.codes import CriticalAngle, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise
 from deltacharger_docking.observation import ElectrodePose
-from deltacharger_docking.press import check_depth, check_pads, move_aside, step_to
+from deltacharger_docking.press import CONTACT_TIMEOUT, check_depth, check_pads, move_aside, step_to
 from deltacharger_docking.release import take_off
 from deltacharger_docking.standoff import approach
-from deltacharger_docking.touch import measure, rolled_too_far
+from deltacharger_docking.touch import ALIGNMENTS_MAX, measure, rolled_too_far
 
 _BACK, _STEP = 0.030, 0.005  # m: the paper's step back from too hard a push, and its step on
 
@@ -72,7 +72,7 @@ def _back_off(context: Context) -> Script[None]:
 
 
 def _press(context: Context, depth: float) -> Script[None]:
-    context.enter(State.CONTACT, context.parameters.contact_timeout)
+    context.enter(State.CONTACT, CONTACT_TIMEOUT)
     while context.contact.value < context.parameters.current_min:
         check_depth(context, depth)
         yield from step_to(context, context.commanded[2] + _STEP)
@@ -85,7 +85,7 @@ def _align(context: Context, depth: float, limit: float) -> Script[None]:
     found = yield from measure(context)
     if not abs(found.angle) < limit:
         raise CriticalAngle(rolled_too_far(found.angle))
-    while (found.horizontal or found.vertical) and status.alignments < context.parameters.alignments_max:
+    while (found.horizontal or found.vertical) and status.alignments < ALIGNMENTS_MAX:
         x, y = found.horizontal, found.vertical
         status.alignments += 1
         context.decide("move", "the electrodes move by the centres of the classes", x_m=x, y_m=y)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import statistics
 from typing import Any
 
+from deltacharger_docking.energy import OPEN_TIMEOUT
 from deltacharger_docking.observation import Observation
 from deltacharger_lab.campaigns.disturbances import Nudging
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
@@ -56,7 +57,7 @@ class Rest:
     def _see_open(self, nudging: Nudging) -> None:
         """Advance until the commanded contactor is open; a welded one stays closed."""
         charger = self._charger
-        until = charger.now + charger.parameters.open_timeout
+        until = charger.now + OPEN_TIMEOUT
         while charger.world.circuit.closed and charger.now < until:
             charger.tick()
             nudging.look()

@@ -12,7 +12,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Mask
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_docking.clearance import clearance
+from deltacharger_docking.clearance import CLEARANCE_SIGMAS, clearance
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.tactile.plan import TactilePlan
@@ -153,7 +153,7 @@ def _acts(result: Estimate) -> Any:
     """Return (N,) whether an estimate is sure and leaves docking's minimum clearance at docking's number of σ."""
     half = _DOCKING.electrode_half_length
     spread = np.hypot(half * np.asarray(result.angle_stddev), np.asarray(result.across_stddev))
-    left = _clearances(result.angle, result.across) - _DOCKING.clearance_sigmas * spread
+    left = _clearances(result.angle, result.across) - CLEARANCE_SIGMAS * spread
     return np.asarray(result.sure) & (left >= _DOCKING.clearance_min)
 
 
