@@ -156,10 +156,6 @@ bench: lab  ## limits of charger and driver, about 25 minutes; QUICK=1: 6 minute
 	$(BIN)/python lab/benchmarks/driver_long.py --seconds $(if $(QUICK),60,600)
 	@echo '== nodes killed and stopped: $(if $(QUICK),half a minute,5 minutes)'
 	-$(BIN)/python lab/benchmarks/driver_kill.py --tactile $(if $(QUICK),2 --dockings 0,5 --dockings 1)
-	@echo '== $(if $(QUICK),50 000,a million) damaged packets per codec: $(if $(QUICK),seconds,2 minutes)'
-	-$(BIN)/python lab/benchmarks/driver_fuzz.py --packets $(if $(QUICK),50000,1000000)
-	@echo '== changed files of every kind, $(if $(QUICK),1000,5000) each: $(if $(QUICK),half a minute,2 minutes)'
-	-$(BIN)/python lab/benchmarks/files_fuzz.py --files $(if $(QUICK),1000,5000)
 
 $(INSTALLED): $(SOURCES)
 	@command -v python3 > /dev/null || { echo 'cannot build: there is no python3: apt install python3-venv python3-dev' >&2; exit 1; }

@@ -6,26 +6,16 @@ Messages stay CDR bytes; callers that have ROS decode them. Needs the package mc
 
 from __future__ import annotations
 
+import io
 import os
 import shlex
+import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from deltacharger_core.bounded_file import open_file
-from deltacharger_core.mcap_records import (
-    ATTACHMENT,
-    CHANNEL,
-    LARGEST_FILE,
-    MESSAGE,
-    METADATA,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-    EndsEarly,
-    Records,
-)
 from deltacharger_core.picklable import Picklable
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
@@ -34,6 +24,10 @@ CUT_SHORT = "the file ends early: its recorder was stopped"
 BAGS = (".mcap", ".db3", ".zstd")
 """Endings of the files that `ros2 bag record` writes."""
 
+LARGEST_FILE = 2**40
+"""Maximum bytes of a recording."""
+_LARGEST_RECORD = 48 * 2**20  # bytes, also of an unpacked chunk; a colour image of 4096 × 3072 px has 38 MB
+_LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
 _LONGEST = 300  # characters of a reason
 _NAMED_MAX = 5  # files of a folder named in an error
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins compressed data; CDR begins with 0
@@ -125,11 +119,12 @@ class McapFile:
             DamagedRecording: the file is truncated or damaged from here on.
         """
         names: dict[int, str] = {}
-        for opcode, record in self._walk():
-            if opcode == CHANNEL and (not topics or record.topic in topics):
+        for record in self._walk():
+            kind = type(record).__name__
+            if kind == "Channel" and (not topics or record.topic in topics):
                 names[record.id] = record.topic
-            elif opcode == MESSAGE and record.channel in names:
-                yield Raw(names[record.channel], record.received, record.published, bytes(record.data))
+            elif kind == "Message" and record.channel_id in names:
+                yield Raw(names[record.channel_id], record.log_time, record.publish_time, record.data)
 
     def attachment(self, name: str) -> bytes:
         """Return the attachment with this name.
@@ -138,53 +133,52 @@ class McapFile:
             DamagedRecording: the file is damaged before it.
             KeyError: there is none.
         """
-        for _, record in self._walk((ATTACHMENT,)):
-            if record.name == name:
+        for record in self._walk():
+            if type(record).__name__ == "Attachment" and record.name == name:
                 return bytes(record.data)
         raise KeyError(name)
 
     def _read_index(self) -> bool:
         """Read the index at the end of a complete file; return whether it is complete."""
-        try:
-            with open_file(self.path, LARGEST_FILE) as stream:
-                records = Records(stream)
-                summary = records.summary()
-                schemas, channels, places = (summary.get(kind, []) for kind in (SCHEMA, CHANNEL, METADATA_INDEX))
-                (statistics,) = summary[STATISTICS]
-                counts = statistics.channel_message_counts
-                if len(channels) != statistics.channel_count or len(places) != statistics.metadata_count:
+        from mcap.reader import SeekingReader
+
+        with open_file(self.path, LARGEST_FILE) as stream:
+            try:
+                reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_SUMMARY)
+                summary = reader.get_summary()
+                if summary is None or summary.statistics is None:
                     return False
-                if sum(counts.values()) != statistics.message_count or not counts.keys() <= {c.id for c in channels}:
+                statistics, counts = summary.statistics, summary.statistics.channel_message_counts
+                places = len(summary.metadata_indexes)
+                if (len(summary.channels), places) != (statistics.channel_count, statistics.metadata_count):
                     return False
-                metadata = [records.read(each.offset, METADATA) for each in places]
-        except OSError:
-            raise
-        except Exception:  # truncated, damaged or no MCAP file: the scan finds out
-            return False
-        named = {schema.id: schema for schema in schemas}
-        for channel in channels:
-            self._add_channel(channel, named.get(channel.schema_id))
+                if sum(counts.values()) != statistics.message_count or not counts.keys() <= summary.channels.keys():
+                    return False
+                self.metadata = [(each.name, dict(each.metadata)) for each in reader.iter_metadata()]
+            except Exception:  # truncated, damaged or no MCAP file: the scan finds out
+                return False
+        for channel in summary.channels.values():
+            self._add_channel(channel, summary.schemas.get(channel.schema_id))
             self.counts[channel.topic] += counts.get(channel.id, 0)
-        self.metadata = [(each.name, dict(each.metadata)) for each in metadata]
         self.first, self.last = statistics.message_start_time, statistics.message_end_time
         return True
 
     def _scan(self) -> None:
         schemas, topics, begun = dict[int, Any](), dict[int, str](), False
         try:
-            for opcode, record in self._walk():
-                begun = True
-                if opcode == SCHEMA:
+            for record in self._walk():
+                begun, kind = True, type(record).__name__
+                if kind == "Schema":
                     schemas[record.id] = record
-                elif opcode == CHANNEL:
+                elif kind == "Channel":
                     topics[record.id] = record.topic
                     self._add_channel(record, schemas.get(record.schema_id))
-                elif opcode == METADATA:
+                elif kind == "Metadata":
                     self.metadata.append((record.name, dict(record.metadata)))
-                elif opcode == MESSAGE and record.channel in topics:
-                    self.counts[topics[record.channel]] += 1
-                    self.first = min(self.first or record.received, record.received)
-                    self.last = max(self.last, record.received)
+                elif kind == "Message" and record.channel_id in topics:
+                    self.counts[topics[record.channel_id]] += 1
+                    self.first = min(self.first or record.log_time, record.log_time)
+                    self.last = max(self.last, record.log_time)
         except DamagedRecording as error:
             if not begun:
                 raise RecordingError(f"{self.path} is no MCAP file") from error
@@ -202,17 +196,67 @@ class McapFile:
         self.types.setdefault(channel.topic, schema.name if schema else "")
         self.definitions.setdefault(channel.topic, schema.data.decode(errors="replace") if schema else "")
 
-    def _walk(self, wanted: Collection[int] = ()) -> Iterator[tuple[int, Any]]:
-        """Yield the records of the file from its beginning."""
+    def _walk(self) -> Iterator[Any]:
+        """Yield mcap's records from the beginning, those of chunks in place of the chunks.
+
+        Raises:
+            DamagedRecording: the file is truncated or damaged from here on.
+        """
+        from mcap.stream_reader import StreamReader
+
         with open_file(self.path, LARGEST_FILE) as stream:
+            how: Any = {"emit_chunks": True, "validate_crcs": True, "record_size_limit": _LARGEST_RECORD}
             try:
-                yield from Records(stream).walk(wanted)
-            except EndsEarly as error:
-                raise DamagedRecording(self.path, CUT_SHORT) from error
+                for record in StreamReader(stream, **how).records:
+                    if type(record).__name__ == "Chunk":
+                        yield from _inside(record)
+                    else:
+                        yield record
             except OSError:
                 raise
-            except Exception as error:  # on damage zstandard, lz4, struct or mcap raise their own errors
-                raise DamagedRecording(self.path, f"the file is damaged from here on: {error}"[:_LONGEST]) from error
+            except Exception as error:  # on damage zstandard, lz4, struct and mcap raise their own errors
+                reason = f"the file is damaged from here on: {error}"[:_LONGEST] if stream.read(1) else CUT_SHORT
+                raise DamagedRecording(self.path, reason) from error
+
+
+def _inside(chunk: Any) -> Iterator[Any]:
+    """Yield the records of a chunk one by one: a list of them may be many times its size."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Channel, Message, Schema
+
+    data = _unpacked(chunk)
+    stream = ReadDataStream(io.BytesIO(data))
+    while stream.count < len(data):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == 5:
+            yield Message.read(stream, length)
+        elif opcode in (3, 4):
+            yield (Schema if opcode == 3 else Channel).read(stream)
+        else:
+            stream.read(length)
+
+
+def _unpacked(chunk: Any) -> bytes:
+    """Return a chunk's content; more than it claims or than is allowed is refused before it is unpacked."""
+    size, method = chunk.uncompressed_size, chunk.compression
+    if size > _LARGEST_RECORD:
+        raise ValueError(f"a chunk claims {size} bytes, more than {_LARGEST_RECORD}")
+    if method == "zstd":
+        import zstandard
+
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_LARGEST_RECORD)
+        data = unpacker.stream_reader(chunk.data, read_across_frames=True).read(size + 1)
+    elif method == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif method:
+        raise ValueError(f"a chunk has the unsupported compression {method[:20]!r}")
+    else:
+        data = chunk.data
+    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("a chunk does not unpack to what it states")
+    return bytes(data)
 
 
 def recordings_in(path: Path) -> list[Path]:

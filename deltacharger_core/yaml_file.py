@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads and writes YAML with the usual expectations: `1e-3` is a number, a repeated key is an error.
 
-Content of untrusted files is plain and bounded: no aliases, dates or objects, integers of at most 64 bits. PyYAML is
-imported with the first file.
+Content of untrusted files is plain and bounded: text, numbers, lists and mappings, without aliases and objects. PyYAML
+is imported with the first file.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from deltacharger_core.picklable import Picklable
 T = TypeVar("T")
 
 _DEEPEST, _MOST = 30, 50_000  # levels; values and keys of a file
-_LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
+_LONGEST_PROBLEM = 300  # characters
 _TAG = "tag:yaml.org,2002:"
-_SCALARS = ("null", "bool", "int", "float", "str")
+_PLAIN = ("null", "bool", "int", "float")  # besides text, lists and mappings
 
 _OPENCV_HEADER = b"%YAML:1.0"
 
@@ -55,7 +55,7 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
     Raises:
         OSError: the file cannot be read.
         YamlError: it is no regular file, larger than 1 MB or not YAML; a key is repeated or no text; it holds an
-            alias, a tag of another type, more than 50 000 values or 30 levels, or an integer of more than 64 bits.
+            alias, a tag of another type, or more than 50 000 values or 30 levels.
     """
     import yaml
 
@@ -64,12 +64,13 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
     except FileRefused as error:
         raise YamlError(path, str(error.strerror)) from error
     try:
-        loader = _loader()(_plain(content).decode("utf-8"))
-        try:
-            node = loader.get_single_node() if not first else loader.get_node() if loader.check_node() else None
-            return None if node is None else loader.value(node)
-        finally:
-            loader.dispose()
+        text = _plain(content).decode("utf-8")
+        _bound(text)
+        documents = yaml.load_all(text, _loader())
+        found = next(documents, None)
+        if not first and next(documents, None) is not None:
+            raise ValueError("it holds several documents: give one")
+        return found
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
@@ -125,72 +126,48 @@ def yaml_text(content: Mapping[str, Any]) -> str:
     return str(yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120))
 
 
-@functools.cache
-def _loader() -> Any:
-    """Return a bounded loader class, based on libyaml if PyYAML has it."""
+def _bound(text: str) -> None:
+    """Raise MarkedYAMLError for aliases, too many levels or values, before anything is built of them."""
     import yaml
 
-    base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
-    construct = {f"{_TAG}{kind}": getattr(base, f"construct_yaml_{kind}") for kind in _SCALARS}
+    depth = 0
+    for count, event in enumerate(yaml.parse(text, _base())):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        problem = "an alias; write it out in each place" if isinstance(event, yaml.AliasEvent) else ""
+        problem = f"nested deeper than {_DEEPEST} levels" if depth > _DEEPEST else problem
+        problem = f"more than {_MOST} values" if count > _MOST else problem
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)  # type: ignore[arg-type]
 
-    def refused(node: Any, problem: str) -> yaml.MarkedYAMLError:
-        return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
-    class Loader(base):  # type: ignore[misc]
-        def __init__(self, text: str) -> None:
-            super().__init__(text)
-            self.depth = self.count = 0
-            self.met: set[int] = set()  # ids of nodes; the tree keeps the nodes alive, so ids stay unique
+def _base() -> Any:
+    import yaml
 
-        def descend_resolver(self, parent: Any, index: Any) -> None:
-            """PyYAML calls it before it composes each node and the nodes inside."""
-            self.depth, self.count = self.depth + 1, self.count + 1
-            if self.depth > _DEEPEST or self.count > _MOST:
-                much = f"nested deeper than {_DEEPEST} levels" if self.depth > _DEEPEST else f"more than {_MOST} values"
-                raise yaml.MarkedYAMLError(problem=much, problem_mark=parent.start_mark)
+    return yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
 
-        def ascend_resolver(self) -> None:
-            self.depth -= 1
 
-        def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-            if kind is yaml.ScalarNode and len(value) > _LONGEST_NUMBER and implicit != (False, True):
-                implicit = (False, True)  # text, as if quoted
-            return super().resolve(kind, value, implicit)
+@functools.cache
+def _loader() -> Any:
+    """Return a loader of plain values that refuses repeated keys; on libyaml if PyYAML has it."""
+    import yaml
 
-        def value(self, node: Any) -> Any:
-            """Return a node's value."""
-            if id(node) in self.met:
-                raise refused(node, "is used again by an alias; write it out in each place")
-            self.met.add(id(node))
-            kind = node.tag.removeprefix(_TAG)
-            if isinstance(node, yaml.MappingNode) and kind == "map":
-                return self.mapping(node)
-            if isinstance(node, yaml.SequenceNode) and kind == "seq":
-                return [self.value(each) for each in node.value]
-            if not isinstance(node, yaml.ScalarNode) or kind not in _SCALARS:
-                raise refused(node, f"the tag {brief(node.tag)} is unknown; remove it")
-            try:
-                found = construct[node.tag](self, node)
-            except (ValueError, LookupError) as error:
-                raise refused(node, f"{brief(node.value)} is not of the type of its tag {kind}") from error
-            if isinstance(found, int) and not -(2**63) <= found < 2**63:
-                raise refused(node, f"the whole number {brief(node.value)} has more than 64 bits")
-            return found
-
-        def mapping(self, node: Any) -> dict[str, Any]:
+    class Loader(_base()):  # type: ignore[misc]
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[str, Any]:
             found: dict[str, Any] = {}
             for key_node, value_node in node.value:
-                key = self.value(key_node)
+                key = self.construct_object(key_node, deep=True)
                 wrong = "is not text" if not isinstance(key, str) else "is given twice" if key in found else ""
-                wrong = wrong or ("is too long" if len(key) > _LONGEST_KEY else "")
                 if wrong:
-                    raise refused(key_node, f"the key {brief(key)} {wrong}")
-                found[key] = self.value(value_node)
+                    problem = f"the key {brief(key)} {wrong}"
+                    raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
+                found[key] = self.construct_object(value_node, deep=deep)
             return found
 
-    Loader.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in resolvers if tag.removeprefix(_TAG) in _SCALARS]
-        for first, resolvers in base.yaml_implicit_resolvers.items()
+    kept = {*(f"{_TAG}{kind}" for kind in (*_PLAIN, "str", "seq", "map")), None}  # None refuses a tag by name
+    Loader.yaml_constructors = {tag: build for tag, build in Loader.yaml_constructors.items() if tag in kept}
+    Loader.yaml_implicit_resolvers = {  # no dates, no merge keys
+        first: [(tag, pattern) for tag, pattern in resolvers if tag.removeprefix(_TAG) in _PLAIN]
+        for first, resolvers in Loader.yaml_implicit_resolvers.items()
     }
     Loader.add_implicit_resolver(f"{_TAG}float", _EXPONENT, list("-+0123456789"))
     return Loader

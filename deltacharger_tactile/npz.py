@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -19,9 +19,6 @@ LARGEST_DATASET = 8 * 2**30
 """Largest size of a data set's arrays, bytes."""
 _SMALL, _DENSEST = 64 * 2**20, 100
 """Bytes that any file may unpack to, plus this many per packed byte; recorded frames pack to a 15th."""
-_LONGEST_READ = 2**18  # bytes; zipfile reads the list of members at once
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # used by numpy; others unpack without bounds
-_ENDING = ".npy"
 
 
 class NpzError(ValueError):
@@ -41,7 +38,7 @@ def read(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any], d
         NpzError: another format, damaged, too large, or contains Python objects.
     """
     try:
-        with open_file(path, largest) as file, zipfile.ZipFile(_Bounded(file)) as archive:
+        with open_file(path, largest) as file, zipfile.ZipFile(file) as archive:
             arrays = _arrays(archive, min(largest, _SMALL + _DENSEST * os.fstat(file.fileno()).st_size))
         if header not in arrays:
             raise NpzError(f"it has no array {header}")
@@ -62,8 +59,8 @@ def read(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any], d
 def holds(path: str | Path, name: str) -> bool:
     """Whether a file is an npz file with this array; False also if it is missing or unreadable."""
     try:
-        with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(_Bounded(file)) as archive:
-            return name + _ENDING in archive.namelist()
+        with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(file) as archive:
+            return f"{name}.npy" in archive.namelist()
     except Exception:  # as in `read`, which reports the error
         return False
 
@@ -75,23 +72,9 @@ def _arrays(archive: zipfile.ZipFile, largest: int) -> dict[str, NDArray[Any]]:
         raise NpzError(f"its arrays take {size_text(size)}, more than the {size_text(largest)} allowed")
     arrays: dict[str, NDArray[Any]] = {}
     for member in members:
-        name = member.filename.removesuffix(_ENDING)
-        if name in arrays or name == member.filename or member.compress_type not in _METHODS:
-            raise NpzError(f"its member {member.filename[:80]!r} is a duplicate or not a numpy array")
+        name = member.filename.removesuffix(".npy")
+        if name in arrays or name == member.filename:
+            raise NpzError(f"its member {member.filename[:80]!r} is a duplicate or no array")
         with archive.open(member) as stream:
             arrays[name] = read_array(stream, member.file_size)  # to the end, where the checksum is verified
     return arrays
-
-
-class _Bounded:
-    """A file with bounded reads, which limits the size of the list of members."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self.seek, self.tell, self.seekable, self.close = file.seek, file.tell, file.seekable, file.close
-
-    def read(self, count: int = -1) -> bytes:
-        found = self._file.read(_LONGEST_READ + 1 if count < 0 else count if count <= _LONGEST_READ else 0)
-        if count > _LONGEST_READ or len(found) > _LONGEST_READ:
-            raise NpzError("its list of members is too long")
-        return found

@@ -4,7 +4,7 @@
 Each connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
 "amount"} with the keys of a scene's fault, {"command": "clear"} and {"command": "active"}. Answers:
 {"success": true, "active": [...]} or {"success": false, "error"}. Only the user who
-runs the charger may connect. Time and bytes are bounded on both sides, and clients do not wait for each other.
+runs the charger may connect. Bytes and pauses are bounded on both sides, and clients do not wait for each other.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import selectors
 import socket
+import socketserver
 import stat
 import threading
 import time
@@ -29,9 +29,10 @@ SOCKET = runtime.CONTROL
 """Name of the socket in the ports' folder."""
 _LONGEST_LINE = 16384  # bytes of a request
 _LONGEST_ANSWER = 2**18  # bytes
-_PATIENCE = 1.0  # s for a client to send its line and receive the answer
-_PAUSE = 0.02  # s before a failed accept is repeated
-_CLIENTS_MAX = 64  # simultaneous conversations; the oldest is closed for a new one
+_PATIENCE = 1.0  # s for a client to send its line and take the answer
+_PAUSE = 0.02  # s before the next attempt to connect
+_QUEUE = 64  # clients that wait to be accepted
+_POLL = 0.05  # s until a server notices that it is to end
 _LONGEST_PATH = 100  # bytes of a socket's path that every system accepts
 
 Answer = dict[str, Any]
@@ -66,7 +67,7 @@ class Registration:
 def _listens(path: Path) -> bool:
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
-            _connect(connection, address, time.monotonic() + _PATIENCE)
+            _connect(connection, address, _PATIENCE)
     except TimeoutError:  # a process listens, but hangs
         return True
     except OSError:
@@ -90,8 +91,16 @@ def answer(faults: Faults, request: Any) -> Answer:
     return {"success": True, "active": faults.active()}
 
 
+class _Server(socketserver.ThreadingUnixStreamServer):
+    request_queue_size = _QUEUE
+    daemon_threads, block_on_close = True, False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Do nothing: the client is gone or silent."""
+
+
 class ControlServer:
-    """Answers requests on a Unix socket in a separate thread. A silent client is dropped and delays no other.
+    """Answers requests on a Unix socket, each client in a thread of its own; silent clients are dropped.
 
     Args:
         path: of the socket; an existing one is replaced.
@@ -102,118 +111,43 @@ class ControlServer:
     """
 
     def __init__(self, path: Path, handler: Callable[[Any], Answer]) -> None:
+        class Conversation(socketserver.StreamRequestHandler):
+            timeout = _PATIENCE
+
+            def handle(self) -> None:
+                reply = _answered(handler, self.rfile.readline(_LONGEST_LINE))
+                self.wfile.write(json.dumps(reply).encode() + b"\n")
+
         self._path = path
-        self._handler = handler
         with contextlib.suppress(FileNotFoundError):
             if stat.S_ISSOCK(path.lstat().st_mode):
                 path.unlink()
-        self._listener = socket.socket(socket.AF_UNIX)
-        try:
-            with _short(path) as address:
-                self._listener.bind(address)
-            path.chmod(0o600)
-            self._made = path.stat().st_ino
-            self._listener.listen(_CLIENTS_MAX)
-        except BaseException:
-            self._listener.close()
-            raise
-        self._listener.setblocking(False)
-        self._wake, self._woken = socket.socketpair()
-        self._clients: dict[socket.socket, _Conversation] = {}  # oldest first
-        self._thread = threading.Thread(target=self._serve, name="faults' socket", daemon=True)
+        with _short(path) as address:
+            self._server = _Server(address, Conversation)
+        path.chmod(0o600)
+        self._made = path.stat().st_ino
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(_POLL,), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop answering and remove the socket, unless another charger has replaced it."""
-        self._wake.close()
+        self._server.shutdown()
         self._thread.join()
-        self._woken.close()
-        self._listener.close()
+        self._server.server_close()
         with contextlib.suppress(OSError):
             if self._path.lstat().st_ino == self._made:
                 self._path.unlink()
 
-    def _serve(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._listener, selectors.EVENT_READ)
-            selector.register(self._woken, selectors.EVENT_READ)
-            while True:
-                ready = {key.fileobj for key, _ in selector.select(self._time_left())}
-                if self._woken in ready:
-                    break
-                for client, conversation in list(self._clients.items()):
-                    if client in ready:
-                        conversation.go_on(selector)
-                    if conversation.time_left() <= 0.0:
-                        self._drop(selector, client)
-                if self._listener in ready:
-                    self._accept(selector)
-            for client in list(self._clients):
-                self._drop(selector, client)
 
-    def _time_left(self) -> float | None:
-        oldest = next(iter(self._clients.values()), None)
-        return None if oldest is None else max(oldest.time_left(), 0.0)
-
-    def _accept(self, selector: selectors.BaseSelector) -> None:
-        try:
-            client, _ = self._listener.accept()
-        except OSError:  # client gone, or no descriptors left: do not repeat at once
-            time.sleep(_PAUSE)
-            return
-        client.setblocking(False)
-        if len(self._clients) == _CLIENTS_MAX:
-            self._drop(selector, next(iter(self._clients)))
-        self._clients[client] = _Conversation(client, self._handler)
-        selector.register(client, selectors.EVENT_READ)
-
-    def _drop(self, selector: selectors.BaseSelector, client: socket.socket) -> None:
-        del self._clients[client]
-        selector.unregister(client)
-        client.close()
-
-
-class _Conversation:
-    """One request line and one answer line."""
-
-    def __init__(self, client: socket.socket, handler: Callable[[Any], Answer]) -> None:
-        self._client = client
-        self._handler = handler
-        self._end = time.monotonic() + _PATIENCE
-        self._request = b""
-        self._reply = b""
-
-    def time_left(self) -> float:
-        """Return the remaining time, s; ≤ 0 at its end."""
-        return self._end - time.monotonic()
-
-    def go_on(self, selector: selectors.BaseSelector) -> None:
-        """Read or write as much as possible without waiting."""
-        try:
-            if not self._reply:
-                part = self._client.recv(_LONGEST_LINE)
-                self._request += part
-                if part and b"\n" not in part and len(self._request) < _LONGEST_LINE:
-                    return
-                self._reply = json.dumps(self._answer()).encode() + b"\n"
-                selector.modify(self._client, selectors.EVENT_WRITE)
-            self._reply = self._reply[self._client.send(self._reply) :]
-        except BlockingIOError:
-            return
-        except OSError:  # gone
-            self._reply = b""
-        if not self._reply:
-            self._end = 0.0
-
-    def _answer(self) -> Answer:
-        try:
-            request = json.loads(self._request.partition(b"\n")[0])
-        except (ValueError, RecursionError):
-            return {"success": False, "error": "not one line of JSON"}
-        try:
-            return self._handler(request)
-        except Exception as error:  # one bad request must not end the service
-            return {"success": False, "error": f"{type(error).__name__}: {error}"}
+def _answered(handler: Callable[[Any], Answer], line: bytes) -> Answer:
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError):
+        return {"success": False, "error": "not one line of JSON"}
+    try:
+        return handler(request)
+    except Exception as error:  # one bad request must not end the service
+        return {"success": False, "error": f"{type(error).__name__}: {error}"}
 
 
 def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
@@ -222,19 +156,17 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     Args:
         path: of the socket, or of a link to it.
         request: see the module.
-        timeout: for all of it, s.
+        timeout: for each step, s.
 
     Raises:
         ConnectionError: no process listens there.
         OSError: the answer is late or invalid, or the user may not connect.
     """
-    end = time.monotonic() + timeout
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
-            _connect(connection, address, end)
-            connection.settimeout(max(end - time.monotonic(), _PAUSE))
+            _connect(connection, address, timeout)
             connection.sendall(json.dumps(request).encode() + b"\n")
-            line = _line(connection, end)
+            line = connection.makefile("rb").readline(_LONGEST_ANSWER)
     except FileNotFoundError as error:
         raise ConnectionError(f"{path}: {error.strerror}") from error
     if not line:
@@ -248,9 +180,10 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     return dict(reply)
 
 
-def _connect(connection: socket.socket, address: str, end: float) -> None:
-    """Connect, even while the server's queue is full; TimeoutError after `end`."""
-    connection.setblocking(False)
+def _connect(connection: socket.socket, address: str, timeout: float) -> None:
+    """Connect, even while the server's queue is full, and bound each later step; TimeoutError if nobody accepts."""
+    end = time.monotonic() + timeout
+    connection.settimeout(timeout)
     while True:
         try:
             return connection.connect(address)
@@ -258,25 +191,6 @@ def _connect(connection: socket.socket, address: str, end: float) -> None:
             if time.monotonic() >= end:
                 raise TimeoutError("the connection was not accepted") from error
             time.sleep(_PAUSE)
-
-
-def _line(connection: socket.socket, end: float) -> bytes:
-    """Return the bytes up to the end of the line or of the connection.
-
-    Raises:
-        OSError: it takes longer than until `end` (s, monotonic), or is longer than an answer.
-    """
-    line = b""
-    while not line.endswith(b"\n"):
-        left = end - time.monotonic()
-        if left <= 0.0 or len(line) > _LONGEST_ANSWER:
-            raise TimeoutError("the answer did not end")
-        connection.settimeout(left)
-        part = connection.recv(_LONGEST_ANSWER)
-        if not part:
-            break
-        line += part
-    return line
 
 
 def _is_answer(reply: Any) -> bool:

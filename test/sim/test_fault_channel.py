@@ -110,24 +110,6 @@ def test_a_hundred_silent_clients_delay_neither_the_next_client_nor_the_end(plac
         assert not place.exists()
 
 
-@pytest.mark.rest
-def test_a_client_that_sends_single_bytes_is_dropped(place: Path, served: Any) -> None:
-    served()
-    with connected(place) as client:
-        client.settimeout(0.05)
-
-        def is_dropped() -> bool:
-            try:
-                client.sendall(b" ")
-                return client.recv(1) == b""
-            except TimeoutError:
-                return False
-            except OSError:
-                return True
-
-        wait_until(is_dropped, "its end")
-
-
 @pytest.mark.parametrize(
     ("sent", "noun"),
     [
@@ -183,13 +165,9 @@ def other_program(place: Path, part: bytes, pause: float) -> Iterator[None]:
         listener.close()
 
 
-@pytest.mark.parametrize("part", [b"x", b"x" * 100_000])
-def test_an_endless_answer_is_given_up(place: Path, part: bytes) -> None:
-    with other_program(place, part, 0.01):
-        began = time.monotonic()
-        with pytest.raises(TimeoutError):
-            ask(place, {"command": "active"}, timeout=0.3)
-        assert time.monotonic() - began < BOUND
+def test_an_endless_answer_is_given_up(place: Path) -> None:
+    with other_program(place, b"x" * 100_000, 0.001), pytest.raises(OSError, match="not a charger"):
+        ask(place, {"command": "active"}, BOUND)
 
 
 @pytest.mark.parametrize(
